@@ -1,0 +1,23 @@
+# The two commands of the README: `make reproduce` and `make test`. Both set up .venv first, once.
+PYTHON ?= python3
+VENV := .venv
+PY := $(VENV)/bin/python
+
+.PHONY: reproduce test
+
+reproduce: $(VENV)/.ok
+	$(PY) -m mpt_helpers reproduce
+
+# A part of it: .venv/bin/python -m pytest tests/test_filters.py -k lainiotis
+test: $(VENV)/.ok
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m pytest
+	$(PY) -m pytest -c /dev/null --rootdir=. -p no:cacheprovider --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+
+$(VENV)/.ok: environment.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, this is {sys.version}: make PYTHON=...")'
+	$(PYTHON) -m venv --clear $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $@

@@ -1,0 +1,125 @@
+"""The command line: `python -m mpt_helpers reproduce [KEY ...]` and `python -m mpt_helpers verdicts [KEY] [--json]`."""
+
+import argparse
+import json
+import shutil
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from .files import write_whole
+from .published import stored_verdicts
+from .tables import Table
+
+NOTEBOOKS, FIGURES = Path("notebooks"), Path("figures")
+CELL_TIMEOUT = 600  # seconds; the slowest cell takes a few
+
+
+class CommandError(Exception):
+    """What went wrong, in words for the terminal."""
+
+
+def reproduce(keys):
+    """Execute notebooks in place and write their figures; nothing is touched when a cell fails.
+
+    Raises CommandError for an unknown key and for a notebook that fails, naming the notebook, the cell and the error.
+    """
+    for key in known(keys):
+        # A cell reads ../figures: the notebook runs in a copy of its place, and what it made is moved over at the end.
+        with TemporaryDirectory(prefix=".reproduce-", dir=".") as place:
+            stage = Path(place)
+            stage.joinpath(FIGURES).mkdir()
+            shutil.copytree(NOTEBOOKS, stage / NOTEBOOKS)
+            text = _execute(key, stage / NOTEBOOKS)
+            FIGURES.mkdir(exist_ok=True)
+            for figure in sorted(stage.joinpath(FIGURES).iterdir()):
+                write_whole(FIGURES / figure.name, figure.read_bytes())
+            write_whole(NOTEBOOKS / f"{key}.ipynb", text.encode())
+
+
+def _execute(key, folder):
+    # Imported here, so that the verdicts can be read without Jupyter.
+    import nbformat
+    from nbclient import NotebookClient
+    from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
+
+    notebook = nbformat.read(folder / f"{key}.ipynb", as_version=4)
+    code = [cell.id for cell in notebook.cells if cell.cell_type == "code"]
+
+    def progress(cell, cell_index, **_):
+        if cell.id in code:
+            print(f"{key}: cell {code.index(cell.id) + 1} of {len(code)}, {cell.id}", flush=True)
+
+    client = NotebookClient(
+        notebook,
+        timeout=CELL_TIMEOUT,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(folder)}},
+        record_timing=False,
+        coalesce_streams=True,
+        on_cell_start=progress,
+    )
+    try:
+        client.execute()
+    except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
+        failed = next(
+            (c.id for c in notebook.cells if any(o.output_type == "error" for o in c.get("outputs", []))), "?"
+        )
+        message = f"{error.ename}: {error.evalue}" if isinstance(error, CellExecutionError) else str(error)
+        raise CommandError(f"{key}: cell {failed} failed: {message}") from error
+    notebook.metadata["language_info"] = {"name": "python"}  # the rest of it names the version of Python
+    return nbformat.writes(notebook) + "\n"
+
+
+def verdicts(keys):
+    """Return the stored verdicts of these notebooks (of all, if none is named) as a list of dictionaries.
+
+    Raises CommandError for an unknown key and for a notebook without verdicts.
+    """
+    try:
+        return [each for key in known(keys) for each in stored_verdicts(NOTEBOOKS / f"{key}.ipynb").records()]
+    except ValueError as error:
+        raise CommandError(str(error)) from error
+
+
+def known(keys):
+    """Return these keys of notebooks, or all if there are none; raises CommandError for an unknown key or another folder."""
+    there = sorted(path.stem for path in NOTEBOOKS.glob("*.ipynb"))
+    if not there:
+        raise CommandError(f"no notebooks in {NOTEBOOKS.resolve()}: run this in the project's folder")
+    for key in keys:
+        if key not in there:
+            raise CommandError(f"unknown notebook {key!r}; the known ones are {', '.join(there)}")
+    return keys or there
+
+
+def main(arguments=None):
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m mpt_helpers", description="Four papers, reproduced.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("reproduce", help="execute the notebooks in place and write every figure")
+    run.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
+    show = commands.add_parser(
+        "verdicts", help="print every verdict from the committed notebooks, without running them"
+    )
+    show.add_argument("keys", metavar="KEY", nargs="?", help="a notebook's name without .ipynb (default: all)")
+    show.add_argument("--json", action="store_true", help="print them as JSON")
+    options = parser.parse_args(arguments)
+    try:
+        if options.command == "reproduce":
+            reproduce(options.keys)
+            return 0
+        records = verdicts([options.keys] if options.keys else [])
+        if options.json:
+            print(json.dumps(records, indent=1, ensure_ascii=False))
+        else:
+            columns = ("paper", "id", "where", "kind", "printed", "computed", "verdict", "reason")
+            print(Table(columns, [[record[column] for column in columns] for record in records]))
+        return 0
+    except CommandError as failure:
+        print(f"error: {failure}", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

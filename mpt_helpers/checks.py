@@ -1,0 +1,134 @@
+"""Refuse bad input by name, before anything is computed."""
+
+import operator
+from numbers import Real
+
+import numpy as np
+
+# Entries of a scaled covariance are of order one and come out of a few products of doubles: asymmetry or negative
+# eigenvalues below this are rounding, above it they are a mistake.
+ROUNDING = 1e-12
+
+
+def refuse(name, need, got, error=ValueError):
+    """Raise `error` with a message that names the argument, what it needs and what it got."""
+    raise error(f"{name}: needs {need}, got {got}")
+
+
+def number(name, value, need="a number", accept=lambda value: True):
+    """Return a finite real scalar as a float, or raise.
+
+    `accept` says whether a finite value is one that the argument can take, and `need` says it in words.
+
+    >>> number("dt", 1, "a positive number", lambda value: value > 0)
+    1.0
+    >>> number("dt", 0, "a positive number", lambda value: value > 0)
+    Traceback (most recent call last):
+    ...
+    ValueError: dt: needs a positive number, got 0
+    """
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
+        refuse(name, need, repr(value), TypeError)
+    if not (np.isfinite(value) and accept(value)):
+        refuse(name, need, repr(value))
+    return float(value)
+
+
+def positive(name, value):
+    """Return a positive number as a float, or raise."""
+    return number(name, value, "a positive number", lambda value: value > 0)
+
+
+def count(name, value, least=1):
+    """Return an integer of at least `least`, or raise.
+
+    >>> count("N", 0)
+    Traceback (most recent call last):
+    ...
+    ValueError: N: needs an integer of at least 1, got 0
+    """
+    need = f"an integer of at least {least}"
+    if isinstance(value, (bool, np.bool_)):
+        refuse(name, need, repr(value), TypeError)
+    try:
+        value = operator.index(value)
+    except TypeError:
+        refuse(name, need, repr(value), TypeError)
+    if value < least:
+        refuse(name, need, value)
+    return value
+
+
+def instance(name, value, kind):
+    """Return `value` if it is a `kind`, or raise a TypeError."""
+    if not isinstance(value, kind):
+        refuse(name, f"a {kind.__name__}", f"{type(value).__name__} {value!r:.40}", TypeError)
+    return value
+
+
+def real(name, value, need):
+    """Return a new float array of real numbers (NaN allowed), or raise; `need` says what is needed, in words."""
+    if isinstance(value, np.ma.MaskedArray):
+        refuse(name, f"{need} without a mask (a missed epoch is a row of NaN)", "a masked array", TypeError)
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        refuse(name, need, "rows of different lengths")
+    if array.dtype.kind not in "iuf":
+        refuse(name, f"{need} of real numbers", f"an array of {array.dtype} data", TypeError)
+    array = array.astype(float)  # always a copy: what the caller does to his array later does not reach us
+    if np.isinf(array).any():
+        refuse(name, f"{need} of finite numbers", "an infinite value")
+    return array
+
+
+def array(name, value, shape):
+    """Return a read-only float array of exactly this shape without NaN, or raise.
+
+    >>> array("F", 5.0, (2, 2))
+    Traceback (most recent call last):
+    ...
+    ValueError: F: needs a 2×2 matrix, got a scalar
+    """
+    words = {1: "a vector of length {}", 2: "a {}×{} matrix"}
+    need = words[len(shape)].format(*shape)
+    result = real(name, value, need)
+    if result.shape != tuple(shape):
+        refuse(name, need, f"shape {result.shape}" if result.ndim else "a scalar")
+    if np.isnan(result).any():
+        refuse(name, f"{need} of finite numbers", "NaN")
+    result.flags.writeable = False
+    return result
+
+
+def matrix(name, value, need="a matrix"):
+    """Return a read-only float matrix of any shape without NaN, or raise."""
+    result = real(name, value, need)
+    if result.ndim != 2 or 0 in result.shape:
+        refuse(name, need, f"shape {result.shape}" if result.ndim else "a scalar")
+    return array(name, result, result.shape)
+
+
+def covariance(name, value, size, definite=False):
+    """Return a symmetric positive semidefinite (or definite) matrix of this size, or raise.
+
+    The eigenvalues looked at are those of the correlation matrix, so that variances of very different size pass.
+
+    >>> covariance("R", [[0.0]], 1, definite=True)
+    Traceback (most recent call last):
+    ...
+    ValueError: R: needs a symmetric positive definite 1×1 matrix, got an eigenvalue of 0 (scaled to unit variances)
+    """
+    need = f"a symmetric positive {'definite' if definite else 'semidefinite'} {size}×{size} matrix"
+    result = array(name, value, (size, size))
+    if (np.diag(result) < 0).any():
+        refuse(name, need, f"a variance of {np.diag(result).min():.6g}")
+    scale = np.sqrt(np.diag(result))
+    scale = np.where(scale > 0, scale, 1)
+    scaled = result / scale[:, None] / scale
+    if np.abs(scaled - scaled.T).max() > ROUNDING:
+        refuse(name, need, "a matrix that is not symmetric")
+    lowest = np.linalg.eigvalsh(scaled)[0]
+    if lowest < -ROUNDING or (definite and lowest <= ROUNDING):
+        refuse(name, need, f"an eigenvalue of {lowest:.6g} (scaled to unit variances)")
+    return result

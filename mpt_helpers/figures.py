@@ -1,0 +1,182 @@
+"""Figures: one saved file each, and a description in words and numbers that a test can compare.
+
+A PNG cannot be compared across machines, so `save_figure` shows beside it, as plain text, what the figure plots. The
+style is in notebooks/matplotlibrc.
+"""
+
+import re
+import zlib
+from base64 import b64encode
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.text import Text
+
+from . import checks
+from .files import write_whole
+
+# Gaps below this are rounding, and other digits on every processor: they are drawn at it.
+FLOOR = 1e-12
+# The description looks at no digit finer than this: rounding reaches some 1e-14 on the tracks plotted here.
+QUANTUM = 1e-9
+
+
+def panels(layout, height=2.3):
+    """Return a figure of the width of a page and its axes by name.
+
+    layout is a list of rows of names; a name that stands twice spans both places. height is that of a row, in inches.
+
+    >>> fig, ax = panels([["s_x", "s_y"], ["gap", "gap"]])
+    >>> sorted(ax)
+    ['gap', 's_x', 's_y']
+    """
+    fig = Figure(figsize=(7.2, height * len(layout)), layout="constrained")
+    return fig, fig.subplot_mosaic(layout)
+
+
+def draw_track(ax, true, estimate, variance, measured=None, steady=None):
+    """Draw one component of one track over the steps k = 1 ... N.
+
+    true, estimate, variance and, where given, measured and steady (a second estimate, dashed) are vectors of length N.
+    The band is estimate ± 2 standard deviations.
+
+    >>> fig, ax = panels([["s"]])
+    >>> draw_track(ax["s"], true=[0.0, 1.0], estimate=[0.1, 0.8], variance=[0.01, 0.01])
+    >>> [line.get_label() for line in ax["s"].lines]
+    ['true', 'time invariant']
+    """
+    k = np.arange(1, len(true) + 1)
+    estimate, sigma = np.asarray(estimate), np.sqrt(variance)
+    ax.fill_between(k, estimate - 2 * sigma, estimate + 2 * sigma, color="C0", alpha=0.25, lw=0, label="2σ band")
+    if measured is not None:
+        ax.plot(k, measured, ".", color="0.45", ms=3.5, label="measured")
+    ax.plot(k, true, color="black", lw=0.9, label="true")
+    ax.plot(k, estimate, color="C0", lw=1.8, label="time invariant")
+    if steady is not None:
+        ax.plot(k, steady, "--", color="C1", lw=1.5, label="steady state")
+
+
+def draw_gaps(ax, gaps):
+    """Draw gaps between curves over the steps k = 1 ... N, on a log scale, those at rounding level clipped and labelled.
+
+    gaps maps a label to a vector of gaps, each not negative.
+
+    >>> fig, ax = panels([["gap"]])
+    >>> draw_gaps(ax["gap"], {"KF - LF": [1e-16, 0.0], "KF - SSKF": [0.1, 0.05]})
+    >>> ax["gap"].lines[0].get_ydata()
+    array([1.e-12, 1.e-12])
+    """
+    styles = ["-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1))]
+    for i, (label, gap) in enumerate(gaps.items()):
+        ax.semilogy(np.arange(1, len(gap) + 1), visible_gap(gap), ls=styles[i % len(styles)], label=label)
+    ax.axhspan(FLOOR / 3, FLOOR, color="0.9", lw=0)
+    ax.set_ylim(FLOOR / 3, None)
+    ax.annotate("below 1e-12: rounding", (0.99, 0.03), xycoords="axes fraction", ha="right", va="bottom", fontsize=7)
+    ax.set(xlabel="step k", ylabel="gap")
+
+
+def visible_gap(gap):
+    """Return gaps as they are drawn: clipped at 1e-12, and with two digits where a third would be rounding.
+
+    >>> visible_gap([0.12345, 1.2345e-10, 1e-17])
+    array([1.2345e-01, 1.2000e-10, 1.0000e-12])
+    """
+    gap = np.maximum(np.asarray(gap, float), FLOOR)
+    unit = 10 ** (np.floor(np.log10(gap)) - 1)
+    return np.where(gap < QUANTUM, np.round(gap / unit) * unit, gap)
+
+
+@dataclass(frozen=True)
+class SavedFigure:
+    """A figure that was saved: notebooks show the picture, tests compare the description."""
+
+    png: bytes
+    description: str
+
+    def __repr__(self):
+        return self.description
+
+    def _repr_mimebundle_(self, include=None, exclude=None):
+        return {"image/png": b64encode(self.png).decode(), "text/plain": self.description}
+
+
+def save_figure(fig, name, folder="../figures"):
+    """Save a figure as {folder}/{name}.png, the same bytes on every run, and return it for display.
+
+    Raises TypeError for anything but a matplotlib Figure, ValueError for a name that is not a plain file name or a
+    folder that does not exist.
+    """
+    checks.instance("fig", fig, Figure)
+    if not re.fullmatch(r"\w+", checks.instance("name", name, str), re.ASCII):
+        checks.refuse("name", "letters, digits and underscores", repr(name))
+    if not Path(folder).is_dir():
+        checks.refuse("folder", "a folder that exists", repr(str(folder)))
+    buffer = BytesIO()
+    fig.savefig(buffer, format="png", metadata={"Software": None})
+    write_whole(Path(folder) / f"{name}.png", buffer.getvalue())
+    return SavedFigure(buffer.getvalue(), f"{name}.png\n{describe(fig)}")
+
+
+def describe(fig):
+    """Return what a figure plots, in words and numbers: for each axes its texts and scales, and for everything drawn in
+    it the number of points, the extremes, the mean, and a checksum over all points at four digits.
+
+    >>> fig, ax = panels([["a"]])
+    >>> line = ax["a"].plot([1, 2, 3], [0.0, 0.5, 1.0], label="a")
+    >>> print(describe(fig))
+    axes 1: x '' linear 0.9..3.1; y '' linear -0.05..1.05
+      line 'a': 3 points, x 1..3 mean 2, y 0..1 mean 0.5, checksum 43970567
+    """
+    lines = [f"text {text.get_text()!r}" for text in fig.texts]
+    for i, ax in enumerate(fig.axes, 1):
+        sides = [
+            f"{side} {axis.get_label_text()!r} {axis.get_scale()} {_digits(axis.get_view_interval(), '..')}"
+            for side, axis in (("x", ax.xaxis), ("y", ax.yaxis))
+        ]
+        title = ax.get_title(loc="left") or ax.get_title()
+        lines.append(f"axes {i}: " + (f"{title!r} " if title else "") + "; ".join(sides))
+        drawn = [*ax.lines, *ax.collections, *ax.patches, *ax.images, *ax.texts]
+        lines += [f"  {_describe_artist(artist)}" for artist in drawn]
+        lines += [f"  {_describe_legend(ax.get_legend())}"] if ax.get_legend() else []
+    return "\n".join(lines + [_describe_legend(legend) for legend in fig.legends])
+
+
+def _describe_legend(legend):
+    return f"legend {[text.get_text() for text in legend.get_texts()]}"
+
+
+def _describe_artist(artist):
+    if isinstance(artist, Text):
+        return f"text {artist.get_text()!r}"
+    kind, points = _points(artist)
+    points = np.where(np.abs(points) < QUANTUM, 0, points)
+    ranges = [
+        f"{side} {_digits((values.min(), values.max()), '..')} mean {_digits([values.mean()])}"
+        for side, values in zip("xy", points.T, strict=True)
+    ]
+    checksum = zlib.crc32(_digits(points.ravel()).encode())
+    return f"{kind} {artist.get_label()!r}: {len(points)} points, {', '.join(ranges)}, checksum {checksum:08x}"
+
+
+def _points(artist):
+    if isinstance(artist, Line2D):
+        return "line", np.asarray(artist.get_xydata(), float)
+    if isinstance(artist, AxesImage):
+        rows, columns = np.indices(artist.get_array().shape)
+        return "image", np.column_stack([(rows + columns).ravel(), artist.get_array().ravel()]).astype(float)
+    if isinstance(artist, Patch):
+        return "patch", artist.get_patch_transform().transform(artist.get_path().vertices)
+    paths = [path.vertices for path in artist.get_paths()]
+    if len(artist.get_offsets()) > 1:
+        paths = [artist.get_offsets()]
+    return "area", np.concatenate(paths)
+
+
+def _digits(values, separator=","):
+    return separator.join(f"{value:.4g}" for value in values)

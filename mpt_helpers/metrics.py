@@ -1,0 +1,37 @@
+"""How far estimates lie from each other and from the truth."""
+
+import numpy as np
+
+from . import checks
+
+
+def relative_gap(a, b):
+    """Return the largest difference between two arrays of one shape, relative to the largest entry of the second.
+
+    >>> relative_gap([1.0, 2.0], [1.0, 4.0])
+    0.5
+    """
+    a, b = checks.real("a", a, "an array"), checks.real("b", b, "an array")
+    if a.shape != b.shape or not b.any():
+        checks.refuse("a", "the shape of b, which is not all zero", f"{a.shape}, b {b.shape}")
+    return float(np.abs(a - b).max() / np.abs(b).max())
+
+
+def largest_gaps(reference, others, z):
+    """Return how far other filters are from one on the same measurements, in the estimates and in the covariances.
+
+    Both are the largest `relative_gap` over the others and all steps.
+    """
+    N = len(z)
+    estimates = max(relative_gap(each.filter(z), reference.filter(z)) for each in others)
+    return estimates, max(relative_gap(each.covariances(N), reference.covariances(N)) for each in others)
+
+
+def rms(values, axis=None):
+    """Return the root mean square along an axis, or of all.
+
+    >>> rms([3.0, -3.0])
+    3.0
+    """
+    square = np.mean(np.square(values), axis=axis)
+    return float(np.sqrt(square)) if axis is None else np.sqrt(square)

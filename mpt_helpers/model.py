@@ -1,0 +1,149 @@
+"""Linear time-invariant models: what the papers track, and tracks drawn from it."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from . import checks
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearModel:
+    """A linear time-invariant model (2014 Eq. 1, 2015 Section 2).
+
+        x(k+1) = F x(k) + w(k),     w ~ N(0, Q)
+        z(k)   = H x(k) + v(k),     v ~ N(0, R)
+
+    F is n×n, H is m×n, Q is n×n (the papers' G Q Gᵀ), R is m×m and definite, x0 has length n and P0 is n×n: the mean
+    and the covariance of x(0). x0 and P0 are zero where not given, as in the papers. All arrays are copied, checked and
+    made read-only. Raises ValueError (a wrong shape or value) or TypeError (not real numbers), naming the argument.
+
+    >>> LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.01]], R=[[0.1]]).P0
+    array([[0.]])
+    """
+
+    F: np.ndarray
+    H: np.ndarray
+    Q: np.ndarray
+    R: np.ndarray
+    x0: np.ndarray = None
+    P0: np.ndarray = None
+
+    def __post_init__(self):
+        F = checks.matrix("F", self.F, "a square matrix")
+        n = len(F)
+        m = len(checks.matrix("H", self.H, f"a matrix of {n} columns"))
+        x0 = np.zeros(n) if self.x0 is None else self.x0
+        P0 = np.zeros((n, n)) if self.P0 is None else self.P0
+        checked = {
+            "F": checks.array("F", F, (n, n)),
+            "H": checks.array("H", self.H, (m, n)),
+            "Q": checks.covariance("Q", self.Q, n),
+            "R": checks.covariance("R", self.R, m, definite=True),
+            "x0": checks.array("x0", x0, (n,)),
+            "P0": checks.covariance("P0", P0, n),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def n(self):
+        """Dimension of the state."""
+        return len(self.F)
+
+    @property
+    def m(self):
+        """Dimension of the measurement."""
+        return len(self.H)
+
+    def __eq__(self, other):
+        """Two models are equal when all their numbers are."""
+        if not isinstance(other, LinearModel):
+            return NotImplemented
+        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+
+    __hash__ = None
+
+
+def gsm_axis(dt, q, r):
+    """Return the model of one axis: position and velocity, model B (2014 Eq. 3, 2015 Section 2).
+
+        F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
+
+    dt is the time step (s), q the variance of the velocity's change in a step (m²/s²), r that of the measurement (m²).
+    H measures s + v dt: the position one step ahead of s.
+
+    Raises ValueError for dt <= 0, q < 0 or r <= 0.
+
+    >>> gsm_axis(dt=1.0, q=0.01, r=0.1).Q
+    array([[0.0025, 0.005 ],
+           [0.005 , 0.01  ]])
+    """
+    dt = checks.positive("dt", dt)
+    q = checks.number("q", q, "a number that is not negative", lambda q: q >= 0)
+    r = checks.positive("r", r)
+    G = np.array([[dt / 2], [1.0]])
+    return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]])
+
+
+def stack(*models):
+    """Return one model that holds all these side by side: model A of the papers (2014 Eq. 2, 2015 Section 2).
+
+    Every matrix is block diagonal, x0 is joined end to end: [s_x v_x s_y v_y ...].
+
+    Raises ValueError when no model is given, TypeError for anything that is not a LinearModel.
+
+    >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
+    >>> stack(axis, axis).H
+    array([[1., 1., 0., 0.],
+           [0., 0., 1., 1.]])
+    """
+    if not models:
+        checks.refuse("models", "at least one model", "none")
+    for i, model in enumerate(models):
+        checks.instance(f"models[{i}]", model, LinearModel)
+    blocks = {name: block_diag(*[getattr(model, name) for model in models]) for name in ("F", "H", "Q", "R", "P0")}
+    return LinearModel(**blocks, x0=np.concatenate([model.x0 for model in models]))
+
+
+def square_root(C):
+    """Return the symmetric square root of a positive semidefinite matrix.
+
+    It is unique, so that tracks drawn with it do not depend on the signs that an eigenvalue routine picks.
+
+    >>> square_root([[4.0, 0.0], [0.0, 0.0]])
+    array([[2., 0.],
+           [0., 0.]])
+    """
+    w, V = np.linalg.eigh(C)
+    w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # below this an eigenvalue is the rounding of a zero
+    return (V * np.sqrt(w)) @ V.T
+
+
+def simulate(model, N, rng, tracks=None):
+    """Draw true tracks and their measurements from a model (2014 Eq. 1).
+
+    N is the number of steps, rng a numpy Generator, tracks the number of tracks M, or None for one track.
+
+    Returns x and z of shapes (N, n) and (N, m), or (N, n, M) and (N, m, M). Row k is x(k+1), z(k+1): x(0) itself, drawn
+    from N(x0, P0), is not returned.
+
+    Raises TypeError or ValueError for anything else than a model, positive counts and a Generator.
+
+    >>> x, z = simulate(gsm_axis(dt=1.0, q=0.01, r=0.1), N=5, rng=np.random.default_rng(1), tracks=3)
+    >>> x.shape, z.shape
+    ((5, 2, 3), (5, 1, 3))
+    """
+    checks.instance("model", model, LinearModel)
+    N = checks.count("N", N)
+    checks.instance("rng", rng, np.random.Generator)
+    M = 1 if tracks is None else checks.count("tracks", tracks)
+    x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
+    w = square_root(model.Q) @ rng.standard_normal((N, model.n, M))
+    v = square_root(model.R) @ rng.standard_normal((N, model.m, M))
+    x = np.empty_like(w)
+    for k in range(N):
+        x[k] = model.F @ (x[k - 1] if k else x0) + w[k]
+    z = model.H @ x + v
+    return (x[..., 0], z[..., 0]) if tracks is None else (x, z)

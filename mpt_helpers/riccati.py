@@ -1,0 +1,136 @@
+"""Steady-state covariances: two Riccati equations, two solvers that share nothing but the model."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from . import checks
+from .model import LinearModel, square_root
+
+# How far (relative to the matrix) a mode may be from undetectable or unstabilizable and still count as that: the
+# rounding of an eigenvalue of F, with room for n up to some hundreds.
+MODE_ROUNDING = 1e-12
+# A double eigenvalue on the unit circle is computed to the square root of the machine precision.
+ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
+# Doubling 64 times covers more steps than a double can count.
+DOUBLINGS = 64
+
+
+class LainiotisMatrices(NamedTuple):
+    """The constant matrices of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3)."""
+
+    Fn: np.ndarray
+    Kn: np.ndarray
+    Km: np.ndarray
+    Pn: np.ndarray
+    On: np.ndarray
+
+
+def lainiotis_matrices(model):
+    """Return F_n (n×n), K_n, K_m (n×m), P_n, O_n (n×n) of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3).
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
+    array([[ 0.9388,  0.8776],
+           [-0.1224,  0.7551]])
+    """
+    F, H, Q, R = model.F, model.H, model.Q, model.R
+    A = np.linalg.inv(H @ Q @ H.T + R)
+    Kn = Q @ H.T @ A
+    Km = F.T @ H.T @ A
+    return LainiotisMatrices(Fn=F - Kn @ H @ F, Kn=Kn, Km=Km, Pn=Q - Kn @ H @ Q, On=Km @ H @ F)
+
+
+def lainiotis_gain(P, Fn, On):
+    """Return F_n [I + P O_n]⁻¹ (n×n), the transition of the Lainiotis filter (2014 Eqs. 5, 13).
+
+    >>> lainiotis_gain(np.eye(1), Fn=np.eye(1), On=np.eye(1))
+    array([[0.5]])
+    """
+    return np.linalg.solve((np.eye(len(P)) + P @ On).T, Fn.T).T
+
+
+def rekf(model):
+    """Return P_p (n×n), the steady-state prediction error covariance (2014 Eq. 11, 2015 Eq. 9), solved by scipy.
+
+        P_p = Q + F P_p Fᵀ - F P_p Hᵀ [H P_p Hᵀ + R]⁻¹ H P_p Fᵀ
+
+    Raises ValueError when there is no steady state, naming the condition that fails and the mode of F.
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> rekf(gsm_axis(dt=1.0, q=0.01, r=0.1)).round(4)
+    array([[0.0597, 0.0257],
+           [0.0257, 0.0227]])
+    """
+    _require_steady_state(model)
+    try:
+        P = solve_discrete_are(model.F.T, model.H.T, model.Q, model.R)
+    except np.linalg.LinAlgError:
+        _refuse_nearest_mode(model)
+    return (P + P.T) / 2
+
+
+def relf(model):
+    """Return P_e (n×n), the steady-state estimation error covariance (2014 Eq. 14, 2015 Eq. 12), by doubling.
+
+        P_e = P_n + F_n [I + P_e O_n]⁻¹ P_e F_nᵀ
+
+    Step i composes 2^i steps of the Lainiotis recursion from P = 0 into one of the same form, so that it converges
+    quadratically (D. G. Lainiotis, N. D. Assimakis and S. K. Katsikas, J. Math. Anal. Appl. 186, 1994). The REKF is not
+    used. Raises ValueError when there is no steady state, naming the condition that fails and the mode of F.
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> relf(gsm_axis(dt=1.0, q=0.01, r=0.1)).round(4)
+    array([[0.0285, 0.008 ],
+           [0.008 , 0.0127]])
+    """
+    _require_steady_state(model)
+    Fn, _, _, Pn, On = lainiotis_matrices(model)
+    identity = np.eye(model.n)
+    for _ in range(DOUBLINGS):
+        W = lainiotis_gain(Pn, Fn, On)
+        step = W @ Pn @ Fn.T
+        On = On + Fn.T @ On @ np.linalg.solve(identity + Pn @ On, Fn)
+        Pn = Pn + (step + step.T) / 2
+        Fn = W @ Fn
+        if np.abs(step).max() <= np.finfo(float).eps * np.abs(Pn).max():
+            return Pn
+    _refuse_nearest_mode(model)
+
+
+def _modes(model):
+    """Yield (margin, condition, mode) for each mode of F on or outside the unit circle, by the PBH rank test."""
+    F = model.F
+    H, G = _scaled(model.H, F), _scaled(square_root(model.Q), F)
+    for mode in np.linalg.eigvals(F):
+        if abs(mode) >= ON_CIRCLE:
+            shifted = mode * np.eye(model.n) - F
+            yield _margin(np.vstack([shifted, H])), "[F, H] is not detectable", mode
+            yield _margin(np.hstack([shifted, G])), "[F, G] with G Gᵀ = Q is not stabilizable", mode
+
+
+def _margin(pencil):
+    """Return how far a matrix is from losing rank, relative to its size."""
+    singular = np.linalg.svd(pencil, compute_uv=False)
+    return singular[-1] / singular[0]
+
+
+def _scaled(matrix, F):
+    """Return the matrix at the size of F: whether a mode is seen or excited does not depend on the unit of H or Q."""
+    size = np.abs(matrix).max()
+    return matrix * (np.abs(F).max() / size) if size else matrix
+
+
+def _require_steady_state(model):
+    checks.instance("model", model, LinearModel)
+    if any(margin < MODE_ROUNDING for margin, _, _ in _modes(model)):
+        _refuse_nearest_mode(model)
+
+
+def _refuse_nearest_mode(model):
+    _, condition, mode = min(
+        _modes(model), default=(0, "the Riccati equation did not converge", np.nan), key=lambda m: m[0]
+    )
+    mode = mode.real if np.isreal(mode) else mode
+    raise ValueError(f"model: needs a steady state, but {condition} at the mode {mode:.6g} of F")
