@@ -44,16 +44,19 @@ def _execute(key, folder):
     from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
     notebook = nbformat.read(folder / f"{key}.ipynb", as_version=4)
-    code = [cell.id for cell in notebook.cells if cell.cell_type == "code"]
+    total = sum(cell.cell_type == "code" for cell in notebook.cells)
+    ran = []
 
-    def progress(cell, cell_index, **_):
-        if cell.id in code:
-            print(f"{key}: cell {code.index(cell.id) + 1} of {len(code)}, {cell.id}", flush=True)
+    def progress(cell, cell_index):
+        if cell.cell_type == "code":
+            ran.append(cell.id)
+            print(f"{key}: cell {len(ran)} of {total}, {cell.id}", flush=True)
 
     client = NotebookClient(
         notebook,
         timeout=CELL_TIMEOUT,
         kernel_name="python3",
+        extra_arguments=["--IPKernelApp.log_level=40"],  # what it warns of is not about the notebook
         resources={"metadata": {"path": str(folder)}},
         record_timing=False,
         coalesce_streams=True,
@@ -62,11 +65,14 @@ def _execute(key, folder):
     try:
         client.execute()
     except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
-        failed = next(
-            (c.id for c in notebook.cells if any(o.output_type == "error" for o in c.get("outputs", []))), "?"
+        errors = (
+            (cell.id, f"{out.ename}: {out.evalue}")
+            for cell in notebook.cells
+            for out in cell.get("outputs", [])
+            if "ename" in out
         )
-        message = f"{error.ename}: {error.evalue}" if isinstance(error, CellExecutionError) else str(error)
-        raise CommandError(f"{key}: cell {failed} failed: {message}") from error
+        where, what = next(errors, (ran[-1] if ran else "none", error))
+        raise CommandError(f"{key}: cell {where} failed: {what}") from error
     notebook.metadata["language_info"] = {"name": "python"}  # the rest of it names the version of Python
     return nbformat.writes(notebook) + "\n"
 

@@ -83,9 +83,13 @@ class Polynomial:
     __hash__ = None
 
     def __call__(self, **values):
-        """Return the value as a Fraction, or as an int where it is whole."""
+        """Return the value for these numbers, as a Fraction or an int; a variable may also be given a Polynomial.
+
+        >>> (n * n + M)(n=4, M=M)
+        M + 16
+        """
         value = sum((c * prod(values[letter] for letter in monomial) for monomial, c in self.terms.items()), Fraction())
-        return int(value) if value.denominator == 1 else value
+        return int(value) if isinstance(value, Fraction) and value.denominator == 1 else value
 
     def __repr__(self):
         superscript = {1: "", 2: "²", 3: "³"}

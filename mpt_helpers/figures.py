@@ -40,32 +40,54 @@ def panels(layout, height=2.3):
     return fig, fig.subplot_mosaic(layout)
 
 
-def draw_track(ax, true, estimate, variance, measured=None, steady=None):
-    """Draw one component of one track over the steps k = 1 ... N.
+def tracking(x, z, estimates, P, gaps):
+    """Return a figure of one track: position, its error and velocity of every axis, and the gaps between estimates.
 
-    true, estimate, variance and, where given, measured and steady (a second estimate, dashed) are vectors of length N.
-    The band is estimate ± 2 standard deviations.
+    x (N, 2d) are the true states [s_x v_x s_y v_y ...] of d axes, z (N, d) the measurements. estimates maps two labels
+    to estimates (N, 2d): the first is drawn solid, the second dashed. P (N, 2d, 2d) is the covariance of the first: the
+    band is ± 2 standard deviations. gaps is what `draw_gaps` draws.
 
-    >>> fig, ax = panels([["s"]])
-    >>> draw_track(ax["s"], true=[0.0, 1.0], estimate=[0.1, 0.8], variance=[0.01, 0.01])
-    >>> [line.get_label() for line in ax["s"].lines]
-    ['true', 'time invariant']
+    >>> x, z, P = np.zeros((3, 2)), np.zeros((3, 1)), np.zeros((3, 2, 2))
+    >>> fig = tracking(x, z, {"KF": x, "SSKF": x}, P, gaps={"KF - SSKF": np.zeros(3)})
+    >>> [ax.get_title(loc="left") for ax in fig.axes][:3]
+    ['position (m), x axis', 'position error (m), x axis', 'velocity (m/s), x axis']
     """
+    letters = "xyz"[: z.shape[1]]
+    rows = ["position (m)", "position error (m)", "velocity (m/s)"]
+    fig, ax = panels([[f"{row}, {letter} axis" for letter in letters] for row in rows] + [["gap"] * len(letters)], 1.8)
+    for i, letter in enumerate(letters):
+        true_s, true_v = x[:, 2 * i], x[:, 2 * i + 1]
+        var_s, var_v = P[:, 2 * i, 2 * i], P[:, 2 * i + 1, 2 * i + 1]
+        s = {label: each[:, 2 * i] for label, each in estimates.items()}
+        v = {label: each[:, 2 * i + 1] for label, each in estimates.items()}
+        error = {label: each - true_s for label, each in s.items()}
+        drawn = [(true_s, s, var_s, z[:, i]), (0 * true_s, error, var_s), (true_v, v, var_v)]
+        for row, components in zip(rows, drawn, strict=True):
+            title = f"{row}, {letter} axis"
+            _draw_component(ax[title], *components)
+            ax[title].set_title(title, loc="left")
+    draw_gaps(ax["gap"], gaps)
+    legend = ax[f"position (m), {letters[0]} axis"].get_legend_handles_labels()
+    fig.legend(*legend, loc="outside upper center", ncols=5)
+    return fig
+
+
+def _draw_component(ax, true, estimates, variance, measured=None):
     k = np.arange(1, len(true) + 1)
-    estimate, sigma = np.asarray(estimate), np.sqrt(variance)
-    ax.fill_between(k, estimate - 2 * sigma, estimate + 2 * sigma, color="C0", alpha=0.25, lw=0, label="2σ band")
+    (first, solid), (second, dashed) = estimates.items()
+    sigma = np.sqrt(variance)
+    ax.fill_between(k, solid - 2 * sigma, solid + 2 * sigma, color="C0", alpha=0.25, lw=0, label="estimate ± 2σ")
     if measured is not None:
         ax.plot(k, measured, ".", color="0.45", ms=3.5, label="measured")
     ax.plot(k, true, color="black", lw=0.9, label="true")
-    ax.plot(k, estimate, color="C0", lw=1.8, label="time invariant")
-    if steady is not None:
-        ax.plot(k, steady, "--", color="C1", lw=1.5, label="steady state")
+    ax.plot(k, solid, color="C0", lw=1.8, label=first)
+    ax.plot(k, dashed, "--", color="C1", lw=1.5, label=second)
 
 
 def draw_gaps(ax, gaps):
-    """Draw gaps between curves over the steps k = 1 ... N, on a log scale, those at rounding level clipped and labelled.
+    """Draw gaps between curves over the steps k = 1 ... N on a log scale, those at rounding level clipped and labelled.
 
-    gaps maps a label to a vector of gaps, each not negative.
+    gaps maps a label to the gaps of each step: a vector, or (N, n) of which the largest of each step is drawn.
 
     >>> fig, ax = panels([["gap"]])
     >>> draw_gaps(ax["gap"], {"KF - LF": [1e-16, 0.0], "KF - SSKF": [0.1, 0.05]})
@@ -74,11 +96,27 @@ def draw_gaps(ax, gaps):
     """
     styles = ["-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1))]
     for i, (label, gap) in enumerate(gaps.items()):
-        ax.semilogy(np.arange(1, len(gap) + 1), visible_gap(gap), ls=styles[i % len(styles)], label=label)
-    ax.axhspan(FLOOR / 3, FLOOR, color="0.9", lw=0)
-    ax.set_ylim(FLOOR / 3, None)
-    ax.annotate("below 1e-12: rounding", (0.99, 0.03), xycoords="axes fraction", ha="right", va="bottom", fontsize=7)
-    ax.set(xlabel="step k", ylabel="gap")
+        largest = np.reshape(gap, (len(gap), -1)).max(axis=1)
+        k = np.arange(1, len(gap) + 1)
+        ax.semilogy(k, visible_gap(largest), ls=styles[i % len(styles)], label=label)
+    ax.axhspan(FLOOR / 100, FLOOR, color="0.9", lw=0)
+    ax.set_ylim(FLOOR / 100, None)
+    ax.text(0.99, FLOOR / 50, "below 1e-12: rounding", transform=ax.get_yaxis_transform(), ha="right", fontsize=8)
+    finish(ax, "step k", "largest gap in the state (m, m/s)")
+
+
+def finish(ax, xlabel, title):
+    """Label the x axis, say above the axes what they show, and name the curves.
+
+    >>> fig, ax = panels([["a"]])
+    >>> _ = ax["a"].plot([1, 2], [3, 4], label="K")
+    >>> finish(ax["a"], "step k", "gain")
+    """
+    ax.set_xlabel(xlabel)
+    ax.set_title(title, loc="left")
+    ax.legend()
+    if ax.get_xscale() == "linear":
+        ax.xaxis.get_major_locator().set_params(integer=True)
 
 
 def visible_gap(gap):
@@ -124,8 +162,10 @@ def save_figure(fig, name, folder="../figures"):
 
 
 def describe(fig):
-    """Return what a figure plots, in words and numbers: for each axes its texts and scales, and for everything drawn in
-    it the number of points, the extremes, the mean, and a checksum over all points at four digits.
+    """Return what a figure plots, in words and numbers.
+
+    For each axes it says its texts and scales, and for everything drawn in it the number of points, the extremes, the
+    mean, and a checksum over all points at four digits.
 
     >>> fig, ax = panels([["a"]])
     >>> line = ax["a"].plot([1, 2, 3], [0.0, 0.5, 1.0], label="a")

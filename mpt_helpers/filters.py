@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import filterpy.kalman
 import numpy as np
-from scipy.linalg import block_diag
 
 from . import checks, riccati
 from .model import LinearModel, stack
@@ -27,13 +26,12 @@ class Coefficients(NamedTuple):
     P: np.ndarray
 
 
-def _empty(N, model):
-    n, m = model.n, model.m
-    return Coefficients(A=np.empty((N, n, n)), B=np.empty((N, n, m)), P=np.empty((N, n, n)))
-
-
 class _Recursive:
-    """What every filter with coefficients shares; a subclass has a `model` and `_coefficients(missed)`."""
+    """What every filter with coefficients shares.
+
+    A subclass has a `model` and a `_stepper()`, which makes a function that takes P(k/k) and whether epoch k+1 is
+    missed, and returns A_k, B_k and P(k+1/k+1).
+    """
 
     def filter(self, z):
         """Return the estimates x(1/1) ... x(N/N) of one track or many."""
@@ -47,6 +45,17 @@ class _Recursive:
     def covariances(self, N):
         """Return P(1/1) ... P(N/N), (N, n, n)."""
         return self.coefficients(N).P
+
+    def _coefficients(self, missed):
+        N, n, m = len(missed), self.model.n, self.model.m
+        A, B, P = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, n, n))
+        step = self._stepper()
+        for k, lost in enumerate(missed):
+            if k > 1 and lost == missed[k - 1] and np.array_equal(P[k - 1], P[k - 2]):
+                A[k], B[k], P[k] = A[k - 1], B[k - 1], P[k - 1]  # steady to the last bit: the step repeats itself
+            else:
+                A[k], B[k], P[k] = step(P[k - 1] if k else self.model.P0, lost)
+        return Coefficients(A, B, P)
 
 
 @dataclass(frozen=True)
@@ -66,26 +75,23 @@ class KalmanFilter(_Recursive):
     def __post_init__(self):
         checks.instance("model", self.model, LinearModel)
 
-    def _coefficients(self, missed):
-        F, H, n, m = self.model.F, self.model.H, self.model.n, self.model.m
-        A, B, P = _empty(len(missed), self.model)
-        kf = self._filterpy()
-        for k, lost in enumerate(missed):
-            kf.predict()
-            kf.update(None if lost else np.zeros(m))
-            B[k] = 0 if lost else kf.K
-            A[k] = (np.eye(n) - B[k] @ H) @ F
-            P[k] = kf.P
-        return Coefficients(A, B, P)
-
-    def _filterpy(self):
+    def _stepper(self):
         # What filterpy 2.0 gets wrong is avoided here, and tests/test_filterpy.py watches each trap: a fresh object for
         # each run (its state survives a run), x of one dimension (with a column x a vector z raises), full matrices (a
-        # scalar R is added to every entry of S), and H set on the object (passed to update it changes the shape of x).
+        # scalar R is added to every entry of S), H set on the object (passed to update it changes the shape of x), a
+        # missed epoch as None (NaN poisons every later state, and None leaves the gain of the last update in K).
+        F, H = self.model.F, self.model.H
         kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=self.model.m)
-        kf.x, kf.P = self.model.x0.copy(), self.model.P0.copy()
-        kf.F, kf.H, kf.Q, kf.R = self.model.F, self.model.H, self.model.Q, self.model.R
-        return kf
+        kf.x, kf.F, kf.H, kf.Q, kf.R = self.model.x0, F, H, self.model.Q, self.model.R
+
+        def step(P, lost):
+            kf.P = P
+            kf.predict()
+            kf.update(None if lost else np.zeros(self.model.m))
+            K = np.zeros_like(kf.K) if lost else kf.K
+            return (np.eye(self.model.n) - K @ H) @ F, K, kf.P
+
+        return step
 
 
 @dataclass(frozen=True)
@@ -105,17 +111,18 @@ class LainiotisFilter(_Recursive):
     def __post_init__(self):
         checks.instance("model", self.model, LinearModel)
 
-    def _coefficients(self, missed):
+    def _stepper(self):
         F, Q = self.model.F, self.model.Q
         Fn, Kn, Km, Pn, On = riccati.lainiotis_matrices(self.model)
-        A, B, P = _empty(len(missed), self.model)
-        P_k = self.model.P0
-        for k, lost in enumerate(missed):
-            A[k] = F if lost else riccati.lainiotis_gain(P_k, Fn, On)
-            B[k] = 0 if lost else Kn + A[k] @ P_k @ Km
-            P_k = Q + F @ P_k @ F.T if lost else Pn + A[k] @ P_k @ Fn.T
-            P[k] = P_k = (P_k + P_k.T) / 2
-        return Coefficients(A, B, P)
+
+        def step(P, lost):
+            if lost:
+                return F, np.zeros_like(Kn), F @ P @ F.T + Q
+            A = riccati.lainiotis_gain(P, Fn, On)
+            following = Pn + A @ P @ Fn.T
+            return A, Kn + A @ P @ Km, (following + following.T) / 2
+
+        return step
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +247,13 @@ class Separate:
 
     def covariances(self, N):
         """Return the block diagonal covariances, (N, n, n)."""
-        blocks = [each.covariances(N) for each in self.filters]
-        return np.array([block_diag(*P) for P in zip(*blocks, strict=True)])
+        model = self.model
+        P = np.zeros((checks.count("N", N), model.n, model.n))
+        end = 0
+        for each in self.filters:
+            start, end = end, end + each.model.n
+            P[:, start:end, start:end] = each.covariances(N)
+        return P
 
 
 def fir_order(A, tol, norm=2):

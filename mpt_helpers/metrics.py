@@ -22,9 +22,9 @@ def largest_gaps(reference, others, z):
 
     Both are the largest `relative_gap` over the others and all steps.
     """
-    N = len(z)
-    estimates = max(relative_gap(each.filter(z), reference.filter(z)) for each in others)
-    return estimates, max(relative_gap(each.covariances(N), reference.covariances(N)) for each in others)
+    x, P = reference.filter(z), reference.covariances(len(z))
+    gaps = [(relative_gap(each.filter(z), x), relative_gap(each.covariances(len(z)), P)) for each in others]
+    return tuple(map(max, zip(*gaps, strict=True)))
 
 
 def rms(values, axis=None):

@@ -167,6 +167,12 @@ class Paper:
         checks.instance("missing", missing, str)
         return self._record(item, "-", CANNOT_BE_CHECKED, missing)
 
+    def given(self, *prefixes):
+        """Return a table of the verdicts on the items whose id starts with one of these prefixes."""
+        columns = ("where", "printed", "computed", "verdict", "reason")
+        verdicts = [each for each in self.verdicts() if each.id.startswith(prefixes)]
+        return Table(columns, [[getattr(each, name) for name in columns] for each in verdicts])
+
     def implied(self, grid, known, limit=10_000):
         """Return from which whole numbers a grid of ratios follows.
 
