@@ -105,9 +105,7 @@ def main(arguments=None):
     commands = parser.add_subparsers(dest="command", required=True)
     run = commands.add_parser("reproduce", help="execute the notebooks in place and write every figure")
     run.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
-    show = commands.add_parser(
-        "verdicts", help="print every verdict from the committed notebooks, without running them"
-    )
+    show = commands.add_parser("verdicts", help="print the verdicts of the notebooks, without running them")
     show.add_argument("keys", metavar="KEY", nargs="?", help="a notebook's name without .ipynb (default: all)")
     show.add_argument("--json", action="store_true", help="print them as JSON")
     options = parser.parse_args(arguments)

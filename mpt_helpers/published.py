@@ -99,7 +99,8 @@ class Verdicts(Sequence):
         """Return how many there are of each verdict, as a table."""
         given = [each.verdict for each in self]
         order = (REPRODUCED, WITHIN_BAND, DIFFERS, ERRATUM, CANNOT_BE_CHECKED, NONE_YET)
-        return Table(["verdict", "items"], [[verdict, given.count(verdict)] for verdict in order if verdict in given])
+        rows = [[verdict, given.count(verdict)] for verdict in order if verdict in given]
+        return Table(["verdict", "items"], [*rows, ["all", len(given)]])
 
     def look_at(self):
         """Return those verdicts that a reader should look at: all that are neither reproduced nor within band."""

@@ -1,0 +1,40 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mpt_helpers as mpt
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
+AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
+
+
+@pytest.fixture(
+    params=[(axes, p0) for axes in (1, 2, 3) for p0 in (0.0, 100.0)], ids=lambda p: f"{p[0]}axes-P0={p[1]:g}"
+)
+def axis_and_count(request):
+    """One axis of the papers' models with a start that is not zero, and how many axes there are."""
+    axes, p0 = request.param
+    return replace(AXIS, x0=[3.0, -1.0], P0=p0 * np.eye(2)), axes
+
+
+@pytest.fixture
+def model(axis_and_count):
+    """Model A over one to three axes."""
+    axis, axes = axis_and_count
+    return mpt.stack(*[axis] * axes)
+
+
+@pytest.fixture
+def z(model):
+    """Measurements of one track of 60 steps."""
+    return mpt.simulate(model, 60, np.random.default_rng(7))[1]
+
+
+@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
+def notebook(request):
+    """A committed notebook: its key and its cells."""
+    return request.param.stem, json.loads(request.param.read_text(encoding="utf-8"))["cells"]

@@ -1,0 +1,161 @@
+"""Bad input is refused before anything is computed, with a message that names the argument."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import AXIS
+from matplotlib.figure import Figure
+
+import mpt_helpers as mpt
+
+GOOD = {"F": np.eye(2), "H": [[1.0, 0.0]], "Q": np.eye(2), "R": [[1.0]]}
+KF, LF = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)
+STEADY = mpt.SteadyStateFilter.from_kalman(AXIS)
+FIR = mpt.FIRFilter.from_steady_state(STEADY)
+RNG = np.random.default_rng(0)
+NAN, INF = np.nan, np.inf
+
+
+def model(**changed):
+    return lambda: mpt.LinearModel(**GOOD | changed)
+
+
+def measured(z):
+    return lambda: KF.filter(z)
+
+
+CASES = [
+    # LinearModel: shapes
+    ("F: needs a square matrix, got a scalar", model(F=1.0)),
+    ("F: needs a square matrix, got shape (2,)", model(F=[1.0, 2.0])),
+    ("F: needs a 2×2 matrix, got shape (2, 3)", model(F=np.ones((2, 3)))),
+    ("F: needs a square matrix, got shape (0, 0)", model(F=np.ones((0, 0)))),
+    ("F: needs a square matrix, got rows of different lengths", model(F=[[1.0], [1.0, 2.0]])),
+    ("H: needs a matrix of 2 columns, got shape (2,)", model(H=[1.0, 0.0])),
+    ("H: needs a 1×2 matrix, got shape (1, 3)", model(H=[[1.0, 0.0, 0.0]])),
+    ("H: needs a matrix of 2 columns, got shape (0, 2)", model(H=np.ones((0, 2)))),
+    ("Q: needs a 2×2 matrix, got a scalar", model(Q=0.01)),
+    ("Q: needs a 2×2 matrix, got shape (2,)", model(Q=[1.0, 1.0])),
+    ("Q: needs a 2×2 matrix, got shape (1, 1)", model(Q=[[1.0]])),
+    ("R: needs a 1×1 matrix, got a scalar", model(R=0.1)),
+    ("R: needs a 1×1 matrix, got shape (2, 2)", model(R=np.eye(2))),
+    ("x0: needs a vector of length 2, got a scalar", model(x0=0.0)),
+    ("x0: needs a vector of length 2, got shape (2, 1)", model(x0=[[0.0], [0.0]])),
+    ("P0: needs a 2×2 matrix, got a scalar", model(P0=1.0)),
+    ("P0: needs a 2×2 matrix, got shape (3, 3)", model(P0=np.eye(3))),
+    # LinearModel: values
+    ("Q: needs a symmetric", model(Q=[[1.0, 0.5], [0.0, 1.0]])),
+    ("Q: needs a symmetric positive semidefinite", model(Q=[[1.0, 2.0], [2.0, 1.0]])),
+    ("Q: needs a symmetric positive semidefinite", model(Q=-np.eye(2))),
+    ("Q: needs a symmetric positive semidefinite", model(Q=[[0.0, 1.0], [1.0, 1.0]])),
+    ("R: needs a symmetric positive definite", model(R=[[0.0]])),
+    ("R: needs a symmetric positive definite", model(R=[[-1.0]])),
+    ("R: needs a symmetric positive definite", model(H=np.eye(2), R=np.ones((2, 2)))),
+    ("P0: needs a symmetric positive semidefinite", model(P0=np.diag([1.0, -1.0]))),
+    ("F: needs a 2×2 matrix of finite numbers, got NaN", model(F=[[NAN, 0.0], [0.0, 1.0]])),
+    ("F: needs a square matrix of finite numbers, got an infinite value", model(F=[[INF, 0.0], [0.0, 1.0]])),
+    ("Q: needs a 2×2 matrix of finite numbers, got NaN", model(Q=[[NAN, 0.0], [0.0, 1.0]])),
+    ("R: needs a 1×1 matrix of finite numbers, got an infinite value", model(R=[[INF]])),
+    ("x0: needs a vector of length 2 of finite numbers, got NaN", model(x0=[NAN, 0.0])),
+    # gsm_axis, stack, simulate
+    ("dt: needs a positive number, got 0", lambda: mpt.gsm_axis(0, 0.01, 0.1)),
+    ("dt: needs a positive number, got -1", lambda: mpt.gsm_axis(-1, 0.01, 0.1)),
+    ("dt: needs a positive number, got nan", lambda: mpt.gsm_axis(NAN, 0.01, 0.1)),
+    ("dt: needs a positive number, got inf", lambda: mpt.gsm_axis(INF, 0.01, 0.1)),
+    ("q: needs a number that is not negative, got -1", lambda: mpt.gsm_axis(1, -1, 0.1)),
+    ("r: needs a positive number, got 0", lambda: mpt.gsm_axis(1, 0.01, 0)),
+    ("models: needs at least one model, got none", lambda: mpt.stack()),
+    ("N: needs an integer of at least 1, got 0", lambda: mpt.simulate(AXIS, 0, RNG)),
+    ("N: needs an integer of at least 1, got -3", lambda: mpt.simulate(AXIS, -3, RNG)),
+    ("tracks: needs an integer of at least 1, got 0", lambda: mpt.simulate(AXIS, 5, RNG, tracks=0)),
+    # measurements
+    ("z: needs an (N, 1) or (N, 1, M) array, got a scalar", measured(1.0)),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (3,)", measured([1.0, 2.0, 3.0])),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (3, 2)", measured(np.ones((3, 2)))),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (1, 3, 4)", measured(np.ones((1, 3, 4)))),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (0, 1)", measured(np.ones((0, 1)))),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (3, 1, 0)", measured(np.ones((3, 1, 0)))),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (2, 1, 2, 2)", measured(np.ones((2, 1, 2, 2)))),
+    ("z: needs an (N, 1) or (N, 1, M) array, got rows of different lengths", measured([[1.0], [1.0, 2.0]])),
+    ("z: needs an (N, 1) or (N, 1, M) array of finite numbers, got an infinite value", measured([[INF]])),
+    ("row 1 partly NaN", lambda: mpt.KalmanFilter(mpt.stack(AXIS, AXIS)).filter([[1.0, 2.0], [NAN, 1.0]])),
+    ("row 0 of track 1 partly NaN", lambda: mpt.Separate(KF, KF).filter([[[1.0, NAN], [1.0, 1.0]]])),
+    ("z: needs an (N, 2)", lambda: mpt.Separate(KF, LF).filter(np.ones((3, 1)))),
+    ("z: needs an (N, 1)", lambda: FIR.filter(np.ones((3, 2)))),
+    ("z: needs an (N, 1)", lambda: STEADY.filter(np.ones(3))),
+    # filters
+    ("N: needs an integer of at least 1, got 0", lambda: KF.covariances(0)),
+    ("N: needs an integer of at least 1, got 0", lambda: mpt.Separate(FIR, FIR).covariances(0)),
+    (
+        "second: needs a filter of the same model",
+        lambda: mpt.JoinFilter(KF, mpt.LainiotisFilter(replace(AXIS, R=[[2]]))),
+    ),
+    ("filters: needs at least one filter, got none", lambda: mpt.Separate()),
+    ("tol: needs a number in (0, 1], got 0", lambda: mpt.FIRFilter.from_steady_state(STEADY, tol=0)),
+    ("tol: needs a number in (0, 1], got -0.1", lambda: mpt.FIRFilter.from_steady_state(STEADY, tol=-0.1)),
+    ("tol: needs a number in (0, 1], got nan", lambda: mpt.FIRFilter.from_steady_state(STEADY, tol=NAN)),
+    ("tol: needs a number in (0, 1], got 2", lambda: mpt.fir_order([[0.5]], 2)),
+    ("A: needs a spectral radius below 1, got 1", lambda: mpt.fir_order([[1.0]], 0.1)),
+    ("A: needs a 1×1 matrix, got shape (1, 2)", lambda: mpt.fir_order([[1.0, 2.0]], 0.1)),
+    ("taps: needs an (M, 2, 1) array", lambda: mpt.FIRFilter(AXIS, np.ones((3, 1, 2)))),
+    ("taps: needs an (M, 2, 1) array", lambda: mpt.FIRFilter(AXIS, np.ones((0, 2, 1)))),
+    ("A: needs a 2×2 matrix", lambda: mpt.SteadyStateFilter(AXIS, A=np.eye(3), B=STEADY.B, P=STEADY.P)),
+    # burden, metrics, tables, figures
+    ("n: needs an integer of at least 1, got 0", lambda: mpt.burden.kalman(0, 1)),
+    ("M: needs an integer of at least 1, got 0", lambda: mpt.burden.fir(2, 1, M=0)),
+    ("text: needs a formula", lambda: mpt.burden.Polynomial.parse("2n +")),
+    ("a: needs the shape of b", lambda: mpt.metrics.relative_gap([1.0], [1.0, 2.0])),
+    ("a: needs the shape of b, which is not all zero", lambda: mpt.metrics.relative_gap([1.0], [0.0])),
+    ("rows[1]: needs 2 cells, got 1", lambda: mpt.Table(["a", "b"], [[1, 2], [3]])),
+    ("name: needs letters, digits and underscores", lambda: mpt.save_figure(Figure(), "../fig")),
+    ("folder: needs a folder that exists", lambda: mpt.save_figure(Figure(), "fig", folder="nowhere")),
+]
+
+WRONG_TYPES = [
+    ("F: needs a square matrix of real numbers, got an array of complex128", model(F=1j * np.eye(2))),
+    ("Q: needs a 2×2 matrix of real numbers, got an array of <U1", model(Q=[["a", "b"], ["c", "d"]])),
+    ("R: needs a 1×1 matrix of real numbers, got an array of object", model(R=[[None]])),
+    ("R: needs a 1×1 matrix of real numbers, got an array of bool", model(R=[[True]])),
+    ("x0: needs a vector of length 2 of real numbers", model(x0=["0", "0"])),
+    ("dt: needs a positive number, got '1'", lambda: mpt.gsm_axis("1", 0.01, 0.1)),
+    ("dt: needs a positive number, got 1j", lambda: mpt.gsm_axis(1j, 0.01, 0.1)),
+    ("dt: needs a positive number, got True", lambda: mpt.gsm_axis(True, 0.01, 0.1)),
+    ("q: needs a number that is not negative, got [1]", lambda: mpt.gsm_axis(1, [1], 0.1)),
+    ("models[1]: needs a LinearModel", lambda: mpt.stack(AXIS, 5)),
+    ("model: needs a LinearModel", lambda: mpt.simulate("axis", 5, RNG)),
+    ("N: needs an integer of at least 1, got 5.0", lambda: mpt.simulate(AXIS, 5.0, RNG)),
+    ("N: needs an integer of at least 1, got True", lambda: mpt.simulate(AXIS, True, RNG)),
+    ("rng: needs a Generator", lambda: mpt.simulate(AXIS, 5, 1234)),
+    ("z: needs an (N, 1) or (N, 1, M) array of real numbers, got an array of complex128", measured([[1j]])),
+    ("z: needs an (N, 1) or (N, 1, M) array of real numbers, got an array of <U1", measured([["1"]])),
+    ("z: needs an (N, 1) or (N, 1, M) array of real numbers, got an array of object", measured([[1.0], [None]])),
+    ("without a mask (a missed epoch is a row of NaN)", measured(np.ma.masked_equal([[1.0], [2.0]], 2))),
+    ("z: needs an (N, 1) or (N, 1, M) array of real numbers", measured(None)),
+    ("model: needs a LinearModel", lambda: mpt.KalmanFilter(np.eye(2))),
+    ("model: needs a LinearModel", lambda: mpt.LainiotisFilter(KF)),
+    ("model: needs a LinearModel", lambda: mpt.SteadyStateFilter.from_kalman(None)),
+    ("model: needs a LinearModel", lambda: mpt.SteadyStateFilter.from_lainiotis(KF)),
+    ("steady: needs a SteadyStateFilter", lambda: mpt.FIRFilter.from_steady_state(KF)),
+    ("first: needs a filter", lambda: mpt.JoinFilter(AXIS, KF)),
+    ("second: needs a filter", lambda: mpt.JoinFilter(KF, None)),
+    ("filters[1]: needs a filter", lambda: mpt.Separate(KF, AXIS)),
+    ("tol: needs a number in (0, 1], got '1'", lambda: mpt.FIRFilter.from_steady_state(STEADY, tol="1")),
+    ("n: needs an integer of at least 1, got 2.0", lambda: mpt.burden.kalman(2.0, 1)),
+    ("fig: needs a Figure", lambda: mpt.save_figure(None, "fig")),
+    ("name: needs a str", lambda: mpt.save_figure(Figure(), 5)),
+]
+
+
+@pytest.mark.parametrize(("message", "call"), CASES, ids=[message for message, _ in CASES])
+def test_bad_values_are_refused_by_name(message, call):
+    with pytest.raises(ValueError) as refused:  # noqa: PT011 (the message is compared below)
+        call()
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(("message", "call"), WRONG_TYPES, ids=[message for message, _ in WRONG_TYPES])
+def test_wrong_types_are_refused_by_name(message, call):
+    with pytest.raises(TypeError) as refused:
+        call()
+    assert message in str(refused.value)

@@ -1,0 +1,196 @@
+"""The papers' claims as theorems, and every filter against oracles that share no code with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import AXIS
+from oracles import gaussian_conditioning, matrices, textbook_kalman
+
+import mpt_helpers as mpt
+
+# Estimates here are of order 100 and variances start at 100: sixty steps of rounding stay below 1e-12 of that.
+SAME = {"rtol": 1e-10, "atol": 1e-10}
+FILTERS = [mpt.KalmanFilter, mpt.LainiotisFilter]
+SOLVED = [mpt.SteadyStateFilter.from_kalman, mpt.SteadyStateFilter.from_lainiotis]
+
+
+def missing(z, *rows):
+    z = z.copy()
+    z[list(rows)] = np.nan
+    return z
+
+
+@pytest.mark.parametrize("oracle", [textbook_kalman, gaussian_conditioning])
+@pytest.mark.parametrize("make", FILTERS)
+def test_filter_equals_oracle(make, oracle, model, z):
+    x, P = oracle(*matrices(model), z[:12])
+    np.testing.assert_allclose(make(model).filter(z[:12]), x, **SAME)
+    np.testing.assert_allclose(make(model).covariances(12), P, **SAME)
+
+
+@pytest.mark.parametrize("oracle", [textbook_kalman, gaussian_conditioning])
+@pytest.mark.parametrize("make", FILTERS)
+def test_missed_epoch_is_predicted_only(make, oracle, model, z):
+    z = missing(z[:12], 0, 4, 5, 11)
+    np.testing.assert_allclose(make(model).filter(z), oracle(*matrices(model), z)[0], **SAME)
+
+
+def test_lainiotis_equals_kalman(model, z):
+    kf, lf = mpt.KalmanFilter(model), mpt.LainiotisFilter(model)
+    np.testing.assert_allclose(lf.filter(z), kf.filter(z), **SAME)
+    for ours, theirs in zip(lf.coefficients(60), kf.coefficients(60), strict=True):
+        np.testing.assert_allclose(ours, theirs, **SAME)
+
+
+def test_joint_equals_both(model, z):
+    kf, lf = mpt.KalmanFilter(model), mpt.LainiotisFilter(model)
+    join = mpt.JoinFilter(kf, lf)
+    for each in (kf, lf):
+        np.testing.assert_allclose(join.filter(z), each.filter(z), **SAME)
+        np.testing.assert_allclose(join.covariances(60), each.covariances(60), **SAME)
+
+
+def test_joint_is_the_mean(model, z):
+    kf, steady = mpt.KalmanFilter(model), mpt.SteadyStateFilter.from_kalman(model)
+    join = mpt.JoinFilter(kf, steady)
+    np.testing.assert_array_equal(join.filter(z), (kf.filter(z) + steady.filter(z)) / 2)
+    np.testing.assert_array_equal(join.covariances(9), (kf.covariances(9) + steady.covariances(9)) / 2)
+
+
+@pytest.mark.parametrize("make", [*FILTERS, *SOLVED])
+def test_separate_axes_equal_stacked_axes(make, axis_and_count, model, z):
+    axis, axes = axis_and_count
+    separate = mpt.Separate(*[make(axis)] * axes)
+    z = missing(z, 3)
+    np.testing.assert_allclose(separate.filter(z), make(model).filter(z), **SAME)
+    np.testing.assert_allclose(separate.covariances(60), make(model).covariances(60), **SAME)
+
+
+def test_separate_axes_may_differ():
+    axes = [AXIS, replace(AXIS, R=[[3.0]]), replace(AXIS, F=[[1, 0.5], [0, 1]])]
+    _, z = mpt.simulate(mpt.stack(*axes), 30, np.random.default_rng(1), tracks=3)
+    separate = mpt.Separate(*map(mpt.KalmanFilter, axes))
+    np.testing.assert_allclose(separate.filter(z), mpt.KalmanFilter(mpt.stack(*axes)).filter(z), **SAME)
+
+
+@pytest.mark.parametrize("make", SOLVED)
+def test_steady_state_is_the_limit(make, model):
+    steady = make(model)
+    for limit, each in zip(mpt.KalmanFilter(model).coefficients(200), (steady.A, steady.B, steady.P), strict=True):
+        np.testing.assert_allclose(limit[-1], each, **SAME)
+
+
+@pytest.mark.parametrize("make", SOLVED)
+def test_steady_state_filter_is_its_recursion(make, model, z):
+    steady, z = make(model), missing(z, 7)
+    x = model.x0
+    for row, z_k in zip(steady.filter(z), z, strict=True):
+        x = model.F @ x if np.isnan(z_k).any() else steady.A @ x + steady.B @ z_k
+        np.testing.assert_allclose(row, x, **SAME)
+
+
+@pytest.mark.parametrize("tol", [1e-1, 1e-3, 1e-6])
+def test_fir_converges_to_steady_state(tol, model, z):
+    steady = mpt.SteadyStateFilter.from_kalman(model)
+    fir = mpt.FIRFilter.from_steady_state(steady, tol=tol)
+    x, M = steady.filter(z), fir.order
+    before = np.vstack([model.x0, x])[: len(z) - M + 1]  # x(0/0), x(1/1), ...: what the dropped taps stand for
+    gap = (x - fir.filter(z))[M - 1 :]
+    np.testing.assert_allclose(gap, before @ np.linalg.matrix_power(steady.A, M).T, **SAME)
+    assert np.linalg.norm(gap, axis=1).max() <= tol * np.linalg.norm(before, axis=1).max()
+
+
+def test_fir_order_is_the_first_power_below_tol(model):
+    A = mpt.SteadyStateFilter.from_kalman(model).A
+    for norm in (2, 1, np.inf, "fro"):
+        M = mpt.fir_order(A, 1e-3, norm)
+        sizes = [np.linalg.norm(np.linalg.matrix_power(A, j), norm) for j in (M - 1, M)]
+        assert sizes[0] >= 1e-3 > sizes[1]
+
+
+def test_fir_order_of_the_paper():
+    assert mpt.FIRFilter.from_steady_state(mpt.SteadyStateFilter.from_kalman(AXIS)).order == 17
+
+
+def test_fir_taps_are_the_impulse_response():
+    steady = mpt.SteadyStateFilter.from_lainiotis(replace(AXIS, x0=[0, 0]))
+    fir = mpt.FIRFilter.from_steady_state(steady, tol=1e-2)
+    impulse = np.zeros((30, 1))
+    impulse[0] = 1
+    np.testing.assert_allclose(fir.taps[..., 0], steady.filter(impulse)[: fir.order], **SAME)
+    np.testing.assert_array_equal(fir.filter(impulse)[fir.order :], 0)
+
+
+def test_fir_treats_missed_epochs_like_the_steady_state_filter(model, z):
+    model, z = replace(model, x0=np.zeros(model.n)), missing(z, 0, 9, 10, 30, 59)
+    steady = mpt.SteadyStateFilter.from_kalman(model)
+    fir = mpt.FIRFilter.from_steady_state(steady, tol=1e-15)
+    np.testing.assert_allclose(fir.filter(z), steady.filter(z), **SAME)
+    short = mpt.FIRFilter.from_steady_state(steady, tol=1e-1).filter(z)
+    np.testing.assert_array_equal(short[10], model.F @ short[9])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        *FILTERS,
+        *SOLVED,
+        lambda model: mpt.FIRFilter.from_steady_state(mpt.SteadyStateFilter.from_kalman(model)),
+        lambda model: mpt.JoinFilter(mpt.KalmanFilter(model), mpt.LainiotisFilter(model)),
+        lambda model: mpt.Separate(mpt.KalmanFilter(model)),
+    ],
+    ids=["KF", "LF", "SSKF", "SSLF", "FIR", "join", "separate"],
+)
+def test_many_tracks_are_each_track_alone(make, model):
+    _, z = mpt.simulate(model, 40, np.random.default_rng(3), tracks=6)
+    z[4, :, :2] = z[5, :, 1:4] = z[0, :, 5] = z[39] = np.nan
+    together = make(model).filter(z)
+    assert together.shape == (40, model.n, 6)
+    for i in range(6):
+        np.testing.assert_allclose(together[..., i], make(model).filter(z[..., i]), **SAME)
+
+
+def test_kalman_gains_are_those_of_filterpy(model, monkeypatch):
+    import filterpy.kalman
+
+    gains = []
+
+    class Spy(filterpy.kalman.KalmanFilter):
+        def update(self, z, **options):
+            super().update(z, **options)
+            gains.append((self.K.copy(), self.P.copy()))
+
+    monkeypatch.setattr(filterpy.kalman, "KalmanFilter", Spy)
+    _, B, P = mpt.KalmanFilter(model).coefficients(10)
+    np.testing.assert_array_equal(B, [K for K, _ in gains])
+    np.testing.assert_array_equal(P, [P for _, P in gains])
+
+
+@pytest.mark.parametrize("make", FILTERS)
+def test_coefficients_that_repeat_are_copied_to_the_last_bit(make, model):
+    step, P = make(model)._stepper(), model.P0
+    coefficients = make(model).coefficients(80)
+    for k in range(80):
+        A, B, P = step(P, False)
+        for ours, row in zip((A, B, P), (each[k] for each in coefficients), strict=True):
+            np.testing.assert_array_equal(ours, row)
+
+
+@pytest.mark.parametrize("make", FILTERS)
+def test_a_missed_epoch_after_the_steady_state_is_seen(make):
+    _, z = mpt.simulate(AXIS, 120, np.random.default_rng(2))
+    z = missing(z, 80, 81, 90)
+    x, _ = textbook_kalman(*matrices(AXIS), z)
+    np.testing.assert_allclose(make(AXIS).filter(z), x, **SAME)
+
+
+def test_nothing_that_is_passed_in_is_changed(model, z):
+    z = missing(z, 2)
+    before = z.copy()
+    z.flags.writeable = False
+    for each in [*mpt.six_filters(model).values(), mpt.FIRFilter.from_steady_state(mpt.six_filters(model)["SSKF"])]:
+        each.filter(z)
+    np.testing.assert_array_equal(z, before)
+    with pytest.raises(ValueError, match="read-only"):
+        model.F[0, 0] = 2

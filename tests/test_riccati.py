@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+from conftest import AXIS
+
+import mpt_helpers as mpt
+from mpt_helpers import riccati
+
+SOLVERS = [riccati.rekf, riccati.relf]
+
+
+def random_models():
+    """Models of dense matrices, stable and unstable, that have a steady state with probability one."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        n, m = rng.integers(1, 6), rng.integers(1, 4)
+        G = rng.standard_normal((n, n))
+        yield mpt.LinearModel(
+            F=rng.standard_normal((n, n)), H=rng.standard_normal((m, n)), Q=G @ G.T, R=np.diag(rng.uniform(0.5, 2, m))
+        )
+
+
+@pytest.mark.parametrize("model", list(random_models()), ids=range(20))
+def test_two_solvers_agree(model):
+    kalman, lainiotis = mpt.SteadyStateFilter.from_kalman(model), mpt.SteadyStateFilter.from_lainiotis(model)
+    # Both are backward stable, and these random equations are conditioned no worse than some 1e5.
+    for ours, theirs in zip((kalman.A, kalman.B, kalman.P), (lainiotis.A, lainiotis.B, lainiotis.P), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("model", list(random_models()), ids=range(20))
+def test_solutions_solve_their_equations(model):
+    F, H, Q, R = model.F, model.H, model.Q, model.R
+    P = riccati.rekf(model)
+    left = Q + F @ P @ F.T - F @ P @ H.T @ np.linalg.inv(H @ P @ H.T + R) @ H @ P @ F.T
+    np.testing.assert_allclose(left, P, rtol=1e-8, atol=1e-8 * np.abs(P).max())
+    P = riccati.relf(model)
+    A = np.linalg.inv(H @ Q @ H.T + R)
+    Fn, Pn, On = F - Q @ H.T @ A @ H @ F, Q - Q @ H.T @ A @ H @ Q, F.T @ H.T @ A @ H @ F
+    left = Pn + Fn @ np.linalg.inv(np.eye(model.n) + P @ On) @ P @ Fn.T
+    np.testing.assert_allclose(left, P, rtol=1e-8, atol=1e-8 * np.abs(P).max())
+
+
+def test_relf_does_not_go_through_rekf(monkeypatch):
+    monkeypatch.delattr(riccati, "solve_discrete_are")
+    monkeypatch.delattr(riccati, "rekf")
+    assert mpt.SteadyStateFilter.from_lainiotis(AXIS).P.shape == (2, 2)
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        ({"F": np.diag([2.0, 0.5]), "H": [[0, 1]], "Q": np.eye(2)}, r"\[F, H\] is not detectable at the mode 2 of F"),
+        ({"F": np.diag([-1.0, 0.5]), "H": [[0, 1]], "Q": np.eye(2)}, "not detectable at the mode -1 of F"),
+        ({"F": np.diag([1.0, 0.5]), "H": [[1, 1]], "Q": np.diag([0.0, 1.0])}, "not stabilizable at the mode 1 of F"),
+        ({"F": [[0, -2], [2, 0]], "H": [[1, 0]], "Q": np.zeros((2, 2))}, r"not stabilizable at the mode 0[+-]2j"),
+        ({"F": [[1, 1], [0, 1]], "H": [[0, 1]], "Q": np.eye(2)}, "not detectable at the mode 1 of F"),
+        ({"F": [[1, 1], [0, 1]], "H": [[1, 0]], "Q": np.diag([1.0, 0.0])}, "not stabilizable at the mode 1 of F"),
+    ],
+    ids=["unseen", "unseen-minus-one", "undriven", "undriven-pair", "unseen-position", "undriven-velocity"],
+)
+def test_no_steady_state_says_which_condition_fails_and_where(solve, model, message):
+    with pytest.raises(ValueError, match=message):
+        solve(mpt.LinearModel(**model, R=[[1.0]]))
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+def test_stable_modes_need_neither_condition(solve):
+    model = mpt.LinearModel(F=np.diag([0.9, 0.5]), H=[[1.0, 0.0]], Q=np.diag([1.0, 0.0]), R=[[1.0]])
+    assert solve(model)[1, 1] == pytest.approx(0, abs=1e-15)
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+@pytest.mark.parametrize("dt", [1e-4, 1.0, 1e4])
+@pytest.mark.parametrize("q", [1e-12, 1.0, 1e12])
+def test_the_unit_of_the_noise_is_no_condition(solve, dt, q):
+    assert np.isfinite(solve(mpt.gsm_axis(dt=dt, q=q, r=0.1))).all()
