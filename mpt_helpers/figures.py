@@ -120,13 +120,13 @@ def finish(ax, xlabel, title):
 
 
 def visible_gap(gap):
-    """Return gaps as they are drawn: clipped at 1e-12, and with two digits where a third would be rounding.
+    """Return gaps as they are drawn: clipped at 1e-12, and with one digit below 1e-9, where a third would be rounding.
 
     >>> visible_gap([0.12345, 1.2345e-10, 1e-17])
-    array([1.2345e-01, 1.2000e-10, 1.0000e-12])
+    array([1.2345e-01, 1.0000e-10, 1.0000e-12])
     """
     gap = np.maximum(np.asarray(gap, float), FLOOR)
-    unit = 10 ** (np.floor(np.log10(gap)) - 1)
+    unit = 10 ** np.floor(np.log10(gap))
     return np.where(gap < QUANTUM, np.round(gap / unit) * unit, gap)
 
 
