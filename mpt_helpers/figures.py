@@ -120,14 +120,17 @@ def finish(ax, xlabel, title):
 
 
 def visible_gap(gap):
-    """Return gaps as they are drawn: clipped at 1e-12, and with one digit below 1e-9, where a third would be rounding.
+    """Return gaps as they are drawn: clipped at 1e-12, with one digit below 1e-9 and three above.
+
+    A gap is the difference of numbers of order 10, so that its digits beyond some 1e-14 are rounding: drawn, they would
+    move a pixel on another processor.
 
     >>> visible_gap([0.12345, 1.2345e-10, 1e-17])
-    array([1.2345e-01, 1.0000e-10, 1.0000e-12])
+    array([1.23e-01, 1.00e-10, 1.00e-12])
     """
     gap = np.maximum(np.asarray(gap, float), FLOOR)
-    unit = 10 ** np.floor(np.log10(gap))
-    return np.where(gap < QUANTUM, np.round(gap / unit) * unit, gap)
+    unit = 10.0 ** (np.floor(np.log10(gap)) - np.where(gap < QUANTUM, 0, 2))
+    return np.round(gap / unit) * unit
 
 
 @dataclass(frozen=True)
