@@ -1,0 +1,58 @@
+"""The README says what the notebooks say, and its snippet runs."""
+
+import re
+
+import numpy as np
+from conftest import NOTEBOOKS, ROOT
+
+from mpt_helpers.published import stored_verdicts
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_snippet_runs_and_does_what_its_comments_say():
+    (snippet,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    names = {}
+    exec(snippet, names)
+    z2 = np.repeat(names["z"], 2, axis=1)
+    np.testing.assert_allclose(
+        names["separate"].filter(z2), names["mpt"].KalmanFilter(names["plane"]).filter(z2), rtol=1e-12
+    )
+    assert names["x"].shape == (5, 2)
+    assert names["sigma"].shape == (5,)
+    assert names["many"].shape == (100, 2, 1000)
+    assert 1 < names["fir"].order < 100
+    error = names["many"][:, 0] - names["tracks_x"][:, 0]
+    sigma = np.sqrt(names["kf"].covariances(100)[:, 0, 0])
+    # 100 correlated steps of 1,000 tracks: the rms is known to some 2 %.
+    np.testing.assert_allclose(np.sqrt((error**2).mean()), np.sqrt((sigma**2).mean()), rtol=0.05)
+
+
+def test_the_table_counts_the_verdicts_of_every_notebook():
+    rows = dict(re.findall(r"(?m)^\| \[(\w+)\]\(notebooks/\w+\.ipynb\).*?(\d+ items: [^.]*)\.", README))
+    assert sorted(rows) == [path.stem for path in NOTEBOOKS]
+    for path in NOTEBOOKS:
+        given = [each.verdict for each in stored_verdicts(path)]
+        errata, unchecked = given.count("erratum"), given.count("cannot be checked")
+        stated = f"{len(given)} items: {given.count('reproduced')} reproduced, {errata} errata, {unchecked} cannot be checked"
+        assert rows[path.stem] == stated
+
+
+def test_links_and_pictures_exist():
+    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", README):
+        assert (ROOT / target).is_file(), target
+
+
+def test_the_first_thirty_lines_hold_the_table_the_commands_and_a_picture():
+    first = "\n".join(README.splitlines()[:30])
+    for part in ("| notebook |", "make reproduce", "make test", "![", "doi.org/10.1155/2014/130512"):
+        assert part in first
+
+
+def test_nothing_names_a_path_of_one_machine():
+    for path in ROOT.rglob("*"):
+        hidden = any(
+            part.startswith(".") and part not in (".ci", ".gitignore") for part in path.relative_to(ROOT).parts
+        )
+        if path.is_file() and not hidden and path.suffix in (".py", ".md", ".toml", ".txt", ".ipynb", ".cff", ".yml"):
+            assert not re.search(r"/(?:work|root|home|tmp|Users)/", path.read_text(encoding="utf-8")), path
