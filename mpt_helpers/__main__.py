@@ -89,7 +89,7 @@ def verdicts(keys):
 
 
 def known(keys):
-    """Return these keys of notebooks, or all if there are none; raises CommandError for an unknown key or another folder."""
+    """Return these keys of notebooks, or all if none; raises CommandError for an unknown key or another folder."""
     there = sorted(path.stem for path in NOTEBOOKS.glob("*.ipynb"))
     if not there:
         raise CommandError(f"no notebooks in {NOTEBOOKS.resolve()}: run this in the project's folder")

@@ -33,9 +33,9 @@ def test_the_table_counts_the_verdicts_of_every_notebook():
     assert sorted(rows) == [path.stem for path in NOTEBOOKS]
     for path in NOTEBOOKS:
         given = [each.verdict for each in stored_verdicts(path)]
-        errata, unchecked = given.count("erratum"), given.count("cannot be checked")
-        stated = f"{len(given)} items: {given.count('reproduced')} reproduced, {errata} errata, {unchecked} cannot be checked"
-        assert rows[path.stem] == stated
+        names = {"reproduced": "reproduced", "errata": "erratum", "cannot be checked": "cannot be checked"}
+        counts = ", ".join(f"{given.count(name)} {word}" for word, name in names.items())
+        assert rows[path.stem] == f"{len(given)} items: {counts}"
 
 
 def test_links_and_pictures_exist():
