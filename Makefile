@@ -13,7 +13,7 @@ test: $(VENV)/.ok
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m pytest
-	$(PY) -m pytest -c /dev/null --rootdir=. -p no:cacheprovider --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+	$(PY) -m pytest --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
 
 $(VENV)/.ok: environment.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, this is {sys.version}: make PYTHON=...")'
