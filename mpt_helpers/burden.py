@@ -1,9 +1,10 @@
 """The papers' calculation burdens, itemised operation by operation.
 
 A burden is the number of scalar additions, multiplications and divisions in one iteration, as a polynomial in the
-dimension n of the state, m of the measurement and, for the FIR filter, its order M. The rules are those of the papers
-(2014 Table 2, 2015 Table 2, spelled out in 2016 Table 2): every entry of a product of p columns costs p multiplications
-and p - 1 additions, only the upper triangle of a symmetric result is computed, zeros are not exploited.
+dimension n of the state, m of the measurement and, for the FIR filter, its order M. The papers print totals only (2014
+and 2015 Table 2) and itemise one filter (2016 Table 2): every entry of a product of p columns costs p multiplications
+and p - 1 additions, and zeros are not exploited. The other rules are inferred, and give exactly the printed totals: of
+a symmetric result only the upper triangle is computed, and a p×p inverse costs (16p³ - 3p² - p)/6.
 """
 
 import re
@@ -147,7 +148,7 @@ def identity_plus(what, p):
 
 
 def inverse(what, p):
-    """(p×p)⁻¹, with the burden that the papers take from their reference [8] (2014) and [9] (2015).
+    """(p×p)⁻¹, with the burden that stands in the papers' total for the Kalman filter.
 
     >>> inverse("[H P Hᵀ + R]⁻¹", m).burden
     (8/3)m³ - 0.5m² - (1/6)m

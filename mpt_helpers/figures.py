@@ -23,7 +23,8 @@ from .files import write_whole
 
 # Gaps below this are rounding, and other digits on every processor: they are drawn at it.
 FLOOR = 1e-12
-# The description looks at no digit finer than this: rounding reaches some 1e-14 on the tracks plotted here.
+# Below this a drawn value has one digit, in the picture and in the description: rounding reaches some 1e-14 on the
+# tracks plotted here.
 QUANTUM = 1e-9
 
 
@@ -168,7 +169,7 @@ def describe(fig):
     """Return what a figure plots, in words and numbers.
 
     For each axes it says its texts and scales, and for everything drawn in it the number of points, the extremes, the
-    mean, and a checksum over all points at four digits.
+    mean, and a checksum over all points at four digits (one digit below 1e-9, and zero below 1e-12).
 
     >>> fig, ax = panels([["a"]])
     >>> line = ax["a"].plot([1, 2, 3], [0.0, 0.5, 1.0], label="a")
@@ -198,7 +199,6 @@ def _describe_artist(artist):
     if isinstance(artist, Text):
         return f"text {artist.get_text()!r}"
     kind, points = _points(artist)
-    points = np.where(np.abs(points) < QUANTUM, 0, points)
     ranges = [
         f"{side} {_digits((values.min(), values.max()), '..')} mean {_digits([values.mean()])}"
         for side, values in zip("xy", points.T, strict=True)
@@ -222,4 +222,10 @@ def _points(artist):
 
 
 def _digits(values, separator=","):
-    return separator.join(f"{value:.4g}" for value in values)
+    return separator.join(map(_digit_text, values))
+
+
+def _digit_text(value):
+    if abs(value) < 0.9 * FLOOR:
+        return "0"
+    return f"{value:.4g}" if abs(value) >= QUANTUM else f"{value:.0e}"

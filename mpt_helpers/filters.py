@@ -14,7 +14,7 @@ import filterpy.kalman
 import numpy as np
 
 from . import checks, riccati
-from .model import LinearModel, stack
+from .model import LinearModel, square_root, stack
 from .recursion import measurements, run
 
 
@@ -147,7 +147,7 @@ class SteadyStateFilter(_Recursive):
         n, m = checks.instance("model", self.model, LinearModel).n, self.model.m
         object.__setattr__(self, "A", checks.array("A", self.A, (n, n)))
         object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
-        object.__setattr__(self, "P", checks.covariance("P", self.P, n))
+        object.__setattr__(self, "P", checks.array("P", self.P, (n, n)))
 
     @classmethod
     def from_kalman(cls, model):
@@ -159,7 +159,8 @@ class SteadyStateFilter(_Recursive):
         H, R = model.H, model.R
         K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
         update = np.eye(model.n) - K @ H
-        return cls(model, A=update @ model.F, B=K, P=update @ P @ update.T + K @ R @ K.T)
+        root = np.hstack([update @ square_root(P), K @ np.linalg.cholesky(R)])  # of the Joseph form of P_e
+        return cls(model, A=update @ model.F, B=K, P=root @ root.T)
 
     @classmethod
     def from_lainiotis(cls, model):

@@ -18,13 +18,16 @@ def relative_gap(a, b):
 
 
 def largest_gaps(reference, others, z):
-    """Return how far other filters are from one on the same measurements, in the estimates and in the covariances.
+    """Return how far other filters are from one on the same measurements (N, m), in estimates and in covariances.
 
-    Both are the largest `relative_gap` over the others and all steps.
+    Both are the largest over the others, the steps and the components: of the estimates relative to the largest
+    estimate of that component, of the covariances relative to the standard deviations of both components at that step.
     """
     x, P = reference.filter(z), reference.covariances(len(z))
-    gaps = [(relative_gap(each.filter(z), x), relative_gap(each.covariances(len(z)), P)) for each in others]
-    return tuple(map(max, zip(*gaps, strict=True)))
+    sigma = np.sqrt(np.einsum("kii->ki", P))
+    x_gap = max(np.abs((each.filter(z) - x) / np.abs(x).max(axis=0)).max() for each in others)
+    P_gap = max(np.abs((each.covariances(len(z)) - P) / sigma[:, :, None] / sigma[:, None, :]).max() for each in others)
+    return float(x_gap), float(P_gap)
 
 
 def rms(values, axis=None):

@@ -108,17 +108,20 @@ def stack(*models):
 
 
 def square_root(C):
-    """Return the symmetric square root of a positive semidefinite matrix.
+    """Return the square root G of a positive semidefinite matrix, G Gᵀ = C, that is symmetric at unit variances.
 
-    It is unique, so that tracks drawn with it do not depend on the signs that an eigenvalue routine picks.
+    It is unique, so that tracks drawn with it do not depend on the signs that an eigenvalue routine picks, and
+    variances of very different size keep their digits.
 
     >>> square_root([[4.0, 0.0], [0.0, 0.0]])
     array([[2., 0.],
            [0., 0.]])
     """
-    w, V = np.linalg.eigh(C)
-    w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # below this an eigenvalue is the rounding of a zero
-    return (V * np.sqrt(w)) @ V.T
+    scale = np.sqrt(np.maximum(np.diag(C), 0))
+    unit = np.where(scale > 0, scale, 1)
+    w, V = np.linalg.eigh(C / unit[:, None] / unit)
+    w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # what is smaller is the rounding of a zero
+    return scale[:, None] * (V * np.sqrt(w)) @ V.T
 
 
 def simulate(model, N, rng, tracks=None):

@@ -13,6 +13,8 @@ from .model import LinearModel, square_root
 MODE_ROUNDING = 1e-12
 # A double eigenvalue on the unit circle is computed to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
+# A solution that misses its own equation by more than this is none; rounding misses it by some 1e-12 at the worst.
+RESIDUAL = 1e-8
 # Doubling 64 times covers more steps than a double can count.
 DOUBLINGS = 64
 
@@ -64,11 +66,19 @@ def rekf(model):
            [0.0257, 0.0227]])
     """
     _require_steady_state(model)
+    # scipy is silently wrong where R or Q is very small or large: it gets measurements of unit variance, and a Q of 1.
+    unit = np.abs(model.Q).max() or 1.0
+    F, Q, identity = model.F, model.Q / unit, np.eye(model.m)
+    H = np.sqrt(unit) * np.linalg.solve(np.linalg.cholesky(model.R), model.H)
     try:
-        P = solve_discrete_are(model.F.T, model.H.T, model.Q, model.R)
+        P = solve_discrete_are(F.T, H.T, Q, identity)
     except np.linalg.LinAlgError:
-        _refuse_nearest_mode(model)
-    return (P + P.T) / 2
+        _refuse_unsolved(model)
+    P = (P + P.T) / 2
+    following = Q + F @ (P - P @ H.T @ np.linalg.solve(H @ P @ H.T + identity, H @ P)) @ F.T
+    if not np.abs(following - P).max() <= RESIDUAL * np.abs(P).max():
+        _refuse_unsolved(model)
+    return unit * P
 
 
 def relf(model):
@@ -96,7 +106,7 @@ def relf(model):
         Fn = W @ Fn
         if np.abs(step).max() <= np.finfo(float).eps * np.abs(Pn).max():
             return Pn
-    _refuse_nearest_mode(model)
+    _refuse_unsolved(model)
 
 
 def _modes(model):
@@ -124,13 +134,16 @@ def _scaled(matrix, F):
 
 def _require_steady_state(model):
     checks.instance("model", model, LinearModel)
-    if any(margin < MODE_ROUNDING for margin, _, _ in _modes(model)):
-        _refuse_nearest_mode(model)
+    for margin, condition, mode in _modes(model):
+        if margin < MODE_ROUNDING:
+            raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
 
 
-def _refuse_nearest_mode(model):
-    _, condition, mode = min(
-        _modes(model), default=(0, "the Riccati equation did not converge", np.nan), key=lambda m: m[0]
-    )
-    mode = mode.real if np.isreal(mode) else mode
-    raise ValueError(f"model: needs a steady state, but {condition} at the mode {mode:.6g} of F")
+def _refuse_unsolved(model):
+    margin, condition, mode = min(_modes(model), default=(1, "no condition fails", 0), key=lambda found: found[0])
+    nearest = f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
+    raise ValueError(f"model: needs a steady state that double precision can resolve; {nearest}")
+
+
+def _text(mode):
+    return f"{mode.real:.6g}" if np.isreal(mode) else f"{mode:.6g}"

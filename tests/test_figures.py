@@ -75,6 +75,15 @@ def test_rounding_is_not_described():
     assert describe(fig) == before
 
 
+def test_a_gap_that_leaves_the_level_of_rounding_is_described():
+    described = []
+    for gap in (1e-16, 2e-12, 9e-10):
+        fig, ax = panels([["gap"]])
+        draw_gaps(ax["gap"], {"KF - LF": np.full(9, gap)})
+        described.append(describe(fig))
+    assert len(set(described)) == 3
+
+
 def test_gaps_are_clipped_where_rounding_begins():
     np.testing.assert_array_equal(visible_gap([0, 1e-17, 5e-13]), 1e-12)
     np.testing.assert_allclose(visible_gap([3.33333e-11, 0.123456]), [3e-11, 0.123], rtol=1e-14)

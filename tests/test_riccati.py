@@ -73,5 +73,14 @@ def test_stable_modes_need_neither_condition(solve):
 @pytest.mark.parametrize("solve", SOLVERS)
 @pytest.mark.parametrize("dt", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("q", [1e-12, 1.0, 1e12])
-def test_the_unit_of_the_noise_is_no_condition(solve, dt, q):
+def test_models_of_every_scale_have_a_steady_state(solve, dt, q):
     assert np.isfinite(solve(mpt.gsm_axis(dt=dt, q=q, r=0.1))).all()
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+@pytest.mark.parametrize("unit", [2.0**-50, 2.0**50])
+def test_the_units_do_not_matter(solve, unit):
+    state = mpt.LinearModel(F=AXIS.F, H=AXIS.H / unit, Q=AXIS.Q * unit**2, R=AXIS.R)
+    measurement = mpt.LinearModel(F=AXIS.F, H=AXIS.H * unit, Q=AXIS.Q, R=AXIS.R * unit**2)
+    np.testing.assert_allclose(solve(state), solve(AXIS) * unit**2, rtol=1e-10)
+    np.testing.assert_allclose(solve(measurement), solve(AXIS), rtol=1e-10)
