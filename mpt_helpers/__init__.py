@@ -2,7 +2,7 @@
 
 __version__ = "0.1.0"
 
-from . import burden, figures, metrics
+from . import burden, figures, metrics, riccati
 from .figures import save_figure
 from .filters import (
     FIRFilter,
@@ -34,6 +34,7 @@ __all__ = [
     "gsm_axis",
     "metrics",
     "published",
+    "riccati",
     "save_figure",
     "simulate",
     "six_filters",

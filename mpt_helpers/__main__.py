@@ -41,7 +41,6 @@ def _execute(key, folder):
     # Imported here, so that the verdicts can be read without Jupyter.
     import nbformat
     from nbclient import NotebookClient
-    from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
     notebook = nbformat.read(folder / f"{key}.ipynb", as_version=4)
     total = sum(cell.cell_type == "code" for cell in notebook.cells)
@@ -64,14 +63,15 @@ def _execute(key, folder):
     )
     try:
         client.execute()
-    except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
+    except Exception as error:  # a cell's, a timeout's, a dead kernel's, or what nbclient makes of an interrupt
         errors = (
             (cell.id, f"{out.ename}: {out.evalue}")
             for cell in notebook.cells
             for out in cell.get("outputs", [])
             if "ename" in out
         )
-        where, what = next(errors, (ran[-1] if ran else "none", error))
+        gone = str(error) or "the kernel is gone, as after an interrupt"
+        where, what = next(errors, (ran[-1] if ran else "none", gone))
         raise CommandError(f"{key}: cell {where} failed: {what}") from error
     notebook.metadata["language_info"] = {"name": "python"}  # the rest of it names the version of Python
     return nbformat.writes(notebook) + "\n"
@@ -123,6 +123,9 @@ def main(arguments=None):
     except CommandError as failure:
         print(f"error: {failure}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("error: interrupted", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -75,6 +76,21 @@ def test_a_kernel_that_dies_is_named_and_leaves_everything_as_it_was(project, ca
     before = files(project)
     assert main(["reproduce"]) == 1
     assert "error: small: cell cell-1 failed: " in capsys.readouterr().err
+    assert files(project) == before
+
+
+def test_an_interrupt_leaves_everything_as_it_was(project):
+    write_notebook(project / "notebooks" / "small.ipynb", MAKES_FIGURE, "import time; time.sleep(60)")
+    before = files(project)
+    command = [sys.executable, "-m", "mpt_helpers", "reproduce"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        while "cell-1" not in running.stdout.readline():
+            assert running.poll() is None
+        running.send_signal(signal.SIGINT)
+        _, err = running.communicate(timeout=30)
+    assert running.returncode != 0
+    assert err.splitlines()[-1].startswith("error: ")
+    assert "Traceback" not in err
     assert files(project) == before
 
 
