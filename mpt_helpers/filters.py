@@ -26,12 +26,18 @@ class Coefficients(NamedTuple):
     P: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
 class _Recursive:
     """What every filter with coefficients shares.
 
-    A subclass has a `model` and a `_stepper()`, which makes a function that takes P(k/k) and whether epoch k+1 is
-    missed, and returns A_k, B_k and P(k+1/k+1).
+    A subclass has a `_stepper()`, which makes a function that takes P(k/k) and whether epoch k+1 is missed, and returns
+    A_k, B_k and P(k+1/k+1).
     """
+
+    model: LinearModel
+
+    def __post_init__(self):
+        checks.instance("model", self.model, LinearModel)
 
     def filter(self, z):
         """Return the estimates x(1/1) ... x(N/N) of one track or many."""
@@ -58,7 +64,6 @@ class _Recursive:
         return Coefficients(A, B, P)
 
 
-@dataclass(frozen=True)
 class KalmanFilter(_Recursive):
     """The Kalman filter (2014 Eq. 4, 2015 Eq. 1): gains and covariances are those of filterpy's KalmanFilter.
 
@@ -70,11 +75,6 @@ class KalmanFilter(_Recursive):
            [0.5557, 0.4681]])
     """
 
-    model: LinearModel
-
-    def __post_init__(self):
-        checks.instance("model", self.model, LinearModel)
-
     def _stepper(self):
         # What filterpy 2.0 gets wrong is avoided here, and tests/test_filterpy.py watches each trap: a fresh object for
         # each run (its state survives a run), x of one dimension (with a column x a vector z raises), full matrices (a
@@ -82,10 +82,10 @@ class KalmanFilter(_Recursive):
         # missed epoch as None (NaN poisons every later state, and None leaves the gain of the last update in K).
         F, H = self.model.F, self.model.H
         kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=self.model.m)
-        kf.x, kf.F, kf.H, kf.Q, kf.R = self.model.x0, F, H, self.model.Q, self.model.R
+        kf.F, kf.H, kf.Q, kf.R = F, H, self.model.Q, self.model.R
 
         def step(P, lost):
-            kf.P = P
+            kf.x, kf.P = self.model.x0, P  # neither gain nor covariance depends on x
             kf.predict()
             kf.update(None if lost else np.zeros(self.model.m))
             K = np.zeros_like(kf.K) if lost else kf.K
@@ -94,7 +94,6 @@ class KalmanFilter(_Recursive):
         return step
 
 
-@dataclass(frozen=True)
 class LainiotisFilter(_Recursive):
     """The Lainiotis filter (2014 Eqs. 5-7, 2015 Eqs. 2-3).
 
@@ -105,11 +104,6 @@ class LainiotisFilter(_Recursive):
     array([[0.0612, 0.1224],
            [0.5557, 0.4681]])
     """
-
-    model: LinearModel
-
-    def __post_init__(self):
-        checks.instance("model", self.model, LinearModel)
 
     def _stepper(self):
         F, Q = self.model.F, self.model.Q
@@ -138,13 +132,13 @@ class SteadyStateFilter(_Recursive):
            [0.2068]])
     """
 
-    model: LinearModel
     A: np.ndarray
     B: np.ndarray
     P: np.ndarray
 
     def __post_init__(self):
-        n, m = checks.instance("model", self.model, LinearModel).n, self.model.m
+        super().__post_init__()
+        n, m = self.model.n, self.model.m
         object.__setattr__(self, "A", checks.array("A", self.A, (n, n)))
         object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
         object.__setattr__(self, "P", checks.array("P", self.P, (n, n)))
