@@ -12,6 +12,15 @@ NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
 AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
 
 
+def dense_model(seed, n=3, m=2):
+    """A model whose matrices have no zeros: correlated noises, a start that is uncertain, stable or not."""
+    rng = np.random.default_rng(seed)
+    roots = [rng.standard_normal((size, size)) for size in (n, m, n)]
+    Q, R, P0 = (root @ root.T + 0.1 * np.eye(len(root)) for root in roots)
+    x0 = rng.standard_normal(n)
+    return mpt.LinearModel(F=rng.standard_normal((n, n)), H=rng.standard_normal((m, n)), Q=Q, R=R, x0=x0, P0=P0)
+
+
 @pytest.fixture(
     params=[(axes, p0) for axes in (1, 2, 3) for p0 in (0.0, 100.0)], ids=lambda p: f"{p[0]}axes-P0={p[1]:g}"
 )

@@ -48,6 +48,8 @@ CASES = [
     ("Q: needs a symmetric", model(Q=[[1.0, 0.5], [0.0, 1.0]])),
     ("Q: needs a symmetric positive semidefinite", model(Q=[[1.0, 2.0], [2.0, 1.0]])),
     ("Q: needs a symmetric positive semidefinite", model(Q=-np.eye(2))),
+    ("got a matrix that is not symmetric", model(Q=[[1.0, 1e-9], [0.0, 1.0]])),
+    ("Q: needs a symmetric positive semidefinite", model(Q=[[1.0, 1 + 1e-9], [1 + 1e-9, 1.0]])),
     ("Q: needs a symmetric positive semidefinite", model(Q=[[0.0, 1.0], [1.0, 1.0]])),
     ("R: needs a symmetric positive definite", model(R=[[0.0]])),
     ("R: needs a symmetric positive definite", model(R=[[-1.0]])),
@@ -55,6 +57,7 @@ CASES = [
     ("P0: needs a symmetric positive semidefinite", model(P0=np.diag([1.0, -1.0]))),
     ("F: needs a 2×2 matrix of finite numbers, got NaN", model(F=[[NAN, 0.0], [0.0, 1.0]])),
     ("F: needs a square matrix of finite numbers, got an infinite value", model(F=[[INF, 0.0], [0.0, 1.0]])),
+    ("F: needs a square matrix of finite numbers, got an infinite value", model(F=[[-INF, 0.0], [0.0, 1.0]])),
     ("Q: needs a 2×2 matrix of finite numbers, got NaN", model(Q=[[NAN, 0.0], [0.0, 1.0]])),
     ("R: needs a 1×1 matrix of finite numbers, got an infinite value", model(R=[[INF]])),
     ("x0: needs a vector of length 2 of finite numbers, got NaN", model(x0=[NAN, 0.0])),
@@ -100,6 +103,9 @@ CASES = [
     ("A: needs a 1×1 matrix, got shape (1, 2)", lambda: mpt.fir_order([[1.0, 2.0]], 0.1)),
     ("taps: needs an (M, 2, 1) array", lambda: mpt.FIRFilter(AXIS, np.ones((3, 1, 2)))),
     ("taps: needs an (M, 2, 1) array", lambda: mpt.FIRFilter(AXIS, np.ones((0, 2, 1)))),
+    ("taps: needs an (M, 2, 1) array", lambda: mpt.FIRFilter(AXIS, np.full((3, 2, 1), NAN))),
+    ("P: needs a 2×2 matrix", lambda: mpt.SteadyStateFilter(AXIS, A=STEADY.A, B=STEADY.B, P=0.1)),
+    ("B: needs a 2×1 matrix", lambda: mpt.SteadyStateFilter(AXIS, A=STEADY.A, B=[0.1, 0.2], P=STEADY.P)),
     ("A: needs a 2×2 matrix", lambda: mpt.SteadyStateFilter(AXIS, A=np.eye(3), B=STEADY.B, P=STEADY.P)),
     # burden, metrics, tables, figures
     ("n: needs an integer of at least 1, got 0", lambda: mpt.burden.kalman(0, 1)),
@@ -145,6 +151,11 @@ WRONG_TYPES = [
     ("fig: needs a Figure", lambda: mpt.save_figure(None, "fig")),
     ("name: needs a str", lambda: mpt.save_figure(Figure(), 5)),
 ]
+
+
+def test_rounding_is_no_bad_input():
+    model = mpt.LinearModel(**GOOD | {"Q": [[1.0, 1 + 4e-16], [1.0, 1.0]], "R": [[1e-30]]})
+    assert model.Q[0, 1] > model.Q[1, 0]
 
 
 @pytest.mark.parametrize(("message", "call"), CASES, ids=[message for message, _ in CASES])

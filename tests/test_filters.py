@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import AXIS
+from conftest import AXIS, dense_model
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
 import mpt_helpers as mpt
@@ -34,6 +34,28 @@ def test_filter_equals_oracle(make, oracle, model, z):
 def test_missed_epoch_is_predicted_only(make, oracle, model, z):
     z = missing(z[:12], 0, 4, 5, 11)
     np.testing.assert_allclose(make(model).filter(z), oracle(*matrices(model), z)[0], **SAME)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_correlated_noises_and_dense_matrices(seed):
+    model = dense_model(seed)
+    _, z = mpt.simulate(model, 10, np.random.default_rng(seed))
+    z = missing(z, 0, 6)
+    expected = gaussian_conditioning(*matrices(model), z)[0]
+    filters = mpt.six_filters(model)
+    scale = np.abs(expected).max()  # unstable models grow by some powers of ten in ten steps
+    for name in ("KF", "LF", "JKLF"):
+        np.testing.assert_allclose(filters[name].filter(z), expected, rtol=1e-8, atol=1e-8 * scale)
+    kalman, lainiotis = filters["SSKF"], filters["SSLF"]
+    limit = mpt.KalmanFilter(model).coefficients(300)
+    for name in "ABP":
+        np.testing.assert_allclose(getattr(kalman, name), getattr(limit, name)[-1], **SAME)
+        np.testing.assert_allclose(getattr(lainiotis, name), getattr(limit, name)[-1], **SAME)
+
+
+def test_covariances_of_the_lainiotis_filter_are_symmetric(model):
+    P = mpt.LainiotisFilter(model).covariances(50)
+    np.testing.assert_array_equal(P, P.transpose(0, 2, 1))
 
 
 def test_lainiotis_equals_kalman(model, z):
@@ -107,6 +129,18 @@ def test_fir_order_is_the_first_power_below_tol(model):
         M = mpt.fir_order(A, 1e-3, norm)
         sizes = [np.linalg.norm(np.linalg.matrix_power(A, j), norm) for j in (M - 1, M)]
         assert sizes[0] >= 1e-3 > sizes[1]
+
+
+def test_fir_order_of_the_largest_tolerance():
+    assert mpt.fir_order([[0.5]], 1) == 1
+
+
+def test_fir_predicts_from_x0_where_the_first_epoch_is_missed():
+    model = replace(AXIS, x0=[3.0, -1.0])
+    fir = mpt.FIRFilter.from_steady_state(mpt.SteadyStateFilter.from_kalman(model))
+    np.testing.assert_array_equal(fir.filter([[np.nan], [1.0]])[0], model.F @ model.x0)
+    with pytest.raises(ValueError, match="read-only"):
+        fir.taps[0, 0, 0] = 1
 
 
 def test_fir_order_of_the_paper():

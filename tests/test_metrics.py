@@ -7,10 +7,10 @@ from mpt_helpers.metrics import largest_gaps, relative_gap, rms
 
 
 class Shifted:
-    """The Kalman filter of one axis, off by a constant in one component of x and of P."""
+    """The Kalman filter of one axis, off by a constant in one component of x and in one of P."""
 
-    def __init__(self, x=0.0, P=0.0):
-        self.kf, self.x, self.P = mpt.KalmanFilter(AXIS), np.array([0, x]), np.diag([0, P])
+    def __init__(self, x=0.0, P=0.0, P_sv=0.0):
+        self.kf, self.x, self.P = mpt.KalmanFilter(AXIS), np.array([0, x]), np.array([[0, P_sv], [P_sv, P]])
 
     def filter(self, z):
         return self.kf.filter(z) + self.x
@@ -26,6 +26,8 @@ def test_largest_gaps_are_those_of_the_component_that_is_off():
     assert largest_gaps(reference, [Shifted()], z) == (0, 0)
     assert largest_gaps(reference, [Shifted(), Shifted(x=0.1)], z) == (pytest.approx(0.1 / speed), 0)
     assert largest_gaps(reference, [Shifted(P=0.001), Shifted()], z) == (0, pytest.approx(0.001 / P_v))
+    product = np.sqrt(np.prod(np.einsum("kii->ki", reference.covariances(50)), axis=1)).min()
+    assert largest_gaps(reference, [Shifted(P_sv=0.001)], z) == (0, pytest.approx(0.001 / product))
 
 
 def test_filters_that_differ_have_gaps():

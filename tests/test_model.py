@@ -47,6 +47,11 @@ def test_square_root_squares_to_the_matrix(C):
     np.testing.assert_allclose(root @ root.T, C, rtol=1e-14, atol=1e-17)
 
 
+def test_square_root_of_a_singular_matrix_is_singular():
+    # The square root of an eigenvalue that is the rounding of a zero would be 1e-8.
+    assert np.linalg.svd(square_root(AXIS.Q), compute_uv=False)[1] < 1e-15
+
+
 def test_simulated_tracks_have_the_covariances_of_the_model():
     P0 = np.array([[4.0, 1.0], [1.0, 2.0]])
     model = mpt.LinearModel(F=[[1, 1], [0, 1]], H=[[1, 1]], Q=[[0.5, 0.2], [0.2, 0.3]], R=[[0.7]], x0=[5, -3], P0=P0)

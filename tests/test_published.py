@@ -36,6 +36,7 @@ def paper():
 @pytest.mark.parametrize(
     ("printed", "value", "agrees"),
     [
+        ("17", 17.5, True), ("17", 17.505, False),
         ("17", 17, True), ("17", 17.4, True), ("17", 17.6, False), ("17", 16, False),
         ("1.290", 178 / 138, True), ("1.290", 1.2906, False), ("1.290", 1.2894, False), ("1.29", 1.2906, True),
         ("0.125", 0.1255, True), ("0.125", 0.1245, True), ("0.125", 0.1256, False), ("-1.5", -1.54, True),
@@ -66,6 +67,16 @@ def test_an_erratum_rests_on_items_that_were_reproduced(paper):
     erratum = paper.check("wrong", 336, against=["count"], reason="One is missing.")
     assert erratum.verdict == "erratum"
     assert erratum.reason == "One is missing. Against Table 1: 17."
+
+
+def test_an_erratum_does_not_rest_on_what_differs(paper):
+    paper.check("ratio", 1.3, reason="We rounded.")
+    with pytest.raises(ValueError, match="against: needs items of the paper that were reproduced before, got 'ratio'"):
+        paper.check("wrong", 336, against=["ratio"], reason="One is missing.")
+
+
+def test_a_band_is_shown(paper):
+    assert paper.check("ratio", 1.3, band=(1.28, 1.31)).computed == "1.3 [1.28, 1.31]"
 
 
 def test_against_makes_no_erratum_of_what_agrees(paper):
@@ -134,6 +145,8 @@ def test_the_numbers_behind_a_grid_of_ratios_are_found():
     # 10/20 = 0.50 and 60/10, 60/20 leave 60 alone; without knowing 20 every number that rounds right is kept.
     assert paper.implied("t", {"1": 10, "2": 20}) == {"3": [60]}
     assert paper.implied("t", {"1": 10}) == {"2": [20], "3": [60]}
+    below = GRID.replace('"2.00"', '"?"').replace('"3.00"', '"?"').replace('"6.00"', '"?"')
+    assert Paper("test", read_items("test", below)).implied("t", {"1": 10})["2"] == [20]
     assert paper.implied("t", {"1": 1000})["2"] == list(range(1995, 2006))  # 1995 and 2005 are ties
 
 
@@ -174,7 +187,8 @@ def test_stored_verdicts_are_those_displayed(tmp_path, paper):
     paper.check("count", 17)
     data = paper.verdicts()._repr_mimebundle_()
     path = tmp_path / "n.ipynb"
-    path.write_text(json.dumps({"cells": [{"outputs": [{"data": data}]}]}))
+    early = {MIME: Paper("test", read_items("test", ITEMS)).verdicts().records()}
+    path.write_text(json.dumps({"cells": [{"outputs": [{"data": early}]}, {"outputs": [{"data": data}]}]}))
     assert list(stored_verdicts(path)) == list(paper.verdicts())
     assert "<td>count</td>" in data["text/html"]
     assert len(data[MIME]) == len(paper.items)

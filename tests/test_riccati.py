@@ -64,9 +64,48 @@ def test_no_steady_state_says_which_condition_fails_and_where(solve, model, mess
         solve(mpt.LinearModel(**model, R=[[1.0]]))
 
 
+ROTATION = np.array([[0.6, -0.8], [0.8, 0.6]])
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+@pytest.mark.parametrize("F", [np.diag([2.0, 0.5]), np.array([[1.0, 1.0], [0.0, 1.0]])], ids=["simple", "double"])
+def test_rounding_hides_no_failing_condition(solve, F):
+    F, H = ROTATION @ F @ ROTATION.T, [[0.0, 1.0]] @ ROTATION.T
+    with pytest.raises(ValueError, match=r"needs a steady state.*not detectable at the mode"):
+        solve(mpt.LinearModel(F=F, H=H, Q=np.eye(2), R=[[1.0]]))
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+def test_a_mode_that_is_hardly_seen_is_seen(solve):
+    model = mpt.LinearModel(F=np.diag([1.0, 0.5]), H=[[1e-8, 1.0]], Q=np.eye(2), R=[[1.0]])
+    assert np.linalg.eigvalsh(solve(model))[-1] > 1e7
+
+
+@pytest.mark.parametrize("failing", [lambda *_: np.full((2, 2), 5.0), lambda *_: np.full((2, 2), np.nan)])
+def test_a_solution_that_solves_nothing_is_refused(monkeypatch, failing):
+    monkeypatch.setattr(riccati, "solve_discrete_are", failing)
+    with pytest.raises(ValueError, match="model: needs a steady state that double precision can resolve"):
+        riccati.rekf(AXIS)
+
+
+def test_a_solver_that_fails_is_named(monkeypatch):
+    def fail(*_):
+        raise np.linalg.LinAlgError("no solution")
+
+    monkeypatch.setattr(riccati, "solve_discrete_are", fail)
+    with pytest.raises(ValueError, match=r"nearest to failing, by .*: .* at the mode 1 of F"):
+        riccati.rekf(AXIS)
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+def test_solutions_are_symmetric(solve):
+    for model in random_models():
+        np.testing.assert_array_equal(solve(model), solve(model).T)
+
+
 @pytest.mark.parametrize("solve", SOLVERS)
 def test_stable_modes_need_neither_condition(solve):
-    model = mpt.LinearModel(F=np.diag([0.9, 0.5]), H=[[1.0, 0.0]], Q=np.diag([1.0, 0.0]), R=[[1.0]])
+    model = mpt.LinearModel(F=np.diag([0.9, 0.97]), H=[[1.0, 0.0]], Q=np.diag([1.0, 0.0]), R=[[1.0]])
     assert solve(model)[1, 1] == pytest.approx(0, abs=1e-15)
 
 
