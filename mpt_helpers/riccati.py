@@ -68,10 +68,9 @@ def rekf(model):
            [0.0257, 0.0227]])
     """
     _require_steady_state(model)
-    # scipy is silently wrong where R or Q is very small or large: it gets measurements of unit variance, and a Q of 1.
-    unit = np.abs(model.Q).max() or 1.0
-    F, Q, identity = model.F, model.Q / unit, np.eye(model.m)
-    H = np.sqrt(unit) * np.linalg.solve(np.linalg.cholesky(model.R), model.H)
+    # scipy is silently wrong where R is very small or large: it gets measurements of unit variance.
+    F, Q, identity = model.F, model.Q, np.eye(model.m)
+    H = np.linalg.solve(np.linalg.cholesky(model.R), model.H)
     try:
         P = solve_discrete_are(F.T, H.T, Q, identity)
     except np.linalg.LinAlgError:
@@ -80,7 +79,7 @@ def rekf(model):
     following = Q + F @ (P - P @ H.T @ np.linalg.solve(H @ P @ H.T + identity, H @ P)) @ F.T
     if not np.abs(following - P).max() <= RESIDUAL * np.abs(P).max():
         _refuse_unsolved(model)
-    return unit * P
+    return P
 
 
 def relf(model):
