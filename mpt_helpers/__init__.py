@@ -2,7 +2,7 @@
 
 __version__ = "0.1.0"
 
-from . import burden, figures, metrics, riccati
+from . import average_error, burden, figures, metrics, riccati
 from .figures import save_figure
 from .filters import (
     FIRFilter,
@@ -11,11 +11,21 @@ from .filters import (
     LainiotisFilter,
     Separate,
     SteadyStateFilter,
+    SteadyStatePredictor,
     fir_order,
     six_filters,
 )
-from .model import LinearModel, gsm_axis, simulate, stack
+from .model import (
+    LinearModel,
+    constant_acceleration,
+    constant_velocity,
+    gsm_axis,
+    mean_track,
+    simulate,
+    stack,
+)
 from .published import published
+from .study import study
 from .tables import Table, gap_text
 
 __all__ = [
@@ -26,12 +36,17 @@ __all__ = [
     "LinearModel",
     "Separate",
     "SteadyStateFilter",
+    "SteadyStatePredictor",
     "Table",
+    "average_error",
     "burden",
+    "constant_acceleration",
+    "constant_velocity",
     "figures",
     "fir_order",
     "gap_text",
     "gsm_axis",
+    "mean_track",
     "metrics",
     "published",
     "riccati",
@@ -39,4 +54,5 @@ __all__ = [
     "simulate",
     "six_filters",
     "stack",
+    "study",
 ]

@@ -7,7 +7,7 @@ Every `filter(z)` takes z of shape (N, m) or (N, m, M), z[0] being z(1), and ret
 x(k+1/k+1). It raises ValueError or TypeError for measurements of another shape or kind (see `recursion.measurements`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import filterpy.kalman
@@ -120,17 +120,8 @@ class LainiotisFilter(_Recursive):
 
 
 @dataclass(frozen=True, eq=False)
-class SteadyStateFilter(_Recursive):
-    """A filter whose coefficients are constant: A (n×n), B (n×m), and its estimation error covariance P (n×n).
-
-    2014 Eqs. 9-15, 2015 Eqs. 6-12. Made by `from_kalman` or `from_lainiotis`, which solve different Riccati equations:
-    that they agree (2014 Eq. 15) is a result.
-
-    >>> from mpt_helpers.model import gsm_axis
-    >>> SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1)).B.round(4)
-    array([[0.3654],
-           [0.2068]])
-    """
+class _Constant(_Recursive):
+    """What every filter with constant coefficients shares: A (n×n), B (n×m) and its error covariance P (n×n)."""
 
     A: np.ndarray
     B: np.ndarray
@@ -142,6 +133,24 @@ class SteadyStateFilter(_Recursive):
         object.__setattr__(self, "A", checks.array("A", self.A, (n, n)))
         object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
         object.__setattr__(self, "P", checks.array("P", self.P, (n, n)))
+
+    def _coefficients(self, missed):
+        lost = missed[:, None, None]
+        P = np.broadcast_to(self.P, (len(missed), *self.P.shape))
+        return Coefficients(np.where(lost, self.model.F, self.A), np.where(lost, 0, self.B), P)
+
+
+class SteadyStateFilter(_Constant):
+    """A filter whose coefficients are constant: A (n×n), B (n×m), and its estimation error covariance P (n×n).
+
+    2014 Eqs. 9-15, 2015 Eqs. 6-12, 2016 Eqs. 8-12. Made by `from_kalman` or `from_lainiotis`, which solve different
+    Riccati equations: that they agree (2014 Eq. 15) is a result.
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1)).B.round(4)
+    array([[0.3654],
+           [0.2068]])
+    """
 
     @classmethod
     def from_kalman(cls, model):
@@ -167,10 +176,39 @@ class SteadyStateFilter(_Recursive):
         A = riccati.lainiotis_gain(P, Fn, On)
         return cls(model, A=A, B=Kn + A @ P @ Km, P=P)
 
-    def _coefficients(self, missed):
-        lost = missed[:, None, None]
-        P = np.broadcast_to(self.P, (len(missed), *self.P.shape))
-        return Coefficients(np.where(lost, self.model.F, self.A), np.where(lost, 0, self.B), P)
+
+class SteadyStatePredictor(_Constant):
+    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): row k of `filter(z)` is x(k+1+N / k+1).
+
+        x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
+
+    steady is the SteadyStateFilter whose A and B these are, steps is N; with N = 0 it is that filter. P is the
+    covariance of the prediction's error: P(k+N/k) = F P(k+N-1/k) Fᵀ + Q, from the P of the filter.
+
+    Raises TypeError or ValueError for anything but a steady-state filter and a whole number that is not negative, and
+    ValueError for a model whose F has no inverse.
+
+    >>> from mpt_helpers.model import constant_velocity
+    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> SteadyStatePredictor(steady, steps=3).filter([[1.0], [2.0]]).round(4)
+    array([[1.186 , 0.2125],
+           [2.8678, 0.4757]])
+    """
+
+    def __init__(self, steady, steps):
+        model = checks.instance("steady", steady, SteadyStateFilter).model
+        steps = checks.count("steps", steps, least=0)
+        sigma = np.sqrt(np.diag(model.F @ steady.P @ model.F.T + model.Q))
+        unit = np.where(sigma > 0, sigma, 1)  # in these units the entries of F can be compared
+        if np.linalg.matrix_rank(model.F * unit / unit[:, None]) < model.n:
+            checks.refuse("steady", "a model whose F has an inverse", "a singular F")
+        F_N = np.linalg.matrix_power(model.F, steps)
+        P = steady.P
+        for _ in range(steps):
+            P = model.F @ P @ model.F.T + model.Q
+        A_N = np.linalg.solve(F_N.T, (F_N @ steady.A).T).T
+        super().__init__(replace(model, x0=F_N @ model.x0), A=A_N, B=F_N @ steady.B, P=(P + P.T) / 2)
+        object.__setattr__(self, "steps", steps)
 
 
 @dataclass(frozen=True)

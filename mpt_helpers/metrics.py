@@ -1,8 +1,14 @@
-"""How far estimates lie from each other and from the truth."""
+"""How far estimates lie from each other and from the truth, and how far they should."""
+
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.special import erf, gammaincinv
 
 from . import checks
+from .filters import SteadyStateFilter
+from .model import LinearModel
 
 
 def relative_gap(a, b):
@@ -38,3 +44,173 @@ def rms(values, axis=None):
     """
     square = np.mean(np.square(values), axis=axis)
     return float(np.sqrt(square)) if axis is None else np.sqrt(square)
+
+
+def nees(errors, P):
+    """Return the normalised estimation error squared eᵀ P⁻¹ e of each step.
+
+    errors is (N, n) or (N, n, M), P the covariance that the filter states: (n, n), or (N, n, n), one for each step.
+    Returns (N,) or (N, M). Its mean over steps or tracks is n when the errors have mean zero and covariance P.
+
+    Raises ValueError for other shapes and for a P that is not definite.
+
+    >>> nees([[1.0, 2.0]], [[1.0, 0.0], [0.0, 4.0]])
+    array([2.])
+    """
+    errors = checks.real("errors", errors, "an (N, n) or (N, n, M) array")
+    if errors.ndim not in (2, 3) or 0 in errors.shape:
+        checks.refuse("errors", "an (N, n) or (N, n, M) array", f"shape {errors.shape}")
+    N, n = errors.shape[:2]
+    P = checks.real("P", P, f"an ({n}, {n}) or ({N}, {n}, {n}) array")
+    if P.shape not in ((n, n), (N, n, n)):
+        checks.refuse("P", f"an ({n}, {n}) or ({N}, {n}, {n}) array", f"shape {P.shape}")
+    try:
+        root = np.linalg.cholesky(P)
+    except np.linalg.LinAlgError:
+        checks.refuse("P", "positive definite matrices", "one that is not")
+    return (
+        np.square(np.linalg.solve(root, errors if errors.ndim == 3 else errors[..., None]))
+        .sum(axis=1)
+        .reshape(errors.shape[:1] + errors.shape[2:])
+    )
+
+
+class Innovations(NamedTuple):
+    """What is new in each measurement, (N, m) or (N, m, M), and its covariance S (N, m, m)."""
+
+    values: np.ndarray
+    S: np.ndarray
+
+
+def innovations(each, z):
+    """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N, of a filter over measurements z.
+
+    `each` is a filter with a model and covariances, z is (N, m) or (N, m, M) without missed epochs. P(0/0) is the
+    model's P0, and P for a steady-state filter.
+
+    >>> from mpt_helpers.model import constant_velocity
+    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> innovations(steady, [[1.0], [2.0]]).values.round(4)
+    array([[1.   ],
+           [1.239]])
+    """
+    F, H, Q, R = each.model.F, each.model.H, each.model.Q, each.model.R
+    z = np.asarray(z, float)
+    x, P = each.filter(z), each.covariances(len(z))
+    start = each.P if isinstance(each, SteadyStateFilter) else each.model.P0
+    before = np.concatenate([np.broadcast_to(_column(each.model.x0, x), x[:1].shape), x[:-1]])
+    P = F @ np.concatenate([start[None], P[:-1]]) @ F.T + Q
+    return Innovations(z - np.tensordot(H @ F, before, (1, 1)).swapaxes(0, 1), H @ P @ H.T + R)
+
+
+def nis(each, z):
+    """Return the normalised innovation squared of each step, (N,) or (N, M): its mean is m for a consistent filter.
+
+    >>> from mpt_helpers.model import constant_velocity
+    >>> nis(SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [2.0]]).round(2)
+    array([4.51, 6.93])
+    """
+    return nees(*innovations(each, z))
+
+
+def chi_square_band(dof, runs, level=0.95):
+    """Return the central band of the mean of `runs` independent chi-square variables of `dof` degrees of freedom.
+
+    The mean NEES (dof n) or NIS (dof m) over so many runs of a consistent filter lies in it with probability `level`.
+
+    >>> low, high = chi_square_band(dof=2, runs=100)
+    >>> round(low, 2), round(high, 2)
+    (1.63, 2.41)
+    """
+    total = checks.count("dof", dof) * checks.count("runs", runs)
+    level = checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)
+    low, high = 2 * gammaincinv(total / 2, [(1 - level) / 2, (1 + level) / 2]) / runs
+    return float(low), float(high)
+
+
+def error_moments(steady, truth, N, steps=0):
+    """Return the mean and the covariance of the error that a steady-state filter really makes.
+
+    The filter runs on measurements of another model, `truth`, which differs in x0, P0, Q and R. Its error is
+
+        e(k+1) = A e(k) + (I - B H) w(k) - B v(k+1),   e(0) = x(0) - x(0/0),   e(k+N/k) = Fᴺ e(k) + noise
+
+    Returns mean (N, n) and covariance (N, n, n) of x(k+steps) - x(k+steps/k) for k = 1 ... N.
+
+    Raises ValueError when truth has another F or H.
+
+    >>> from dataclasses import replace
+    >>> from mpt_helpers.model import constant_velocity
+    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> truth = replace(steady.model, Q=np.zeros((2, 2)), x0=[0.0, 20.0])
+    >>> error_moments(steady, truth, N=2).mean.round(3)
+    array([[ 9.029, 15.75 ],
+           [11.187, 10.485]])
+    """
+    _require_same(steady, truth)
+    N, steps = checks.count("N", N), checks.count("steps", steps, least=0)
+    mean, P = np.empty((N, truth.n)), np.empty((N, truth.n, truth.n))
+    noise = _step_noise(steady, truth)
+    e, C = truth.x0 - steady.model.x0, truth.P0
+    for k in range(N):
+        e, C = steady.A @ e, steady.A @ C @ steady.A.T + noise
+        mean[k], P[k] = e, C
+    return ErrorMoments(mean @ np.linalg.matrix_power(truth.F, steps).T, _ahead(truth, P, steps))
+
+
+def error_covariance(steady, truth, steps=0):
+    """Return the limit of the covariance of `error_moments` for large N, (n, n), from its Lyapunov equation.
+
+        P = A P Aᵀ + (I - B H) Q (I - B H)ᵀ + B R Bᵀ   with the Q and R of `truth`
+
+    It is the P of the filter when `truth` is the filter's own model.
+
+    >>> from mpt_helpers.model import constant_velocity
+    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> relative_gap(error_covariance(steady, steady.model), steady.P) < 1e-12
+    True
+    """
+    _require_same(steady, truth)
+    P = solve_discrete_lyapunov(steady.A, _step_noise(steady, truth))
+    return _ahead(truth, (P + P.T) / 2, checks.count("steps", steps, least=0))
+
+
+class ErrorMoments(NamedTuple):
+    """The mean (N, n) and the covariance (N, n, n) of an error at the steps 1 to N."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+def expected_absolute(mean, variance):
+    """Return the expected absolute value of Gaussian variables: the mean of a folded normal distribution.
+
+    >>> expected_absolute(0.0, 1.0), expected_absolute(-3.0, 0.0)
+    (0.7978845608028654, 3.0)
+    """
+    mean, sigma = np.abs(mean), np.sqrt(variance)
+    ratio = np.divide(mean, sigma, out=np.full(np.broadcast(mean, sigma).shape, np.inf), where=sigma > 0)
+    value = sigma * np.sqrt(2 / np.pi) * np.exp(-np.square(ratio) / 2) + mean * erf(ratio / np.sqrt(2))
+    return float(value) if np.ndim(value) == 0 else value
+
+
+def _ahead(truth, P, steps):
+    for _ in range(steps):
+        P = truth.F @ P @ truth.F.T + truth.Q
+    return P
+
+
+def _step_noise(steady, truth):
+    update = np.eye(truth.n) - steady.B @ truth.H
+    return update @ truth.Q @ update.T + steady.B @ truth.R @ steady.B.T
+
+
+def _require_same(steady, truth):
+    checks.instance("steady", steady, SteadyStateFilter)
+    checks.instance("truth", truth, LinearModel)
+    if not all(np.array_equal(getattr(truth, name), getattr(steady.model, name)) for name in "FH"):
+        checks.refuse("truth", "the F and H of the filter's model", "others")
+
+
+def _column(x0, x):
+    return x0 if x.ndim == 2 else x0[:, None]

@@ -80,11 +80,61 @@ def gsm_axis(dt, q, r):
     array([[0.0025, 0.005 ],
            [0.005 , 0.01  ]])
     """
-    dt = checks.positive("dt", dt)
-    q = checks.number("q", q, "a number that is not negative", lambda q: q >= 0)
-    r = checks.positive("r", r)
+    dt, q, r = _axis_parameters(dt, q, r)
     G = np.array([[dt / 2], [1.0]])
     return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]])
+
+
+def constant_velocity(dt, q, r):
+    """Return the model of one axis that moves with a constant velocity (2016 Eq. 5): position and velocity.
+
+        F = [1 dt; 0 1],   H = [1 0],   Q = [dt³/3 dt²/2; dt²/2 dt] q,   R = r
+
+    dt is the time step (s), q the spectral density of the white noise that drives the velocity (m²/s³), r the variance
+    of the measured position (m²).
+
+    Raises ValueError for dt <= 0, q < 0 or r <= 0.
+
+    >>> constant_velocity(dt=1.0, q=0.06, r=0.1).Q
+    array([[0.02, 0.03],
+           [0.03, 0.06]])
+    """
+    dt, q, r = _axis_parameters(dt, q, r)
+    F = [[1, dt], [0, 1]]
+    Q = [[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]
+    return LinearModel(F=F, H=[[1, 0]], Q=q * np.array(Q), R=[[r]])
+
+
+def constant_acceleration(dt, q, r):
+    """Return the model of one axis that moves with a constant acceleration: position, velocity and acceleration.
+
+    2016 Eq. 6, with the Q of Section 5.2, which is the right one: Eq. 6 prints dt³/3 for dt³/6 in its first row.
+
+        F = [1 dt dt²/2; 0 1 dt; 0 0 1],   H = [1 0 0],   R = r
+        Q = [dt⁵/20 dt⁴/8 dt³/6; dt⁴/8 dt³/3 dt²/2; dt³/6 dt²/2 dt] q
+
+    dt is the time step (s), q the spectral density of the white noise that drives the acceleration (m²/s⁵), r the
+    variance of the measured position (m²).
+
+    Raises ValueError for dt <= 0, q < 0 or r <= 0.
+
+    >>> constant_acceleration(dt=1.0, q=0.12, r=0.1).Q
+    array([[0.006, 0.015, 0.02 ],
+           [0.015, 0.04 , 0.06 ],
+           [0.02 , 0.06 , 0.12 ]])
+    """
+    dt, q, r = _axis_parameters(dt, q, r)
+    F = [[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]]
+    Q = [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
+    return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]])
+
+
+def _axis_parameters(dt, q, r):
+    return (
+        checks.positive("dt", dt),
+        checks.number("q", q, "a number that is not negative", lambda q: q >= 0),
+        checks.positive("r", r),
+    )
 
 
 def stack(*models):
@@ -122,6 +172,21 @@ def square_root(C):
     w, V = np.linalg.eigh(C / unit[:, None] / unit)
     w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # what is smaller is the rounding of a zero
     return scale[:, None] * (V * np.sqrt(w)) @ V.T
+
+
+def mean_track(model, N):
+    """Return the track that a model takes without noise: x(1) ... x(N) = F x0 ... Fᴺ x0, (N, n).
+
+    >>> mean_track(LinearModel(F=[[1, 1], [0, 1]], H=[[1, 0]], Q=np.zeros((2, 2)), R=[[0.1]], x0=[0, 20]), N=3)
+    array([[20., 20.],
+           [40., 20.],
+           [60., 20.]])
+    """
+    checks.instance("model", model, LinearModel)
+    x = np.empty((checks.count("N", N), model.n))
+    for k in range(N):
+        x[k] = model.F @ (x[k - 1] if k else model.x0)
+    return x
 
 
 def simulate(model, N, rng, tracks=None):

@@ -49,11 +49,14 @@ def run(coefficients, z, missed, x0):
     if z.ndim == 2:
         return run(coefficients, z[..., None], missed[:, None], x0)[..., 0]
     N, _, M = z.shape
+    packed = np.ascontiguousarray(np.packbits(missed, axis=0).T)  # one short string of bytes for each track: sorts fast
+    _, first, pattern_of = np.unique(packed.view(f"V{packed.shape[1]}"), return_index=True, return_inverse=True)
+    if len(first) == 1:
+        return _steps(*coefficients(missed[:, 0]), z, x0[:, None])
     x = np.empty((N, len(x0), M))
-    patterns, pattern_of = np.unique(missed, axis=1, return_inverse=True)
-    for i, pattern in enumerate(patterns.T):
+    for i, track in enumerate(first):
         tracks = pattern_of.ravel() == i
-        x[..., tracks] = _steps(*coefficients(pattern), z[..., tracks], x0[:, None])
+        x[..., tracks] = _steps(*coefficients(missed[:, track]), z[..., tracks], x0[:, None])
     return x
 
 
