@@ -130,7 +130,7 @@ def error_sums(case, ends, rng, M):
 
 
 def averages(positions, sums, ends, average, axes, first_estimate, first_prediction, length):
-    """Return what a protocol gives for each N and run, as a fraction, (steps + 1, M), from the `error_sums` of a case."""
+    """Return the fractions that a protocol gives for each N and run, (steps + 1, M), from the `error_sums` of a case."""
     kind = AVERAGES.index(average)
     chosen = slice(0, 2) if axes == "both" else slice(*{"x": (0, 1), "y": (1, 2), "plane": (2, 3)}[axes])
     result = []

@@ -68,11 +68,8 @@ def nees(errors, P):
         root = np.linalg.cholesky(P)
     except np.linalg.LinAlgError:
         checks.refuse("P", "positive definite matrices", "one that is not")
-    return (
-        np.square(np.linalg.solve(root, errors if errors.ndim == 3 else errors[..., None]))
-        .sum(axis=1)
-        .reshape(errors.shape[:1] + errors.shape[2:])
-    )
+    whitened = np.linalg.solve(root, errors.reshape(N, n, -1))
+    return np.square(whitened).sum(axis=1).reshape(N, *errors.shape[2:])
 
 
 class Innovations(NamedTuple):
