@@ -1,8 +1,8 @@
 """The average errors of 2016 Table 1: computed, expected, and searched under every reading that the paper leaves open.
 
-A mobile moves on one axis exactly as its model does without noise, from x(0) = `truth.x0`; its position is measured
-with noise. The steady-state filter starts from the x0 of its own model. The error of the N-step prediction made at k is
-|s(k+N) - s(k+N/k)|; with N = 0 it is that of the estimate.
+A mobile moves on one axis from x(0) = `truth.x0`, and its position is measured with noise. The steady-state filter
+starts from the x0 of its own model. The error of the N-step prediction made at k is |s(k+N) - s(k+N/k)|; with N = 0 it
+is that of the estimate.
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ import numpy as np
 
 from . import checks
 from .filters import SteadyStateFilter
-from .metrics import error_moments, expected_absolute
-from .model import mean_track
+from .metrics import error_moments, expected_absolute, require_same
+from .model import mean_track, simulate
 from .study import study
 
 UNITS = {"fraction": 1, "percent": 100}
@@ -28,35 +28,51 @@ def mean_relative_errors(steady, truth, L, steps, rng, M):
     """Return the mean over k = 1 ... L of |s(k+N) - s(k+N/k)| / |s(k+N)| for N = 0 ... steps, (steps + 1, M).
 
     One column for each of M runs: an experiment for `study`, once all but the last two arguments are given.
+
+    Raises ValueError or TypeError for a truth that has another F or H than the filter's model, more than one
+    measurement or a position of zero, and for counts that are none.
     """
-    s, x = _run(steady, truth, L, steps, rng, M)
-    return np.array(
-        [np.einsum("k,km->m", 1 / s[N + 1 : N + 1 + L], e[1:]) / L for N, e in _errors(steady, s, x, steps)]
-    )
+    result = np.empty((steps + 1, M))
+    for N, (e, s) in enumerate(_errors(steady, truth, L, steps, rng, M)):
+        result[N] = np.einsum("km,km->m", e[1:], np.broadcast_to(1 / s[1:], e[1:].shape)) / L
+    return result
 
 
 def expected_relative_errors(steady, truth, L, steps):
-    """Return the expectation of `mean_relative_errors`, (steps + 1,), in closed form.
+    """Return the expected |s(k+N) - s(k+N/k)| / |s(k+N)| for N = 0 ... steps and k = 1 ... L, (steps + 1, L).
 
-    The error at each k is Gaussian, with the moments of `metrics.error_moments`.
+    truth is an `exact_motion`. The error at each k is Gaussian, with the moments of `metrics.error_moments`, so that
+    this is a closed form; its mean over k is the expectation of `mean_relative_errors`. Raises as that does.
+
+    >>> from mpt_helpers.model import constant_velocity, exact_motion
+    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> truth = exact_motion(steady.model, x0=[0, 20])
+    >>> (100 * expected_relative_errors(steady, truth, L=10_000, steps=1).mean(axis=1)).round(4)  # percent
+    array([0.0112, 0.0142])
     """
-    s = _positions(truth, L + steps)
+    if truth.Q.any():
+        checks.refuse("truth", "an exact_motion", "a model with process noise")
+    s = _track(steady, truth, L, steps)
     mean, P = error_moments(steady, truth, L)
-    rows = [truth.H[0] @ np.linalg.matrix_power(truth.F, N) for N in range(steps + 1)]
-    moments = [(mean @ h, np.einsum("i,kij,j->k", h, P, h)) for h in rows]
-    return np.array([(expected_absolute(*each) / s[N + 1 : N + 1 + L]).mean() for N, each in enumerate(moments)])
+    result = np.empty((steps + 1, L))
+    for N in range(steps + 1):
+        row = truth.H[0] @ np.linalg.matrix_power(truth.F, N)
+        expected = expected_absolute(mean @ row, np.einsum("i,kij,j->k", row, P, row))
+        result[N] = expected / np.abs(s[N + 1 : N + 1 + L])
+    return result
 
 
 @dataclass(frozen=True)
 class Protocol:
     """One reading of "percent absolute average error".
 
-    unit is "fraction" or "percent"; average is "mean of ratios" (the mean of error / position) or "ratio of sums" (the
-    mean error over the mean position); axes is "x", "y", "both" (averaged) or "plane" (distances in the plane);
-    first_estimate and first_prediction are the first k that counts, 0 being the prediction s(N/0) that no measurement
-    has touched; length is the last k.
+    track names the kind of true track; unit is "fraction" or "percent"; average is "mean of ratios" (the mean of error
+    / position) or "ratio of sums" (the mean error over the mean position); axes is "x", "y", "both" (averaged) or
+    "plane" (distances in the plane); first_estimate and first_prediction are the first k that counts, 0 being the
+    prediction s(N/0) that no measurement has touched; length is the last k.
     """
 
+    track: str
     unit: str
     average: str
     axes: str
@@ -80,11 +96,21 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A column of the table: a filter, the true motions on the x and the y axis, the printed numbers of N = 0, 1 ..."""
+    """A column of the table: a filter, the true motions on the x and the y axis, the printed numbers of N = 0, 1 ...
+
+    Raises TypeError or ValueError for anything else.
+    """
 
     steady: SteadyStateFilter
     truths: tuple
     printed: tuple
+
+    def __post_init__(self):
+        if len(self.truths) != 2:
+            checks.refuse("truths", "the motions on two axes", f"{len(self.truths)}")
+        for truth in self.truths:
+            require_same(self.steady, truth)
+        checks.array("printed", self.printed, (len(self.printed),))
 
     @property
     def steps(self):
@@ -92,91 +118,100 @@ class Case:
         return len(self.printed) - 1
 
 
-def search(cases, lengths, runs, seed, digits=4, workers=1):
-    """Return the Fit of every protocol of the family to the printed numbers of all cases, the nearest first.
+def search(tracks, lengths, runs, seed, digits=4, workers=1):
+    """Return the Fit of every protocol of the family to the printed numbers, the nearest first.
 
-    lengths are the values of L to try, digits the decimals printed. Both the runs and the print are rounded to them.
+    tracks maps a name for the kind of true track to the cases, the columns of the table; lengths are the values of L to
+    try, digits the decimals printed, to which the runs are rounded too; workers are those of `study`.
     """
     lengths = [checks.count("lengths", length, least=max(FIRST_PREDICTIONS)) for length in lengths]
     ends = sorted({*FIRST_ESTIMATES, *FIRST_PREDICTIONS, *lengths})
-    sums = [study(partial(error_sums, case, ends), runs, seed + i, workers=workers) for i, case in enumerate(cases)]
-    positions = [_case_positions(case, ends[-1]) for case in cases]
     fits = []
-    for average, axes, *firsts, length in product(AVERAGES, AXES, FIRST_ESTIMATES, FIRST_PREDICTIONS, lengths):
-        samples = [averages(*each, ends, average, axes, *firsts, length) for each in zip(positions, sums, strict=True)]
-        for unit, scale in UNITS.items():
-            scores = [_score(scale * s, case.printed, digits) for s, case in zip(samples, cases, strict=True)]
-            distance, distances, inside = map(sum, zip(*scores, strict=True))
-            p = float(np.mean(distances >= distance))
-            fits.append(Fit(Protocol(unit, average, axes, *firsts, length), float(distance), p, int(inside)))
+    for track, cases in tracks.items():
+        sums = [study(partial(error_sums, case, ends), runs, seed + i, workers=workers) for i, case in enumerate(cases)]
+        for average, axes, *firsts in product(AVERAGES, AXES, FIRST_ESTIMATES, FIRST_PREDICTIONS):
+            samples = [averages(each, ends, lengths, average, axes, *firsts) for each in sums]
+            for unit, scale in UNITS.items():
+                scores = [score(scale * s, case.printed, digits) for s, case in zip(samples, cases, strict=True)]
+                distance, distances, inside = (sum(each) for each in zip(*scores, strict=True))
+                p = np.mean(distances >= distance[:, None], axis=1)
+                for length, *fit in zip(lengths, distance.tolist(), p.tolist(), inside.tolist(), strict=True):
+                    fits.append(Fit(Protocol(track, unit, average, axes, *firsts, length), *fit))
     return sorted(fits, key=lambda fit: fit.distance)
 
 
 def error_sums(case, ends, rng, M):
-    """Return the sums over k = 0 ... end of relative and absolute errors, (2, 3, steps + 1, ends, M).
+    """Return the sums over k = 0 ... end of error / position, errors and positions, (3, 3, steps + 1, ends, M).
 
-    The axes are: mean of ratios, ratio of sums; x, y, plane; N; end; run.
+    The axes are: ratio, error, position; x, y, plane; N; end; run.
     """
-    L, starts = ends[-1], [0, *(end + 1 for end in ends[:-1])]
-    runs = [_run(case.steady, truth, L, case.steps, rng, M) for truth in case.truths]
-    pairs = zip(*(_errors(case.steady, s, x, case.steps) for s, x in runs), strict=True)
-    sums = np.empty((2, 3, case.steps + 1, len(ends), M))
-    for (N, e_x), (_, e_y) in pairs:
-        s_x, s_y = (s[N : N + L + 1, None] for s, _ in runs)
+    starts, sums = [0, *(end + 1 for end in ends[:-1])], np.empty((3, 3, case.steps + 1, len(ends), M))
+    pairs = zip(*(_errors(case.steady, truth, ends[-1], case.steps, rng, M) for truth in case.truths), strict=True)
+    for N, ((e_x, s_x), (e_y, s_y)) in enumerate(pairs):
         for i, (e, s) in enumerate(((e_x, s_x), (e_y, s_y), (np.hypot(e_x, e_y), np.hypot(s_x, s_y)))):
             ratio = np.divide(e, s, out=np.zeros_like(e), where=s > 0)  # s(0) = 0, where no estimate is counted
-            sums[:, i, N] = [np.add.reduceat(each, starts, axis=0).cumsum(axis=0) for each in (ratio, e)]
+            for kind, each in enumerate((ratio, e, s)):
+                sums[kind, i, N] = np.add.reduceat(each, starts, axis=0).cumsum(axis=0)
     return sums
 
 
-def averages(positions, sums, ends, average, axes, first_estimate, first_prediction, length):
-    """Return the fractions that a protocol gives for each N and run, (steps + 1, M), from the `error_sums` of a case."""
-    kind = AVERAGES.index(average)
-    chosen = slice(0, 2) if axes == "both" else slice(*{"x": (0, 1), "y": (1, 2), "plane": (2, 3)}[axes])
-    result = []
+def averages(sums, ends, lengths, average, axes, first_estimate, first_prediction):
+    """Return the fractions that protocols give for each length, N and run, (lengths, steps + 1, M).
+
+    sums and ends are those of `error_sums`.
+    """
+    chosen = slice(*{"x": (0, 1), "y": (1, 2), "both": (0, 2), "plane": (2, 3)}[axes])
+    last, result = [ends.index(length) for length in lengths], []
     for N in range(sums.shape[2]):
         first = first_prediction if N else first_estimate
-        total = sums[kind, chosen, N, ends.index(length)].sum(axis=0)
-        if first:
-            total -= sums[kind, chosen, N, ends.index(first - 1)].sum(axis=0)
-        weights = positions[chosen, N + first : N + length + 1]
-        result.append(total / (weights.sum() if kind else weights.size))
-    return np.array(result)
+        before = sums[:, chosen, N, ends.index(first - 1), None] if first else 0
+        ratios, errors, positions = (sums[:, chosen, N, last] - before).sum(axis=1)
+        points = (chosen.stop - chosen.start) * (np.array(lengths) - first + 1)
+        result.append(errors / positions if average == "ratio of sums" else ratios / points[:, None])
+    return np.stack(result, axis=1)
 
 
-def _case_positions(case, L):
-    """Return s(0) ... s(L + steps) on the x axis, the y axis and in the plane, (3, L + steps + 1)."""
-    x, y = (_positions(truth, L + case.steps) for truth in case.truths)
-    return np.array([x, y, np.hypot(x, y)])
+def score(samples, printed, digits):
+    """Return how far printed numbers are from runs.
 
-
-def _score(samples, printed, digits):
-    """Return the squared distance of the print from the samples, those of the samples, and how many are in the band."""
-    unit, mean = 10.0**-digits, samples.mean(axis=1)
-    inverse = np.linalg.inv(np.cov(samples) + unit**2 / 12 * np.eye(len(samples)))  # that of rounding to the unit
-    off, rounded = np.array(printed) - mean, np.round(samples, digits) - mean[:, None]
-    low, high = np.quantile(samples, [0.005, 0.995], axis=1)
+    samples is (..., numbers, runs). Returns the squared Mahalanobis distance of the print from the runs (...), those of
+    the runs themselves, rounded to as many digits as the print, (..., runs), and how many of the printed numbers lie in
+    the central 99 % of the runs (...).
+    """
+    unit, mean = 10.0**-digits, samples.mean(axis=-1, keepdims=True)
+    centred = samples - mean
+    covariance = centred @ centred.swapaxes(-1, -2) / (samples.shape[-1] - 1)
+    inverse = np.linalg.inv(covariance + unit**2 / 12 * np.eye(samples.shape[-2]))  # with the variance of rounding
+    off, rounded = np.array(printed)[:, None] - mean, np.round(samples, digits) - mean
+    low, high = np.quantile(samples, [0.005, 0.995], axis=-1)
     inside = (low - unit / 2 <= printed) & (printed <= high + unit / 2)
-    return off @ inverse @ off, np.einsum("im,ij,jm->m", rounded, inverse, rounded), inside.sum()
+    distance, distances = ((each * (inverse @ each)).sum(axis=-2) for each in (off, rounded))
+    return distance[..., 0], distances, inside.sum(axis=-1)
 
 
-def _positions(truth, N):
-    """Return s(0) ... s(N)."""
-    return np.concatenate([truth.x0[None], mean_track(truth, N)]) @ truth.H[0]
+def _track(steady, truth, L, steps):
+    """Return s(0) ... s(L + steps) of a track without process noise."""
+    require_same(steady, truth)
+    if truth.m != 1:
+        checks.refuse("truth", "one measurement", f"{truth.m}")
+    N = checks.count("L", L) + checks.count("steps", steps, least=0)
+    s = np.concatenate([truth.x0[None], mean_track(truth, N)]) @ truth.H[0]
+    if not s[1:].all():
+        checks.refuse("truth", "a track whose position is not zero", f"zero at k = {1 + np.flatnonzero(s[1:] == 0)[0]}")
+    return s
 
 
-def _run(steady, truth, L, steps, rng, M):
-    """Return s(0) ... s(L + steps) and the estimates x(0/0) ... x(L/L) of M runs."""
-    s = _positions(truth, L + steps)
-    z = s[1 : L + 1, None, None] + np.sqrt(truth.R[0]) * rng.standard_normal((L, 1, M))
+def _errors(steady, truth, L, steps, rng, M):
+    """Give |s(k+N) - s(k+N/k)|, (L + 1, M), and |s(k+N)|, (L + 1, M or 1), for k = 0 ... L and each N."""
+    s = _track(steady, truth, L, steps)[:, None]
+    if truth.Q.any():
+        drawn, _ = simulate(truth, L + steps, rng, tracks=M)
+        s = np.concatenate([np.broadcast_to(s[:1], (1, M)), np.einsum("i,kim->km", truth.H[0], drawn)])
+    z = s[1 : L + 1, None] + np.sqrt(truth.R[0]) * rng.standard_normal((L, 1, M))
     start = np.broadcast_to(steady.model.x0[:, None], (1, steady.model.n, M))
-    return s, np.concatenate([start, steady.filter(z)])
-
-
-def _errors(steady, s, x, steps):
-    """Give N and |s(k+N) - s(k+N/k)| for k = 0 ... L, (L + 1, M), for each N."""
+    x = np.concatenate([start, steady.filter(z)])
     for N in range(steps + 1):
         row = steady.model.H[0] @ np.linalg.matrix_power(steady.model.F, N)
         e = np.einsum("i,kim->km", row, x)
-        e -= s[N : N + len(x), None]
-        yield N, np.abs(e, out=e)
+        e -= s[N : N + L + 1]
+        yield np.abs(e, out=e), np.abs(s[N : N + L + 1])

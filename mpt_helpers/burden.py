@@ -242,6 +242,15 @@ steady_state = Burden(
     )
 )
 
+# 2016 Table 2 and Eq. 19; the table prints x(k/k-1) and z(k+1).
+prediction = Burden(
+    (
+        product("A_N x(k+N-1/k-1)", n, n, 1),
+        product("B_N z(k)", n, m, 1),
+        addition("x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k)", n, 1),
+    )
+)
+
 join_steady_state = Burden(
     (
         addition("x_SSKF + x_SSLF", n, 1),

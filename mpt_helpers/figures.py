@@ -85,6 +85,74 @@ def _draw_component(ax, true, estimates, variance, measured=None):
     ax.plot(k, dashed, "--", color="C1", lw=1.5, label=second)
 
 
+def following(k, true, estimated, mean, sigma, label, last=None):
+    """Return a figure of one track and its axes by name: position and position error of every axis.
+
+    k (N,) are the steps, true and estimated (N, d) the positions on d axes, mean and sigma (N, d) the expected error
+    and its standard deviation: the band is mean ± 2σ. The error is drawn twice, the second time enlarged. last names a
+    panel below that is left empty.
+
+    >>> one = np.ones((3, 1))
+    >>> fig, ax = following(range(3), one, one, 0 * one, one, "estimate", last="steps")
+    >>> list(ax)
+    ['position (m), x axis', 'error (m), x axis', 'error (m), x axis, enlarged', 'steps']
+    """
+    letters = "xyz"[: true.shape[1]]
+    rows = ["position (m), {} axis", "error (m), {} axis", "error (m), {} axis, enlarged"]
+    layout = [[row.format(letter) for letter in letters] for row in rows]
+    fig, ax = panels(layout + ([[last] * len(letters)] if last else []), 1.8)
+    for i, names in enumerate(zip(*layout, strict=True)):
+        position, error, enlarged = (ax[name] for name in names)
+        position.plot(k, true[:, i], color="black", lw=0.9, label="real position")
+        position.plot(k, estimated[:, i], "--", color="C1", lw=1.5, label=label)
+        for each in (error, enlarged):
+            low, high = mean[:, i] - 2 * sigma[:, i], mean[:, i] + 2 * sigma[:, i]
+            each.fill_between(k, low, high, color="C0", alpha=0.25, lw=0, label="expected error ± 2σ")
+            each.plot(k, true[:, i] - estimated[:, i], "--", color="C1", lw=1.5)
+        enlarged.set_ylim(-4 * sigma[-1, i], 4 * sigma[-1, i])
+        for name in names:
+            ax[name].set_title(name, loc="left")
+        enlarged.set_xlabel("step k")
+    handles = position.get_legend_handles_labels()[0] + error.get_legend_handles_labels()[0]
+    fig.legend(handles=handles, loc="outside upper center", ncols=3)
+    return fig, ax
+
+
+def steps_ahead(ax, errors, real, stated):
+    """Draw how the error of a prediction grows with the number of steps N = 0, 1, ...
+
+    errors (N, K) are K errors of one track for each N, real and stated (N,) the standard deviations; bands are ± 2σ.
+
+    >>> fig, ax = panels([["steps"]])
+    >>> steps_ahead(ax["steps"], np.zeros((3, 5)), real=np.ones(3), stated=np.ones(3))
+    """
+    N = np.arange(len(errors))
+    ax.fill_between(N, -2 * stated, 2 * stated, color="0.85", lw=0, label="± 2σ stated")
+    ax.fill_between(N, -2 * real, 2 * real, color="C0", alpha=0.3, lw=0, label="± 2σ real")
+    ax.plot(np.repeat(N, errors.shape[1]), errors.ravel(), ".", color="C1", ms=3, label="errors of this track")
+    finish(ax, "steps ahead N", "prediction error (m), x axis, after the start")
+    ax.legend(loc="upper left")
+
+
+def effects(values, results, labels, xlabel):
+    """Return a figure of how results depend on something: a column for each model, a row for each result.
+
+    results maps (result, model) to an array of a row for each of the values and a column for each of the labels. All
+    axes are logarithmic.
+
+    >>> fig = effects([1, 2], {("σ (m)", "CV"): np.ones((2, 1)), ("σ (m)", "CA"): np.ones((2, 1))}, ["N = 0"], "Δt (s)")
+    >>> [ax.get_title(loc="left") for ax in fig.axes]
+    ['σ (m), CV', 'σ (m), CA']
+    """
+    rows, columns = (list(dict.fromkeys(names)) for names in zip(*results, strict=True))
+    fig, ax = panels([[f"{row}, {column}" for column in columns] for row in rows])
+    for (row, column), result in results.items():
+        for curve, label, style in zip(np.transpose(result), labels, ("o-", "s--", "^:"), strict=False):
+            ax[f"{row}, {column}"].loglog(values, curve, style, ms=4, label=label)
+        finish(ax[f"{row}, {column}"], xlabel, f"{row}, {column}")
+    return fig
+
+
 def draw_gaps(ax, gaps):
     """Draw gaps between curves over the steps k = 1 ... N on a log scale, those at rounding level clipped and labelled.
 

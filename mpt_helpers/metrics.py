@@ -9,6 +9,7 @@ from scipy.special import erf, gammaincinv
 from . import checks
 from .filters import SteadyStateFilter
 from .model import LinearModel
+from .recursion import measurements
 
 
 def relative_gap(a, b):
@@ -82,8 +83,8 @@ class Innovations(NamedTuple):
 def innovations(each, z):
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N, of a filter over measurements z.
 
-    `each` is a filter with a model and covariances, z is (N, m) or (N, m, M) without missed epochs. P(0/0) is the
-    model's P0, and P for a steady-state filter.
+    `each` is a filter with a model and covariances, z is (N, m) or (N, m, M). P(0/0) is the model's P0, and P for a
+    steady-state filter. Raises ValueError or TypeError for measurements of another shape or with missed epochs.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -92,7 +93,9 @@ def innovations(each, z):
            [1.239]])
     """
     F, H, Q, R = each.model.F, each.model.H, each.model.Q, each.model.R
-    z = np.asarray(z, float)
+    z, missed = measurements(z, each.model.m)
+    if missed.any():
+        checks.refuse("z", "no missed epochs", "rows of NaN")
     x, P = each.filter(z), each.covariances(len(z))
     start = each.P if isinstance(each, SteadyStateFilter) else each.model.P0
     before = np.concatenate([np.broadcast_to(_column(each.model.x0, x), x[:1].shape), x[:-1]])
@@ -136,15 +139,13 @@ def error_moments(steady, truth, N, steps=0):
 
     Raises ValueError when truth has another F or H.
 
-    >>> from dataclasses import replace
-    >>> from mpt_helpers.model import constant_velocity
+    >>> from mpt_helpers.model import constant_velocity, exact_motion
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> truth = replace(steady.model, Q=np.zeros((2, 2)), x0=[0.0, 20.0])
-    >>> error_moments(steady, truth, N=2).mean.round(3)
+    >>> error_moments(steady, exact_motion(steady.model, x0=[0.0, 20.0]), N=2).mean.round(3)
     array([[ 9.029, 15.75 ],
            [11.187, 10.485]])
     """
-    _require_same(steady, truth)
+    require_same(steady, truth)
     N, steps = checks.count("N", N), checks.count("steps", steps, least=0)
     mean, P = np.empty((N, truth.n)), np.empty((N, truth.n, truth.n))
     noise = _step_noise(steady, truth)
@@ -167,7 +168,7 @@ def error_covariance(steady, truth, steps=0):
     >>> relative_gap(error_covariance(steady, steady.model), steady.P) < 1e-12
     True
     """
-    _require_same(steady, truth)
+    require_same(steady, truth)
     P = solve_discrete_lyapunov(steady.A, _step_noise(steady, truth))
     return _ahead(truth, (P + P.T) / 2, checks.count("steps", steps, least=0))
 
@@ -182,10 +183,15 @@ class ErrorMoments(NamedTuple):
 def expected_absolute(mean, variance):
     """Return the expected absolute value of Gaussian variables: the mean of a folded normal distribution.
 
+    Raises ValueError for a negative variance.
+
     >>> expected_absolute(0.0, 1.0), expected_absolute(-3.0, 0.0)
     (0.7978845608028654, 3.0)
     """
-    mean, sigma = np.abs(mean), np.sqrt(variance)
+    variance = checks.real("variance", variance, "numbers")
+    if not (variance >= 0).all():
+        checks.refuse("variance", "numbers that are not negative", f"{variance.min():.6g}")
+    mean, sigma = np.abs(checks.real("mean", mean, "numbers")), np.sqrt(variance)
     ratio = np.divide(mean, sigma, out=np.full(np.broadcast(mean, sigma).shape, np.inf), where=sigma > 0)
     value = sigma * np.sqrt(2 / np.pi) * np.exp(-np.square(ratio) / 2) + mean * erf(ratio / np.sqrt(2))
     return float(value) if np.ndim(value) == 0 else value
@@ -202,7 +208,8 @@ def _step_noise(steady, truth):
     return update @ truth.Q @ update.T + steady.B @ truth.R @ steady.B.T
 
 
-def _require_same(steady, truth):
+def require_same(steady, truth):
+    """Raise unless `truth` is a model with the F and H of the steady-state filter's."""
     checks.instance("steady", steady, SteadyStateFilter)
     checks.instance("truth", truth, LinearModel)
     if not all(np.array_equal(getattr(truth, name), getattr(steady.model, name)) for name in "FH"):

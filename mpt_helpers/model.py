@@ -1,6 +1,6 @@
 """Linear time-invariant models: what the papers track, and tracks drawn from it."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -174,10 +174,22 @@ def square_root(C):
     return scale[:, None] * (V * np.sqrt(w)) @ V.T
 
 
+def exact_motion(model, x0):
+    """Return the model of a track that starts at x0 exactly and has no process noise; the measurements keep theirs.
+
+    >>> exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]).Q
+    array([[0., 0.],
+           [0., 0.]])
+    """
+    checks.instance("model", model, LinearModel)
+    zero = np.zeros_like(model.Q)
+    return replace(model, Q=zero, x0=x0, P0=zero)
+
+
 def mean_track(model, N):
     """Return the track that a model takes without noise: x(1) ... x(N) = F x0 ... Fᴺ x0, (N, n).
 
-    >>> mean_track(LinearModel(F=[[1, 1], [0, 1]], H=[[1, 0]], Q=np.zeros((2, 2)), R=[[0.1]], x0=[0, 20]), N=3)
+    >>> mean_track(exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]), N=3)
     array([[20., 20.],
            [40., 20.],
            [60., 20.]])

@@ -10,6 +10,15 @@ import mpt_helpers as mpt
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
 AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
+MODELS_2016 = {"cv": mpt.constant_velocity(1.0, 0.01, 0.1), "ca": mpt.constant_acceleration(1.0, 0.01, 0.1)}
+# What the first screen of a notebook and the README call the verdicts.
+COUNTED = {
+    "reproduced": "reproduced",
+    "within band": "within band",
+    "errata": "erratum",
+    "differs": "differs",
+    "cannot be checked": "cannot be checked",
+}
 
 
 def dense_model(seed, n=3, m=2):

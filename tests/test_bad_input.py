@@ -13,6 +13,9 @@ GOOD = {"F": np.eye(2), "H": [[1.0, 0.0]], "Q": np.eye(2), "R": [[1.0]]}
 KF, LF = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)
 STEADY = mpt.SteadyStateFilter.from_kalman(AXIS)
 FIR = mpt.FIRFilter.from_steady_state(STEADY)
+CV, METRICS, AVERAGE = mpt.constant_velocity(1.0, 0.01, 0.1), mpt.metrics, mpt.average_error
+STEADY_CV, MOVING = mpt.SteadyStateFilter.from_kalman(CV), mpt.exact_motion(CV, [0, 20])
+AHEAD, CASE = mpt.SteadyStatePredictor(STEADY_CV, 2), AVERAGE.Case(STEADY_CV, [MOVING, MOVING], (1, 2))
 RNG = np.random.default_rng(0)
 NAN, INF = np.nan, np.inf
 
@@ -116,9 +119,79 @@ CASES = [
     ("rows[1]: needs 2 cells, got 1", lambda: mpt.Table(["a", "b"], [[1, 2], [3]])),
     ("name: needs letters, digits and underscores", lambda: mpt.save_figure(Figure(), "../fig")),
     ("folder: needs a folder that exists", lambda: mpt.save_figure(Figure(), "fig", folder="nowhere")),
+    # constant_velocity, constant_acceleration, exact_motion, mean_track
+    ("dt: needs a positive number, got 0", lambda: mpt.constant_velocity(0, 0.01, 0.1)),
+    ("dt: needs a positive number, got -1", lambda: mpt.constant_acceleration(-1, 0.01, 0.1)),
+    ("q: needs a number that is not negative, got -1", lambda: mpt.constant_velocity(1, -1, 0.1)),
+    ("q: needs a number that is not negative, got nan", lambda: mpt.constant_acceleration(1, NAN, 0.1)),
+    ("r: needs a positive number, got 0", lambda: mpt.constant_velocity(1, 0.01, 0)),
+    ("x0: needs a vector of length 2, got shape (3,)", lambda: mpt.exact_motion(CV, [0, 0, 1])),
+    ("N: needs an integer of at least 1, got 0", lambda: mpt.mean_track(CV, 0)),
+    # SteadyStatePredictor
+    ("steps: needs an integer of at least 0, got -1", lambda: mpt.SteadyStatePredictor(STEADY, -1)),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (3,)", lambda: AHEAD.filter([1.0, 2.0, 3.0])),
+    # metrics
+    ("errors: needs an (N, n) or (N, n, M) array, got shape (3,)", lambda: METRICS.nees([1.0, 2.0, 3.0], [[1.0]])),
+    ("P: needs an (2, 2) or (3, 2, 2) array, got shape (2,)", lambda: METRICS.nees(np.ones((3, 2)), [1.0, 1.0])),
+    (
+        "P: needs an (2, 2) or (3, 2, 2) array, got shape (4, 2, 2)",
+        lambda: METRICS.nees(np.ones((3, 2)), np.ones((4, 2, 2))),
+    ),
+    (
+        "P: needs positive definite matrices, got one that is not",
+        lambda: METRICS.nees(np.ones((3, 2)), np.ones((2, 2))),
+    ),
+    ("z: needs no missed epochs, got rows of NaN", lambda: METRICS.nis(KF, [[1.0], [NAN]])),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (3,)", lambda: METRICS.innovations(KF, [1.0, 2.0, 3.0])),
+    ("dof: needs an integer of at least 1, got 0", lambda: METRICS.chi_square_band(0, 10)),
+    ("level: needs a number in (0, 1), got 1", lambda: METRICS.chi_square_band(2, 10, level=1)),
+    ("level: needs a number in (0, 1), got 95", lambda: METRICS.chi_square_band(2, 10, level=95)),
+    ("variance: needs numbers that are not negative, got -1", lambda: METRICS.expected_absolute(0.0, -1.0)),
+    ("truth: needs the F and H of the filter's model, got others", lambda: METRICS.error_covariance(STEADY, CV)),
+    ("N: needs an integer of at least 1, got 0", lambda: METRICS.error_moments(STEADY, AXIS, 0)),
+    ("steps: needs an integer of at least 0, got -1", lambda: METRICS.error_moments(STEADY, AXIS, 3, -1)),
+    # study
+    ("runs: needs an integer of at least 1, got 0", lambda: mpt.study(np.ones, 0, 1)),
+    ("seed: needs an integer of at least 0, got -1", lambda: mpt.study(np.ones, 10, -1)),
+    ("tile: needs an integer of at least 1, got 0", lambda: mpt.study(np.ones, 10, 1, tile=0)),
+    ("workers: needs an integer of at least 1, got 0", lambda: mpt.study(np.ones, 10, 1, workers=0)),
+    # average_error
+    ("truth: needs the F and H", lambda: AVERAGE.mean_relative_errors(STEADY, CV, 3, 1, RNG, 2)),
+    (
+        "truth: needs an exact_motion, got a model with process noise",
+        lambda: AVERAGE.expected_relative_errors(STEADY, AXIS, 3, 1),
+    ),
+    ("L: needs an integer of at least 1, got 0", lambda: AVERAGE.expected_relative_errors(STEADY_CV, MOVING, 0, 1)),
+    (
+        "steps: needs an integer of at least 0, got -1",
+        lambda: AVERAGE.expected_relative_errors(STEADY_CV, MOVING, 3, -1),
+    ),
+    ("truths: needs the motions on two axes, got 1", lambda: AVERAGE.Case(STEADY_CV, [MOVING], (1, 2))),
+    (
+        "printed: needs a vector of length 2 of finite numbers, got NaN",
+        lambda: AVERAGE.Case(STEADY_CV, [MOVING] * 2, (1, NAN)),
+    ),
+    ("lengths: needs an integer of at least 2, got 1", lambda: AVERAGE.search({"": [CASE]}, [1], 10, 1)),
 ]
 
 WRONG_TYPES = [
+    ("r: needs a positive number, got '1'", lambda: mpt.constant_acceleration(1, 0.01, "1")),
+    ("model: needs a LinearModel, got int", lambda: mpt.exact_motion(1, [0, 0])),
+    ("model: needs a LinearModel, got KalmanFilter", lambda: mpt.mean_track(KF, 3)),
+    ("steps: needs an integer of at least 0, got 1.0", lambda: mpt.SteadyStatePredictor(STEADY, 1.0)),
+    ("steps: needs an integer of at least 0, got 1.5", lambda: mpt.SteadyStatePredictor(STEADY, 1.5)),
+    ("steps: needs an integer of at least 0, got True", lambda: mpt.SteadyStatePredictor(STEADY, True)),
+    ("steps: needs an integer of at least 0, got None", lambda: mpt.SteadyStatePredictor(STEADY, None)),
+    ("steady: needs a SteadyStateFilter, got KalmanFilter", lambda: mpt.SteadyStatePredictor(KF, 1)),
+    ("steady: needs a SteadyStateFilter, got SteadyStatePredictor", lambda: mpt.SteadyStatePredictor(AHEAD, 1)),
+    ("runs: needs an integer of at least 1, got 1.5", lambda: METRICS.chi_square_band(2, 1.5)),
+    ("steady: needs a SteadyStateFilter, got KalmanFilter", lambda: METRICS.error_moments(KF, CV, 3)),
+    ("truth: needs a LinearModel, got SteadyStateFilter", lambda: METRICS.error_covariance(STEADY, STEADY)),
+    ("experiment: needs a callable of (rng, M), got int", lambda: mpt.study(1, 10, 1)),
+    ("seed: needs an integer of at least 0, got None", lambda: mpt.study(np.ones, 10, None)),
+    ("workers: needs an integer of at least 1, got 'all'", lambda: mpt.study(np.ones, 10, 1, workers="all")),
+    ("steady: needs a SteadyStateFilter, got KalmanFilter", lambda: AVERAGE.Case(KF, [MOVING, MOVING], (1, 2))),
+    ("lengths: needs an integer of at least 2, got 2.5", lambda: AVERAGE.search({"": [CASE]}, [2.5], 10, 1)),
     ("F: needs a square matrix of real numbers, got an array of complex128", model(F=1j * np.eye(2))),
     ("Q: needs a 2×2 matrix of real numbers, got an array of <U1", model(Q=[["a", "b"], ["c", "d"]])),
     ("R: needs a 1×1 matrix of real numbers, got an array of object", model(R=[[None]])),

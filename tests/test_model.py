@@ -1,6 +1,9 @@
 import numpy as np
 import pytest
-from conftest import AXIS
+from conftest import AXIS, MODELS_2016
+from filterpy.common import Q_continuous_white_noise
+from scipy.integrate import quad_vec
+from scipy.linalg import expm
 
 import mpt_helpers as mpt
 from mpt_helpers.model import square_root
@@ -76,3 +79,31 @@ def test_simulation_is_reproducible():
     draws = [mpt.simulate(AXIS, 5, np.random.default_rng(4), tracks=3) for _ in range(2)]
     for first, second in zip(*draws, strict=True):
         np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.3, 1.0, 20.0])
+@pytest.mark.parametrize(("make", "n"), [(mpt.constant_velocity, 2), (mpt.constant_acceleration, 3)])
+def test_equations_5_and_6_of_2016_are_the_integrals(make, n, dt):
+    """F is the matrix exponential and Q the integral of the driving noise, entry by entry; filterpy has the same Q."""
+    model, drift, G = make(dt, 0.7, 0.3), np.eye(n, k=1), np.eye(n)[:, -1:]
+    np.testing.assert_allclose(model.F, expm(drift * dt), rtol=1e-14)
+    integral, _ = quad_vec(lambda t: (expm(drift * t) @ G) @ (expm(drift * t) @ G).T, 0, dt, epsabs=0, epsrel=1e-12)
+    np.testing.assert_allclose(model.Q, 0.7 * integral, rtol=1e-10)
+    np.testing.assert_allclose(model.Q, Q_continuous_white_noise(n, dt, 0.7), rtol=1e-14)
+    np.testing.assert_array_equal(model.H, np.eye(n)[:1])
+    assert model.R == [[0.3]]
+    assert not model.x0.any()
+    assert not model.P0.any()
+
+
+@pytest.mark.parametrize("model", MODELS_2016.values(), ids=MODELS_2016)
+def test_the_mean_track_is_what_simulate_draws_without_noise(model):
+    truth = mpt.exact_motion(model, np.arange(1.0, model.n + 1))
+    x, z = mpt.simulate(truth, 20, np.random.default_rng(0))
+    np.testing.assert_array_equal(x, mpt.mean_track(truth, 20))
+    np.testing.assert_allclose(
+        mpt.mean_track(truth, 20)[19], np.linalg.matrix_power(model.F, 20) @ truth.x0, rtol=1e-14
+    )
+    assert np.ptp(z[:, 0] - x[:, 0]) > 0.1  # the measurements keep their noise
+    assert (truth.F == model.F).all()
+    assert (truth.R == model.R).all()

@@ -7,7 +7,7 @@ import subprocess
 from base64 import b64decode
 
 import pytest
-from conftest import NOTEBOOKS, ROOT
+from conftest import COUNTED, NOTEBOOKS, ROOT
 
 import mpt_helpers as mpt
 from mpt_helpers.figures import QUANTUM, SavedFigure, describe
@@ -90,17 +90,8 @@ def test_the_counts_of_verdicts_on_the_first_screen_are_those_of_the_table(noteb
     given = [each["verdict"] for each in verdicts]
     stated = re.search(r"Of (\d+) printed items (.*)", source(cells[0]))
     assert int(stated[1]) == len(given)
-    counts = {
-        what: int(n)
-        for n, what in re.findall(r"\*\*(\d+)\*\* (reproduced|errata|differs|cannot be checked)", stated[2])
-    }
-    names = {
-        "reproduced": "reproduced",
-        "errata": "erratum",
-        "differs": "differs",
-        "cannot be checked": "cannot be checked",
-    }
-    assert counts == {what: given.count(name) for what, name in names.items() if name in given}
+    counts = {what: int(n) for n, what in re.findall(rf"\*\*(\d+)\*\* ({'|'.join(COUNTED)})", stated[2])}
+    assert counts == {what: given.count(name) for what, name in COUNTED.items() if name in given}
     assert sum(counts.values()) == len(given)
 
 

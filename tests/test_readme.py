@@ -3,7 +3,7 @@
 import re
 
 import numpy as np
-from conftest import NOTEBOOKS, ROOT
+from conftest import COUNTED, NOTEBOOKS, ROOT
 
 from mpt_helpers.published import stored_verdicts
 
@@ -20,6 +20,7 @@ def test_the_snippet_runs_and_does_what_its_comments_say():
     )
     assert names["x"].shape == (5, 2)
     assert names["sigma"].shape == (5,)
+    assert names["ahead"].shape == (5, 2)
     assert names["many"].shape == (100, 2, 1000)
     assert 1 < names["fir"].order < 100
     error = names["many"][:, 0] - names["tracks_x"][:, 0]
@@ -33,13 +34,7 @@ def test_the_table_counts_the_verdicts_of_every_notebook():
     assert sorted(rows) == [path.stem for path in NOTEBOOKS]
     for path in NOTEBOOKS:
         given = [each.verdict for each in stored_verdicts(path)]
-        names = {
-            "reproduced": "reproduced",
-            "errata": "erratum",
-            "differs": "differs",
-            "cannot be checked": "cannot be checked",
-        }
-        counts = ", ".join(f"{given.count(name)} {word}" for word, name in names.items() if name in given)
+        counts = ", ".join(f"{given.count(name)} {word}" for word, name in COUNTED.items() if name in given)
         assert rows[path.stem] == f"{len(given)} items: {counts}"
 
 

@@ -1,0 +1,131 @@
+"""The predictor of 2016, and the error that it really makes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import MODELS_2016, dense_model
+from oracles import gaussian_conditioning, matrices
+
+import mpt_helpers as mpt
+from mpt_helpers.metrics import error_covariance, error_moments
+
+STEPS = range(11)
+both_models = pytest.mark.parametrize("model", MODELS_2016.values(), ids=MODELS_2016)
+
+
+def steady_of(model):
+    return mpt.SteadyStateFilter.from_kalman(model)
+
+
+def gap(a, b):
+    return np.abs(a - b).max() / np.abs(b).max()
+
+
+@pytest.mark.parametrize("steps", STEPS)
+@both_models
+def test_predictor_equals_propagated_estimate(model, steps):
+    model = replace(model, x0=np.arange(1.0, model.n + 1))
+    _, z = mpt.simulate(model, 60, np.random.default_rng(3), tracks=4)
+    z[[0, 7, 8, 30], :, 1] = np.nan
+    steady = steady_of(model)
+    expected = np.linalg.matrix_power(model.F, steps) @ steady.filter(z)
+    # F^-10 F^10 with entries up to 50 costs some three of sixteen digits.
+    assert gap(mpt.SteadyStatePredictor(steady, steps).filter(z), expected) < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_predictor_of_a_dense_model_equals_propagated_estimate(seed):
+    model = dense_model(seed)
+    model = replace(model, F=model.F / np.abs(np.linalg.eigvals(model.F)).max())
+    _, z = mpt.simulate(model, 30, np.random.default_rng(seed))
+    steady, predictor = steady_of(model), mpt.SteadyStatePredictor(steady_of(model), 3)
+    # F is not scaled: its condition number, cubed, is what the inverse of F^3 may cost.
+    allowed = 1e-14 * np.linalg.cond(model.F) ** 3
+    assert gap(predictor.filter(z), steady.filter(z) @ np.linalg.matrix_power(model.F, 3).T) < max(allowed, 1e-12)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 7])
+@both_models
+def test_prediction_is_the_conditional_mean_and_covariance(model, steps):
+    """After the start of the Kalman filter has passed: conditioning on all measurements, none of the last ones seen."""
+    steady = steady_of(model)
+    model = replace(model, P0=steady.P, x0=np.ones(model.n))  # from its P_e on, the Kalman filter is in steady state
+    _, z = mpt.simulate(model, 12 + steps, np.random.default_rng(steps))
+    unseen = z.copy()
+    unseen[12:] = np.nan
+    x, P = gaussian_conditioning(*matrices(model), unseen)
+    predictor = mpt.SteadyStatePredictor(steady_of(model), steps)
+    np.testing.assert_allclose(predictor.filter(z)[11], x[-1], rtol=1e-9)
+    np.testing.assert_allclose(predictor.P, P[-1], rtol=1e-9)
+    np.testing.assert_array_equal(predictor.covariances(3), [predictor.P] * 3)
+
+
+@both_models
+def test_no_steps_is_the_filter_itself(model):
+    steady = steady_of(model)
+    predictor = mpt.SteadyStatePredictor(steady, 0)
+    for name in "ABP":
+        np.testing.assert_allclose(getattr(predictor, name), getattr(steady, name), rtol=1e-14)
+
+
+def test_separate_predictors_are_that_of_the_stacked_model():
+    model = mpt.stack(*MODELS_2016.values())
+    _, z = mpt.simulate(model, 40, np.random.default_rng(5))
+    apart = mpt.Separate(*(mpt.SteadyStatePredictor(steady_of(each), 4) for each in MODELS_2016.values()))
+    assert gap(apart.filter(z), mpt.SteadyStatePredictor(steady_of(model), 4).filter(z)) < 1e-10
+
+
+@pytest.mark.parametrize("F", [[[1, 2], [0.5, 1]], [[0, 1], [0, 0]], np.diag([1.0, 0.0]), [[1e-8, 0], [1e-8, 0]]])
+def test_a_singular_transition_is_refused(F):
+    steady = steady_of(mpt.LinearModel(F=F, H=[[1, 0]], Q=np.eye(2), R=[[1]]))
+    with pytest.raises(ValueError, match="steady: needs a model whose F has an inverse, got a singular F"):
+        mpt.SteadyStatePredictor(steady, 1)
+
+
+@pytest.mark.parametrize("dt", [1e-4, 1e-2, 1.0, 1e2])
+@pytest.mark.parametrize("make", [mpt.constant_velocity, mpt.constant_acceleration])
+def test_small_and_large_steps_are_not_taken_for_singular(make, dt):
+    assert mpt.SteadyStatePredictor(steady_of(make(dt, 0.01, 0.1)), 3).steps == 3
+
+
+@pytest.mark.parametrize("steps", [0, 1, 5])
+@both_models
+def test_error_moments_are_those_of_simulated_tracks(model, steps):
+    """A truth that differs in x0, P0, Q and R from the filter's model."""
+    truth = replace(model, x0=np.arange(model.n) + 1.0, P0=0.2 * np.eye(model.n), Q=3 * model.Q, R=2 * model.R)
+    M, N = 20_000, 6
+    x, z = mpt.simulate(truth, N + steps, np.random.default_rng(1), tracks=M)
+    steady = steady_of(model)
+    e = x[steps:] - np.linalg.matrix_power(model.F, steps) @ steady.filter(z[:N])
+    mean, P = error_moments(steady, truth, N, steps)
+    sigma = np.sqrt(np.einsum("kii->ki", P))
+    # Five standard errors: one in two million is that far off, and there are some hundred numbers.
+    assert np.abs((e.mean(axis=2) - mean) / sigma).max() < 5 / np.sqrt(M)
+    covariance = np.einsum("kim,kjm->kij", e - mean[..., None], e - mean[..., None]) / M
+    assert np.abs((covariance - P) / sigma[:, :, None] / sigma[:, None]).max() < 5 * np.sqrt(2 / M)
+
+
+@pytest.mark.parametrize("steps", [0, 4])
+@both_models
+def test_error_covariance_is_the_limit_of_the_moments(model, steps):
+    steady, truth = steady_of(model), replace(model, Q=2 * model.Q, x0=np.ones(model.n))
+    mean, P = error_moments(steady, truth, 200, steps)
+    np.testing.assert_allclose(error_covariance(steady, truth, steps), P[-1], rtol=1e-9)
+    assert np.abs(mean[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("steps", [0, 4])
+@both_models
+def test_the_error_covariance_is_the_stated_one_when_the_model_is_true(model, steps):
+    predictor = mpt.SteadyStatePredictor(steady_of(model), steps)
+    np.testing.assert_allclose(error_covariance(steady_of(model), model, steps), predictor.P, rtol=1e-9)
+
+
+def test_a_truth_of_another_motion_is_refused():
+    cv, ca = MODELS_2016.values()
+    for truth in (ca, replace(cv, F=[[1, 2], [0, 1]]), replace(cv, H=[[1, 1]])):
+        with pytest.raises(ValueError, match="truth: needs the F and H of the filter's model"):
+            error_moments(steady_of(cv), truth, 3)
+        with pytest.raises(ValueError, match="truth: needs the F and H of the filter's model"):
+            error_covariance(steady_of(cv), truth)

@@ -1,0 +1,109 @@
+"""Monte Carlo studies: the same numbers whatever the tile size and the number of workers."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import MODELS_2016, ROOT
+
+import mpt_helpers as mpt
+from mpt_helpers.average_error import mean_relative_errors
+from mpt_helpers.study import BLOCK
+
+STEADY = mpt.SteadyStateFilter.from_kalman(MODELS_2016["cv"])
+ERRORS = partial(mean_relative_errors, STEADY, mpt.exact_motion(STEADY.model, [0, 20]), 30, 2)
+
+
+def draws(rng, M):
+    return rng.standard_normal((2, M))
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return mpt.study(ERRORS, runs=1500, seed=4)
+
+
+@pytest.mark.parametrize("tile", [1, BLOCK, BLOCK + 1, 1000, 10_000])
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_no_number_depends_on_tile_or_workers(expected, tile, workers):
+    np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, tile=tile, workers=workers), expected)
+
+
+def test_workers_may_be_a_map_of_threads_or_processes(expected):
+    with ThreadPoolExecutor(2) as pool:
+        np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, workers=pool.map), expected)
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, workers=pool.imap), expected)
+
+
+def test_a_longer_study_begins_with_the_shorter_one(expected):
+    for runs in (1, BLOCK - 1, BLOCK, 777):
+        np.testing.assert_array_equal(mpt.study(ERRORS, runs, 4), expected[:, :runs])
+
+
+def test_runs_are_independent_and_seeds_matter():
+    x = mpt.study(draws, 10 * BLOCK, seed=1)
+    assert x.shape == (2, 10 * BLOCK)
+    assert len(np.unique(x)) == x.size
+    assert not np.intersect1d(x, mpt.study(draws, 10 * BLOCK, seed=2)).size
+    # 4,000 standard normal numbers: the mean is known to 1/63, the variance to 1/45; five standard errors.
+    assert abs(x.mean()) < 5 / 63
+    assert abs(x.var() - 1) < 5 / 45
+
+
+def test_the_study_is_silent_unless_on_a_terminal(capfd):
+    mpt.study(draws, 1000, 1, workers=2)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a pseudo-terminal")
+def test_a_terminal_shows_progress():
+    import pty
+    import termios
+
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 80))
+    code = "import mpt_helpers as mpt; mpt.study(lambda rng, M: rng.random(M), 100_000, 1)"
+    subprocess.run([sys.executable, "-c", code], stderr=theirs, check=True, cwd=ROOT)
+    assert b"/100000" in os.read(ours, 10_000)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interrupt_ends_the_study_within_a_second(workers):
+    code = (
+        "import time, mpt_helpers as mpt\n"
+        "def slow(rng, M):\n    time.sleep(0.05)\n    return rng.random(M)\n"
+        f"print('ready', flush=True)\nmpt.study(slow, 1_000_000, 1, workers={workers})"
+    )
+    run = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT)
+    assert run.stdout.readline() == b"ready\n"
+    time.sleep(0.3)
+    run.send_signal(signal.SIGINT)
+    start = time.monotonic()
+    _, errors = run.communicate(timeout=20)
+    assert time.monotonic() - start < 1
+    assert run.returncode != 0
+    assert b"KeyboardInterrupt" in errors
+
+
+def test_an_error_in_an_experiment_is_passed_on():
+    def broken(rng, M):
+        raise RuntimeError("broken")
+
+    for workers in (1, 2):
+        with pytest.raises(RuntimeError, match="broken"):
+            mpt.study(broken, 1000, 1, workers=workers)
+
+
+@pytest.mark.parametrize("result", [1.0, np.zeros(3), np.zeros((BLOCK, 2))])
+def test_a_result_without_a_column_for_each_run_is_refused(result):
+    with pytest.raises(ValueError, match="experiment: needs a result of M = 200 columns"):
+        mpt.study(lambda rng, M: result, 10, 1)
