@@ -88,8 +88,8 @@ def _draw_component(ax, true, estimates, variance, measured=None):
 def following(k, true, estimated, mean, sigma, label, last=None):
     """Return a figure of one track and its axes by name: position and position error of every axis.
 
-    k (N,) are the steps, true and estimated (N, d) the positions on d axes, mean and sigma (N, d) the expected error
-    and its standard deviation: the band is mean ± 2σ. The error is drawn twice, the second time enlarged. last names a
+    k (N,) are the steps, true and estimated (N, d) the positions on d axes, mean and sigma (N, d) the mean error and
+    its standard deviation: the band is mean ± 2σ. The error is drawn twice, the second time enlarged. last names a
     panel below that is left empty.
 
     >>> one = np.ones((3, 1))
@@ -107,14 +107,14 @@ def following(k, true, estimated, mean, sigma, label, last=None):
         position.plot(k, estimated[:, i], "--", color="C1", lw=1.5, label=label)
         for each in (error, enlarged):
             low, high = mean[:, i] - 2 * sigma[:, i], mean[:, i] + 2 * sigma[:, i]
-            each.fill_between(k, low, high, color="C0", alpha=0.25, lw=0, label="expected error ± 2σ")
-            each.plot(k, true[:, i] - estimated[:, i], "--", color="C1", lw=1.5)
+            each.fill_between(k, low, high, color="C0", alpha=0.25, lw=0, label="mean error ± 2σ")
+            each.plot(k, true[:, i] - estimated[:, i], color="C2", lw=1.2, label="its error")
         enlarged.set_ylim(-4 * sigma[-1, i], 4 * sigma[-1, i])
         for name in names:
             ax[name].set_title(name, loc="left")
         enlarged.set_xlabel("step k")
     handles = position.get_legend_handles_labels()[0] + error.get_legend_handles_labels()[0]
-    fig.legend(handles=handles, loc="outside upper center", ncols=3)
+    fig.legend(handles=handles, loc="outside upper center", ncols=4)
     return fig, ax
 
 
@@ -129,9 +129,9 @@ def steps_ahead(ax, errors, real, stated):
     N = np.arange(len(errors))
     ax.fill_between(N, -2 * stated, 2 * stated, color="0.85", lw=0, label="± 2σ stated")
     ax.fill_between(N, -2 * real, 2 * real, color="C0", alpha=0.3, lw=0, label="± 2σ real")
-    ax.plot(np.repeat(N, errors.shape[1]), errors.ravel(), ".", color="C1", ms=3, label="errors of this track")
+    ax.plot(np.repeat(N, errors.shape[1]), errors.ravel(), ".", color="C2", ms=3, label="errors of this track")
     finish(ax, "steps ahead N", "prediction error (m), x axis, after the start")
-    ax.legend(loc="upper left")
+    ax.legend(loc="center left", bbox_to_anchor=(1, 0.5))
 
 
 def effects(values, results, labels, xlabel):

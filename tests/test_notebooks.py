@@ -51,6 +51,14 @@ def test_a_notebook_is_prose_and_short_cells(notebook):
             assert "def " not in source(cell), f"{cell['id']} defines a function"
 
 
+def test_no_output_is_longer_than_a_reader_can_scroll(notebook):
+    key, cells = notebook
+    for cell in code(cells)[:-1]:  # the last one is the table of all verdicts
+        for out in cell["outputs"]:
+            text = "".join(out.get("text", "")) + "".join(out.get("data", {}).get("text/html", ""))
+            assert len(text) < 50_000, f"{key}: {cell['id']} prints {len(text)} characters"
+
+
 def test_every_figure_in_a_notebook_is_saved_and_committed(notebook):
     key, cells = notebook
     pictures = [out["data"]["image/png"] for out in outputs(cells) if "image/png" in out.get("data", {})]
