@@ -7,10 +7,11 @@ are in metres, velocities in m/s, and M is the number of runs.
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from . import checks, positioning
 from .filters import KalmanFilter
-from .model import simulate
+from .model import LinearModel, simulate
 from .recursion import measurements, run
 
 # How the third row of H_k, [1 -dt 0], can be read: which measurement it takes. The paper does not say.
@@ -59,6 +60,15 @@ def rough_errors(start_error, sigma, steps, channels, rng, M):
         except positioning.DegenerateGeometryError:
             continue
     return result
+
+
+def rms_text(errors):
+    """Return the `rms_band` of errors as text.
+
+    >>> rms_text(np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]]))
+    '1.000 [1.000, 1.000]'
+    """
+    return "{:.3f} [{:.3f}, {:.3f}]".format(*rms_band(errors))
 
 
 def rms_band(errors):
@@ -133,6 +143,37 @@ def tracking_errors(trackers, velocity, dt, sigmas, bias, rng, M):
     return np.array([tracker(z)[:, :2] - truth[..., None] for tracker in trackers])
 
 
+def line_tracker(dt, *window):
+    """Return a tracker that is the `adaptive_line` of the places: window is its threshold, smallest, largest and fall.
+
+    >>> line_tracker(1.0, np.inf, 2, 100)(np.zeros((5, 2, 3))).shape
+    (5, 2, 3)
+    """
+    return lambda z: positioning.adaptive_line(z[:, :1], dt, *window).x
+
+
+def filter_tracker(model):
+    """Return a tracker that is the Kalman filter of a model of GPS alone (m = 1) or of GPS and INS (m = 2).
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> filter_tracker(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4)))(np.zeros((5, 2, 3))).shape
+    (5, 3, 3)
+    """
+    return lambda z: KalmanFilter(model).filter(z[:, : model.m])
+
+
+def gps_ins_errors(model, velocity, dt, sigmas, bias, rng, M):
+    """Return the errors of a GPS/INS filter on the tracks of `gps_ins_track`, (N, 3, M): place, velocity, bias.
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> model = gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4))
+    >>> gps_ins_errors(model, np.zeros(5), 1.0, (1.0, 0.01), 1.0, np.random.default_rng(0), 3).shape
+    (5, 3, 3)
+    """
+    truth, z = gps_ins_track(velocity, dt, sigmas, bias, rng, M)
+    return KalmanFilter(model).filter(z) - np.column_stack([truth, np.full(len(truth), bias)])[..., None]
+
+
 def third_row_start(model):
     """Return the model as it is one step later: its x0 and P0 are those of x(1).
 
@@ -175,6 +216,27 @@ def without_third_row(model):
     True
     """
     return replace(model, H=model.H[:2], R=model.R[:2, :2])
+
+
+def with_last_gps(model):
+    """Return a GPS/INS model of two rows with what GPS measured one step before as a third, and its noise in the state.
+
+    The state is [x v b n y]: n is the noise of GPS, y what it measured one step before, so that the third measurement
+    is y itself. What must have a variance and has none gets a millionth of that of GPS; of the GPS place before the
+    first step nothing is known.
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> with_last_gps(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4))).H
+    array([[1., 0., 0., 1., 0.],
+           [0., 1., 1., 0., 0.],
+           [0., 0., 0., 0., 1.]])
+    """
+    gps, ins = np.diag(model.R)
+    F, H = np.zeros((5, 5)), np.zeros((3, 5))
+    F[:3, :3], F[4, [0, 3]] = model.F, 1
+    H[:2, :3], H[0, 3], H[2, 4] = model.H, 1, 1
+    Q, P0 = block_diag(model.Q, gps, 0), block_diag(model.P0, 1e6 * gps, 0)
+    return LinearModel(F=F, H=H, Q=Q, R=np.diag([1e-6 * gps, ins, 1e-6 * gps]), x0=[*model.x0, 0, 0], P0=P0)
 
 
 def _own_estimate(kf, z):

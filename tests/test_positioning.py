@@ -318,17 +318,9 @@ def test_a_second_receiver_without_process_noise_is_what_the_filter_assumes():
 def test_the_same_gps_place_again_carries_nothing_once_the_model_says_so():
     """With z_1(k-1) and its noise in the state, a filter of three rows is the filter of two."""
     two = trials.without_third_row(GPS_INS)
-    F, Q, P0 = np.zeros((5, 5)), np.zeros((5, 5)), np.zeros((5, 5))  # [x v b, noise of GPS, its last place]
-    F[:3, :3], F[4, [0, 3]] = two.F, 1
-    Q[:3, :3], Q[3, 3] = two.Q, R[0]
-    P0[:3, :3], P0[3, 3] = two.P0, 1e6  # of what GPS measured before the first step nothing is known
-    H = np.zeros((3, 5))
-    H[:2, :3], H[0, 3], H[2, 4] = two.H, 1, 1
-    tiny = 1e-6  # a variance must be positive: this one is a millionth of the others
-    whole = mpt.LinearModel(F=F, H=H, Q=Q, R=np.diag([tiny, R[1], tiny]), x0=[*two.x0, 0, 0], P0=P0)
     _, z = mpt.simulate(two, 30, np.random.default_rng(5))
     again = np.vstack([[two.x0[0]], z[:-1, :1]])
-    x = mpt.KalmanFilter(whole).filter(np.hstack([z, again]))
+    x = mpt.KalmanFilter(trials.with_last_gps(two)).filter(np.hstack([z, again]))
     # The tiny variances and the 1e-6 of information in the first place again leave some 1e-5 of errors of about 1.
     np.testing.assert_allclose(x[:, :3], mpt.KalmanFilter(two).filter(z), atol=1e-3)
 
