@@ -66,9 +66,9 @@ def rms_text(errors):
     """Return the `rms_band` of errors as text.
 
     >>> rms_text(np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]]))
-    '1.000 [1.000, 1.000]'
+    '1 [1, 1]'
     """
-    return "{:.3f} [{:.3f}, {:.3f}]".format(*rms_band(errors))
+    return "{:.3g} [{:.3g}, {:.3g}]".format(*rms_band(errors))
 
 
 def rms_band(errors):
