@@ -194,7 +194,8 @@ def position_kalman(satellites, ranges, start, P0, Q, R):
     """Return the positions of an extended Kalman filter over epochs of pseudoranges, (N, 4) (2007 Eqs. 6, 11).
 
     satellites is (m, 3), ranges (N, m); start and P0 are the mean (4,) and covariance (4, 4) before the first epoch, Q
-    (4, 4) is added between epochs, R is the variance of a pseudorange (m²). H is linearised at the prediction.
+    (4, 4) is added between epochs, R is the variance of a pseudorange (m²). H is linearised at the prediction. Raises
+    ValueError as `position_steps` does, and for a P0 that is not definite.
 
     >>> X = np.array([*place(56.95, 24.1), 0.0])
     >>> satellites = sky(X[:3], t=0.0)
@@ -204,16 +205,16 @@ def position_kalman(satellites, ranges, start, P0, Q, R):
     """
     first, *_ = ranges = checks.matrix("ranges", ranges, "an (N, m) array")
     satellites, _, X = _checked(satellites, first, start)
-    P, Q = checks.covariance("P0", P0, 4), checks.covariance("Q", Q, 4)
-    R = checks.positive("R", R) * np.eye(len(satellites))
+    P, Q = checks.covariance("P0", P0, 4, definite=True), checks.covariance("Q", Q, 4)
+    sigma = np.sqrt(checks.positive("R", R))
     path = []
     for k, measured in enumerate(ranges):
         P = P + Q if k else P
-        H = linearised(satellites, X)
-        K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-        X = X + K @ (measured - pseudoranges(satellites, X))
-        update = np.eye(4) - K @ H
-        P = update @ P @ update.T + K @ R @ K.T  # of Eq. 11 in Joseph's form: P0 is 1e11 times R
+        # Eq. 11 as least squares of prediction and measurements: its own form loses the digits, as P0 is 1e11 times R.
+        prior = np.linalg.cholesky(np.linalg.inv(P)).T
+        A = np.vstack([prior, linearised(satellites, X) / sigma])
+        new = np.append(np.zeros(4), (measured - pseudoranges(satellites, X)) / sigma)
+        X, P = X + np.linalg.lstsq(A, new)[0], np.linalg.inv(A.T @ A)
         path.append(X)
     return np.array(path)
 

@@ -154,6 +154,20 @@ def test_an_extended_kalman_filter_near_the_place_is_least_squares_over_all_epoc
     np.testing.assert_allclose(path[-1], together, atol=1e-4)
 
 
+def test_an_extended_kalman_filter_is_equation_11():
+    rng = np.random.default_rng(7)
+    satellites, X = positioning.sky(RIGA, 0.0), np.append(RIGA, 0.0)
+    ranges = positioning.pseudoranges(satellites, X) + rng.standard_normal((6, len(satellites)))
+    before, P_before, Q = far_from(X, 100.0), np.diag([1e4, 1e4, 1e4, 1e2]), np.diag([1.0, 2.0, 3.0, 4.0])
+    path = positioning.position_kalman(satellites, ranges, before, P_before, Q, R=2.0)
+    for measured, x in zip(ranges, path, strict=True):
+        H = positioning.linearised(satellites, before)
+        K = P_before @ H.T @ np.linalg.inv(H @ P_before @ H.T + 2 * np.eye(len(H)))
+        before = before + K @ (measured - positioning.pseudoranges(satellites, before))
+        P_before = (np.eye(4) - K @ H) @ P_before + Q
+        np.testing.assert_allclose(x, before, atol=EXACT)
+
+
 @pytest.mark.parametrize("n", [2, 3, 5, 100, 200])
 @pytest.mark.parametrize("dt", [0.1, 1.0, 7.0])
 def test_line_fit_equals_polyfit(n, dt):
