@@ -113,10 +113,11 @@ def coordinate(t, truth, measured, estimates, sigma):
 
 
 def _draw_estimates(ax, t, true, estimates, sigma):
+    # A fitted straight line moves a pixel with its last bits, which are others in another place of the memory.
+    estimates = {label: np.round(x, 9) for label, x in estimates.items()}
     first = next(iter(estimates.values()))
-    ax.fill_between(
-        t[-len(first) :], first - 2 * sigma, first + 2 * sigma, color="C0", alpha=0.25, lw=0, label="estimate ± 2σ"
-    )
+    low, high = np.round([first - 2 * sigma, first + 2 * sigma], 9)
+    ax.fill_between(t[-len(first) :], low, high, color="C0", alpha=0.25, lw=0, label="estimate ± 2σ")
     ax.plot(t, true, color="black", lw=0.9, label="true")
     for i, (label, x) in enumerate(estimates.items()):
         ax.plot(t[-len(x) :], x, ["-", "--"][i], color=f"C{i}", label=label)
