@@ -314,12 +314,14 @@ def test_the_filters_own_estimate_as_third_measurement_has_no_innovation():
     np.testing.assert_allclose(trials._own_estimate(mpt.KalmanFilter(start), z), path, rtol=1e-9)
 
 
-def test_the_covariances_of_a_repeated_row_are_those_of_the_runs():
-    runs = mpt.study(partial(trials.third_row_errors, GPS_INS, 30), 4000, seed=1, workers=2)
+@pytest.mark.parametrize("q", [0.01, 4.0])
+def test_the_covariances_of_a_repeated_row_are_those_of_the_runs(q):
+    model = replace(GPS_INS, Q=np.diag([0, q, 0]))
+    runs = mpt.study(partial(trials.third_row_errors, model, 30), 4000, seed=1, workers=2)
     errors = dict(zip(trials.READINGS, runs, strict=True))
     # The relative standard error of a standard deviation over 4,000 runs is 1.1 %; four of it.
     for reading, rho in (("second receiver", 0.0), ("GPS again", 1.0)):
-        P = trials.repeated_row_covariances(GPS_INS, rho, 30)
+        P = trials.repeated_row_covariances(model, rho, 30)
         np.testing.assert_allclose(errors[reading].std(axis=2), np.sqrt(np.einsum("kii->ki", P)), rtol=0.045)
 
 
@@ -346,6 +348,50 @@ def test_trackers_run_on_the_same_tracks():
     truth, z = trials.gps_ins_track(np.full(5, 0.2), 1.0, (1.0, 0.01), 1.0, np.random.default_rng(6), 3)
     np.testing.assert_allclose(errors[1] - errors[0], z)
     np.testing.assert_allclose(errors[0], z - truth[..., None])
+
+
+def test_the_start_of_the_third_row_is_one_step_later():
+    x, _ = mpt.simulate(GPS_INS, 1, np.random.default_rng(10), tracks=100_000)
+    begun = trials.third_row_start(GPS_INS)
+    # The relative standard error of a variance over 100,000 tracks is 0.45 %; four of it.
+    np.testing.assert_allclose(x[0].mean(axis=1), begun.x0, atol=4 * np.sqrt(begun.P0.max() / 100_000))
+    np.testing.assert_allclose(np.cov(x[0]), begun.P0, atol=0.018 * begun.P0.max())
+
+
+def test_a_tracker_of_gps_alone_does_not_see_the_ins():
+    _, z = trials.gps_ins_track(np.full(20, 0.2), 1.0, (1.0, 0.01), 1.0, np.random.default_rng(11), 3)
+    gps = mpt.constant_velocity(1.0, 0.01, 1.0)
+    np.testing.assert_array_equal(trials.filter_tracker(gps)(z), mpt.KalmanFilter(gps).filter(z[:, :1]))
+    line = adaptive_line(z[:, :1], 1.0, 4.0, 5, 10, 3).x
+    np.testing.assert_array_equal(trials.line_tracker(1.0, 4.0, 5, 10, 3)(z), line)
+
+
+def test_gps_ins_errors_are_those_from_the_truth():
+    args = np.full(20, 0.2), 1.0, (1.0, 0.01), 3.0
+    model = mpt.gps_ins(1.0, 0.01, (1.0, 1e-4))
+    errors = trials.gps_ins_errors(model, *args, np.random.default_rng(12), 3)
+    truth, z = trials.gps_ins_track(*args, np.random.default_rng(12), 3)
+    x = mpt.KalmanFilter(model).filter(z)
+    np.testing.assert_allclose(errors[:, :2], x[:, :2] - truth[..., None])
+    np.testing.assert_allclose(errors[:, 2], x[:, 2] - 3)
+
+
+def test_random_skies_are_of_all_places_and_times():
+    rng = np.random.default_rng(13)
+    drawn = [trials.random_sky(rng) for _ in range(500)]
+    places = np.array([X[:3] for _, X in drawn]) / positioning.EARTH_RADIUS
+    # A coordinate of a uniform direction has mean 0 and variance 1/3; four standard errors of 500.
+    np.testing.assert_allclose(places.mean(axis=0), 0, atol=4 * np.sqrt(1 / 3 / 500))
+    at_epoch = positioning.constellation(0.0)
+    assert not any(np.isclose(satellites[:, None], at_epoch, atol=1.0).all(axis=2).any() for satellites, _ in drawn)
+
+
+def test_the_first_step_of_a_rough_kalman_filter_is_that_of_least_squares():
+    off, P0 = np.array([3e5, 0, 0, 5e3]), np.diag([9e10, 9e10, 9e10, 2.5e7])
+    kalman = trials.rough_kalman_errors(off, P0, np.zeros((4, 4)), 1.0, 1, np.random.default_rng(14), 20)
+    rough = trials.rough_errors(off, 1.0, 1, 24, np.random.default_rng(14), 20)
+    assert rough[3].min() > 100
+    np.testing.assert_allclose(kalman[0], rough[3], rtol=1e-4)  # the prior of the clock weighs DOP² / 2.5e7 of 5 km
 
 
 def test_line_errors_have_the_standard_error_of_the_closed_form():
