@@ -59,7 +59,10 @@ def local_axes(x):
            [0., 0., 1.],
            [1., 0., 0.]])
     """
-    up = checks.array("x", x, (3,)) / np.linalg.norm(x)
+    x = checks.array("x", x, (3,))
+    if not x[:2].any():
+        checks.refuse("x", "a place that is not on the axis of the Earth", x)
+    up = x / np.linalg.norm(x)
     east = np.array([-up[1], up[0], 0.0]) / np.hypot(up[0], up[1])
     return np.array([east, np.cross(up, east), up])
 
@@ -87,6 +90,7 @@ def elevation(satellites, x):
     >>> elevation([[2e7, 0.0, 0.0]], place(0.0, 0.0))
     array([90.])
     """
+    satellites = checks.matrix("satellites", satellites, "an (m, 3) array")
     away = checks.array("satellites", satellites, (len(satellites), 3)) - checks.array("x", x, (3,))
     sine = away @ x / np.linalg.norm(away, axis=1) / np.linalg.norm(x)
     return np.degrees(np.arcsin(np.clip(sine, -1, 1)))
@@ -128,10 +132,7 @@ def corrected(satellites, ranges, X):
     """
     H = linearised(satellites, X)
     step, _, _, singular = np.linalg.lstsq(H, ranges - pseudoranges(satellites, X), rcond=None)
-    if singular[-1] <= DEGENERATE * singular[0]:
-        ratio = f"{singular[-1] / singular[0]:.0e}"
-        need = "a geometry that determines a position"
-        checks.refuse("satellites", need, f"singular values in the ratio {ratio}", DegenerateGeometryError)
+    _require_determined(singular)
     return X + step
 
 
@@ -179,14 +180,16 @@ def dilution(satellites, X):
     """Return the dilution of precision east, north, up and of the clock, (4,): standard errors for unit errors.
 
     They are the square roots of the diagonal of (HᵀH)⁻¹ in local axes. Their norm is the GDOP, that of the first three
-    the PDOP.
+    the PDOP. Raises ValueError for fewer than four satellites and a degenerate geometry.
 
     >>> X = np.array([*place(56.95, 24.1), 0.0])
     >>> np.linalg.norm(dilution(sky(X[:3], t=0.0), X)).round(2)
     np.float64(2.49)
     """
+    satellites, X = _satellites(satellites), checks.array("X", X, (4,))
     H = linearised(satellites, X)
     H[:, :3] = H[:, :3] @ local_axes(X[:3]).T
+    _require_determined(np.linalg.svd(H, compute_uv=False))
     return np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
 
 
@@ -203,8 +206,8 @@ def position_kalman(satellites, ranges, start, P0, Q, R):
     >>> position_kalman(satellites, ranges, X, P0=np.eye(4), Q=np.zeros((4, 4)), R=1.0).shape
     (3, 4)
     """
-    first, *_ = ranges = checks.matrix("ranges", ranges, "an (N, m) array")
-    satellites, _, X = _checked(satellites, first, start)
+    ranges = checks.matrix("ranges", ranges, "an (N, m) array")
+    satellites, _, X = _checked(satellites, ranges[0], start)
     P, Q = checks.covariance("P0", P0, 4, definite=True), checks.covariance("Q", Q, 4)
     sigma = np.sqrt(checks.positive("R", R))
     path = []
@@ -219,12 +222,25 @@ def position_kalman(satellites, ranges, start, P0, Q, R):
     return np.array(path)
 
 
-def _checked(satellites, ranges, start):
+def _satellites(satellites):
     need = "an (m, 3) array of at least 4 satellites"
     satellites = checks.matrix("satellites", satellites, need)
     if satellites.shape[1] != 3 or len(satellites) < 4:
         checks.refuse("satellites", need, f"shape {satellites.shape}")
-    return satellites, checks.array("ranges", ranges, (len(satellites),)), checks.array("start", start, (4,))
+    return satellites
+
+
+def _checked(satellites, ranges, start):
+    satellites, start = _satellites(satellites), checks.array("start", start, (4,))
+    if (satellites == start[:3]).all(axis=1).any():
+        checks.refuse("start", "a place that is not a satellite's", start[:3])
+    return satellites, checks.array("ranges", ranges, (len(satellites),)), start
+
+
+def _require_determined(singular):
+    if singular[-1] <= DEGENERATE * singular[0]:
+        need, ratio = "a geometry that determines a position", f"{singular[-1] / singular[0]:.0e}"
+        checks.refuse("satellites", need, f"singular values in the ratio {ratio}", DegenerateGeometryError)
 
 
 class Line(NamedTuple):

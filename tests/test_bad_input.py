@@ -31,7 +31,7 @@ SKY = positioning.sky(PLACE, t=0.0)
 RANGES, START = positioning.pseudoranges(SKY, np.append(PLACE, 0.0)), np.append(PLACE, 0.0)
 
 
-EYE, THREE_ROWS = np.eye(4), mpt.gps_ins(1.0, 0.01, (1.0, 1e-4, 1.0))
+EYE, ZERO, THREE_ROWS = np.eye(4), np.zeros((4, 4)), mpt.gps_ins(1.0, 0.01, (1.0, 1e-4, 1.0))
 
 
 def fix(satellites=SKY, ranges=RANGES, start=START):
@@ -135,6 +135,21 @@ CASES = [
     ("start: needs a vector of length 4 of finite numbers, got NaN", fix(start=[NAN, 0, 0, 0])),
     ("satellites: needs a geometry that determines a position", fix(np.tile(SKY[:2], (4, 1)))),
     ("steps: needs an integer of at least 0, got -1", lambda: positioning.position_steps(SKY, RANGES, START, -1)),
+    ("start: needs a place that is not a satellite's", fix(start=[*SKY[2], 0.0])),
+    ("satellites: needs an (m, 3) array of at least 4", lambda: positioning.dilution(SKY[:3], START)),
+    ("satellites: needs a geometry that determines", lambda: positioning.dilution(np.tile(SKY[:2], (4, 1)), START)),
+    ("X: needs a vector of length 4", lambda: positioning.dilution(SKY, PLACE)),
+    ("x: needs a place that is not on the axis of the Earth", lambda: positioning.local_axes([0.0, 0.0, 1.0])),
+    ("satellites: needs an (m, 3) array, got a scalar", lambda: positioning.elevation(5.0, PLACE)),
+    ("satellites: needs a 2×3 matrix, got shape (2, 2)", lambda: positioning.elevation(np.ones((2, 2)), PLACE)),
+    (
+        "P0: needs a symmetric positive definite",
+        lambda: positioning.position_kalman(SKY, [RANGES], START, ZERO, EYE, 1),
+    ),
+    (
+        "ranges: needs an (N, m) array, got shape (8,)",
+        lambda: positioning.position_kalman(SKY, RANGES, START, EYE, EYE, 1),
+    ),
     ("latitude: needs a number in [-90, 90], got 91", lambda: positioning.place(91, 0)),
     ("longitude: needs a number, got nan", lambda: positioning.place(0, NAN)),
     ("t: needs a number, got inf", lambda: positioning.constellation(INF)),
