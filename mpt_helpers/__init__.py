@@ -2,7 +2,7 @@
 
 __version__ = "0.1.0"
 
-from . import average_error, burden, figures, metrics, riccati
+from . import average_error, burden, figures, metrics, positioning, riccati, trials
 from .figures import save_figure
 from .filters import (
     FIRFilter,
@@ -20,6 +20,7 @@ from .model import (
     constant_acceleration,
     constant_velocity,
     exact_motion,
+    gps_ins,
     gsm_axis,
     mean_track,
     simulate,
@@ -47,9 +48,11 @@ __all__ = [
     "figures",
     "fir_order",
     "gap_text",
+    "gps_ins",
     "gsm_axis",
     "mean_track",
     "metrics",
+    "positioning",
     "published",
     "riccati",
     "save_figure",
@@ -57,4 +60,5 @@ __all__ = [
     "six_filters",
     "stack",
     "study",
+    "trials",
 ]

@@ -153,6 +153,44 @@ def effects(values, results, labels, xlabel):
     return fig
 
 
+def coordinate(t, truth, measured, estimates, sigma):
+    """Return a figure of one coordinate: its place, the error of the place, its velocity, and the error of an INS.
+
+    t (N,) are times in seconds; truth is (N, 2) or, with the constant error of an INS, (N, 3); measured (N,) are the
+    places. estimates maps two labels to estimates (n, 2) or (n, 3) of the last n times: the first is drawn solid, the
+    second dashed. sigma are the standard deviations of the first, in its shape: the band is ± 2 sigma.
+
+    >>> t, x = np.arange(3.0), np.ones((3, 2))
+    >>> fig = coordinate(t, truth=x, measured=t, estimates={"line fit": x[1:]}, sigma=x[1:])
+    >>> [ax.get_title(loc="left") for ax in fig.axes]
+    ['position (m)', 'position error (m)', 'velocity (m/s)']
+    """
+    names = ["position (m)", "velocity (m/s)", "constant error of the INS (m/s)"][: truth.shape[1]]
+    fig, ax = panels([["position (m)", "position error (m)"], names[-2:] if len(names) == 3 else names[1:] * 2])
+    ax["position (m)"].plot(t, measured, ".", color="0.45", ms=3.5, label="measured")
+    for i, name in enumerate(names):
+        components = {label: x[:, i] for label, x in estimates.items() if x.shape[1] > i}
+        _draw_estimates(ax[name], t, truth[:, i], components, sigma[:, i])
+    errors = {label: x[:, 0] - truth[len(t) - len(x) :, 0] for label, x in estimates.items()}
+    _draw_estimates(ax["position error (m)"], t, 0 * t, errors, sigma[:, 0])
+    for name, each in ax.items():
+        each.set_title(name, loc="left")
+        each.set_xlabel("time (s)")
+    fig.legend(*ax["position (m)"].get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    return fig
+
+
+def _draw_estimates(ax, t, true, estimates, sigma):
+    # A fitted straight line moves a pixel with its last bits, which are others in another place of the memory.
+    estimates = {label: np.round(x, 9) for label, x in estimates.items()}
+    first = next(iter(estimates.values()))
+    low, high = np.round([first - 2 * sigma, first + 2 * sigma], 9)
+    ax.fill_between(t[-len(first) :], low, high, color="C0", alpha=0.25, lw=0, label="estimate ± 2σ")
+    ax.plot(t, true, color="black", lw=0.9, label="true")
+    for i, (label, x) in enumerate(estimates.items()):
+        ax.plot(t[-len(x) :], x, ["-", "--"][i], color=f"C{i}", label=label)
+
+
 def draw_gaps(ax, gaps):
     """Draw gaps between curves over the steps k = 1 ... N on a log scale, those at rounding level clipped and labelled.
 

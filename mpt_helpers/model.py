@@ -129,6 +129,31 @@ def constant_acceleration(dt, q, r):
     return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]])
 
 
+def gps_ins(dt, q, r):
+    """Return the model of GPS and INS on one axis: position, velocity and the constant error of the INS (2007 Eq. 11).
+
+        F = [1 dt 0; 0 1 0; 0 0 1],   H = [1 0 0; 0 1 1; 1 -dt 0],   Q = diag(0, q, 0),   R = diag(r)
+
+    The rows of H are the position that GPS gives, the velocity with its constant error that INS gives, and a third one
+    that the paper does not explain: s - v dt, the position one step before. dt is the time step (s), q the variance of
+    the velocity's change in a step (m²/s²; the paper prints no Q), r the variances of the rows that are used: the first
+    two (m², m²/s²), or all three (m²).
+
+    Raises ValueError for dt <= 0, q < 0, other than two or three variances and one that is not positive.
+
+    >>> gps_ins(dt=1.0, q=0.0, r=(1.0, 1e-4)).H
+    array([[1., 0., 0.],
+           [0., 1., 1.]])
+    """
+    r = checks.real("r", r, "two or three variances")
+    if r.shape not in ((2,), (3,)):
+        checks.refuse("r", "two or three variances", f"shape {r.shape}" if r.ndim else "a scalar")
+    R = np.diag([checks.positive(f"r[{i}]", variance) for i, variance in enumerate(r)])
+    dt, q, _ = _axis_parameters(dt, q, r[0])
+    H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]][: len(r)]
+    return LinearModel(F=[[1, dt, 0], [0, 1, 0], [0, 0, 1]], H=H, Q=np.diag([0, q, 0]), R=R)
+
+
 def _axis_parameters(dt, q, r):
     return (
         checks.positive("dt", dt),

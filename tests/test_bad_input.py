@@ -8,6 +8,7 @@ from conftest import AXIS
 from matplotlib.figure import Figure
 
 import mpt_helpers as mpt
+from mpt_helpers import positioning, trials
 
 GOOD = {"F": np.eye(2), "H": [[1.0, 0.0]], "Q": np.eye(2), "R": [[1.0]]}
 KF, LF = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)
@@ -26,6 +27,22 @@ def model(**changed):
 
 def measured(z):
     return lambda: KF.filter(z)
+
+
+PLACE = positioning.place(57.0, 24.0)
+SKY = positioning.sky(PLACE, t=0.0)
+RANGES, START = positioning.pseudoranges(SKY, np.append(PLACE, 0.0)), np.append(PLACE, 0.0)
+
+
+EYE, ZERO, THREE_ROWS = np.eye(4), np.zeros((4, 4)), mpt.gps_ins(1.0, 0.01, (1.0, 1e-4, 1.0))
+
+
+def fix(satellites=SKY, ranges=RANGES, start=START):
+    return lambda: positioning.position(satellites, ranges, start)
+
+
+def window(z=((0.0,), (1.0,), (2.0,)), dt=1.0, threshold=3.0, smallest=2, largest=5, fall=None):
+    return lambda: positioning.adaptive_line(z, dt, threshold, smallest, largest, fall)
 
 
 CASES = [
@@ -110,6 +127,59 @@ CASES = [
     ("P: needs a 2×2 matrix", lambda: mpt.SteadyStateFilter(AXIS, A=STEADY.A, B=STEADY.B, P=0.1)),
     ("B: needs a 2×1 matrix", lambda: mpt.SteadyStateFilter(AXIS, A=STEADY.A, B=[0.1, 0.2], P=STEADY.P)),
     ("A: needs a 2×2 matrix", lambda: mpt.SteadyStateFilter(AXIS, A=np.eye(3), B=STEADY.B, P=STEADY.P)),
+    # positioning
+    ("satellites: needs an (m, 3) array of at least 4 satellites, got shape (3, 3)", fix(SKY[:3], RANGES[:3])),
+    ("satellites: needs an (m, 3) array of at least 4 satellites, got shape (8, 2)", fix(SKY[:, :2])),
+    ("satellites: needs an (m, 3) array of at least 4 satellites, got a scalar", fix(5.0)),
+    ("ranges: needs a vector of length 8 of finite numbers, got NaN", fix(ranges=[NAN, *RANGES[1:]])),
+    ("ranges: needs a vector of length 8 of finite numbers, got an infinite value", fix(ranges=[INF, *RANGES[1:]])),
+    ("ranges: needs a vector of length 8, got shape (7,)", fix(ranges=RANGES[1:])),
+    ("start: needs a vector of length 4, got shape (3,)", fix(start=PLACE)),
+    ("start: needs a vector of length 4 of finite numbers, got NaN", fix(start=[NAN, 0, 0, 0])),
+    ("satellites: needs a geometry that determines a position", fix(np.tile(SKY[:2], (4, 1)))),
+    ("steps: needs an integer of at least 0, got -1", lambda: positioning.position_steps(SKY, RANGES, START, -1)),
+    ("start: needs a place that is not a satellite's", fix(start=[*SKY[2], 0.0])),
+    ("satellites: needs an (m, 3) array of at least 4", lambda: positioning.dilution(SKY[:3], START)),
+    ("satellites: needs a geometry that determines", lambda: positioning.dilution(np.tile(SKY[:2], (4, 1)), START)),
+    ("X: needs a vector of length 4", lambda: positioning.dilution(SKY, PLACE)),
+    ("x: needs a place that is not on the axis of the Earth", lambda: positioning.local_axes([0.0, 0.0, 1.0])),
+    ("satellites: needs an (m, 3) array, got a scalar", lambda: positioning.elevation(5.0, PLACE)),
+    ("satellites: needs a 2×3 matrix, got shape (2, 2)", lambda: positioning.elevation(np.ones((2, 2)), PLACE)),
+    (
+        "P0: needs a symmetric positive definite",
+        lambda: positioning.position_kalman(SKY, [RANGES], START, ZERO, EYE, 1),
+    ),
+    (
+        "ranges: needs an (N, m) array, got shape (8,)",
+        lambda: positioning.position_kalman(SKY, RANGES, START, EYE, EYE, 1),
+    ),
+    ("latitude: needs a number in [-90, 90], got 91", lambda: positioning.place(91, 0)),
+    ("longitude: needs a number, got nan", lambda: positioning.place(0, NAN)),
+    ("t: needs a number, got inf", lambda: positioning.constellation(INF)),
+    ("x: needs a vector of length 3, got shape (4,)", lambda: positioning.sky(START, 0.0)),
+    ("P0: needs a 4×4 matrix", lambda: positioning.position_kalman(SKY, [RANGES], START, np.eye(3), np.eye(4), 1.0)),
+    ("R: needs a positive number, got 0", lambda: positioning.position_kalman(SKY, [RANGES], START, EYE, EYE, 0)),
+    ("x: needs an (n,) or (n, M) array of at least 2 places, got shape (1,)", lambda: positioning.line_fit([1.0], 1.0)),
+    ("x: needs an (n,) or (n, M) array of at least 2 places, got NaN", lambda: positioning.line_fit([1.0, NAN], 1.0)),
+    ("dt: needs a positive number, got 0", lambda: positioning.line_fit([1.0, 2.0], 0)),
+    ("n: needs an integer of at least 2, got 1", lambda: positioning.line_sigma(1, 0)),
+    ("z: needs an (N, 1) or (N, 1, M) array, got shape (3,)", window(z=[0.0, 1.0, 2.0])),
+    ("z: needs places without a missed epoch, got 1 of them", window(z=[[0.0], [NAN], [2.0]])),
+    ("z: needs at least 5 places, as smallest says, got 3", window(smallest=5)),
+    ("dt: needs a positive number, got -1", window(dt=-1)),
+    ("threshold: needs a positive number, got 0", window(threshold=0)),
+    ("threshold: needs a positive number, got nan", window(threshold=NAN)),
+    ("smallest: needs an integer of at least 2, got 1", window(smallest=1)),
+    ("largest: needs an integer of at least 3, got 2", window(smallest=3, largest=2)),
+    ("fall: needs an integer of at least 1, got 0", window(fall=0)),
+    # gps_ins
+    ("r: needs two or three variances, got shape (1,)", lambda: mpt.gps_ins(1.0, 0.0, [1.0])),
+    ("r: needs two or three variances, got a scalar", lambda: mpt.gps_ins(1.0, 0.0, 1.0)),
+    ("r[1]: needs a positive number, got", lambda: mpt.gps_ins(1.0, 0.0, [1.0, 0.0])),
+    ("r[2]: needs a positive number, got", lambda: mpt.gps_ins(1.0, 0.0, [1.0, 1.0, NAN])),
+    ("dt: needs a positive number, got 0", lambda: mpt.gps_ins(0, 0.0, [1.0, 1.0])),
+    ("q: needs a number that is not negative, got -1", lambda: mpt.gps_ins(1.0, -1, [1.0, 1.0])),
+    ("rho: needs a number in [0, 1], got 2", lambda: trials.repeated_row_covariances(THREE_ROWS, 2, 5)),
     # burden, metrics, tables, figures
     ("n: needs an integer of at least 1, got 0", lambda: mpt.burden.kalman(0, 1)),
     ("M: needs an integer of at least 1, got 0", lambda: mpt.burden.fir(2, 1, M=0)),
@@ -221,6 +291,11 @@ WRONG_TYPES = [
     ("filters[1]: needs a filter", lambda: mpt.Separate(KF, AXIS)),
     ("tol: needs a number in (0, 1], got '1'", lambda: mpt.FIRFilter.from_steady_state(STEADY, tol="1")),
     ("n: needs an integer of at least 1, got 2.0", lambda: mpt.burden.kalman(2.0, 1)),
+    ("ranges: needs a vector of length 8 of real numbers", fix(ranges=["1"] * 8)),
+    ("smallest: needs an integer of at least 2, got 2.0", window(smallest=2.0)),
+    ("threshold: needs a positive number, got '3'", window(threshold="3")),
+    ("r: needs two or three variances of real numbers", lambda: mpt.gps_ins(1.0, 0.0, ["1", "1"])),
+    ("rho: needs a number in [0, 1], got '1'", lambda: trials.repeated_row_covariances(THREE_ROWS, "1", 5)),
     ("fig: needs a Figure", lambda: mpt.save_figure(None, "fig")),
     ("name: needs a str", lambda: mpt.save_figure(Figure(), 5)),
 ]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import mpt_helpers as mpt
-from mpt_helpers.figures import describe, draw_gaps, panels, visible_gap
+from mpt_helpers.figures import coordinate, describe, draw_gaps, panels, visible_gap
 
 
 def line(ax, y):
@@ -110,3 +110,15 @@ def test_a_figure_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
         mpt.save_figure(panels([["a"]])[0], "a", folder=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
     assert (tmp_path / "a.png").read_bytes() == b"old"
+
+
+def test_a_coordinate_is_drawn_where_it_was_estimated():
+    t, truth = np.arange(5.0), np.column_stack([np.arange(5.0), np.ones(5), np.full(5, 2.0)])
+    estimates = {"filter": truth[2:] + 0.5, "line": truth[1:, :2] - 0.25}
+    fig = coordinate(t, truth, t, estimates, sigma=np.ones((3, 3)))
+    drawn = {ax.get_title(loc="left"): {line.get_label(): line.get_xydata() for line in ax.lines} for ax in fig.axes}
+    assert list(drawn) == ["position (m)", "position error (m)", "velocity (m/s)", "constant error of the INS (m/s)"]
+    np.testing.assert_array_equal(drawn["position (m)"]["filter"], np.column_stack([t[2:], t[2:] + 0.5]))
+    np.testing.assert_array_equal(drawn["position error (m)"]["line"], np.column_stack([t[1:], np.full(4, -0.25)]))
+    np.testing.assert_array_equal(drawn["velocity (m/s)"]["line"], np.column_stack([t[1:], np.full(4, 0.75)]))
+    assert set(drawn["constant error of the INS (m/s)"]) == {"true", "filter"}

@@ -1,0 +1,283 @@
+"""The Monte Carlo experiments of the paper of 2007: what its modelling may have been, over many skies and tracks.
+
+Each function that ends in (rng, M) is an experiment for `study`, once the arguments before them are given. Positions
+are in metres, velocities in m/s, and M is the number of runs.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from . import checks, positioning
+from .filters import KalmanFilter
+from .model import LinearModel, simulate
+from .recursion import measurements, run
+
+# How the third row of H_k, [1 -dt 0], can be read: which measurement it takes. The paper does not say.
+READINGS = ("no third row", "second receiver", "GPS again", "own estimate", "GPS - Δt INS")
+
+
+def random_sky(rng, channels=24):
+    """Return the satellites (m, 3) above the mask, and the state [x y z D'], at a random place and time.
+
+    The place is uniform on the sphere, the time uniform over a sidereal day, D' is zero. A sky of fewer than four
+    satellites is drawn again. A receiver of few channels takes so many of the satellites, at random.
+
+    >>> satellites, X = random_sky(np.random.default_rng(0))
+    >>> len(satellites) >= 4, round(float(np.linalg.norm(X)))
+    (True, 6371000)
+    """
+    direction = rng.standard_normal(3)
+    x = positioning.EARTH_RADIUS * direction / np.linalg.norm(direction)
+    satellites = positioning.sky(x, rng.uniform(0, positioning.SIDEREAL_DAY))
+    if len(satellites) < 4:
+        return random_sky(rng, channels)
+    return rng.permutation(satellites)[:channels], np.append(x, 0.0)
+
+
+def rough_errors(start_error, sigma, steps, channels, rng, M):
+    """Return the errors of the rough position over the iteration (2007 Fig. 1), (steps + 3, M).
+
+    Each run has a `random_sky`, pseudoranges with independent errors of standard deviation sigma, and a known position
+    that is off by start_error, [x y z D']. The first two rows are GDOP and PDOP, the others the distance to the true
+    place at the start and after each step; NaN after a step that meets a degenerate geometry.
+
+    >>> rough_errors(np.array([3e5, 0, 0, 5e3]), 1.0, 3, 24, np.random.default_rng(0), 2)[2]
+    array([300000., 300000.])
+    """
+    result = np.full((steps + 3, M), np.nan)
+    for run_ in range(M):
+        satellites, X = random_sky(rng, channels)
+        ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal(len(satellites))
+        dop = positioning.dilution(satellites, X)
+        result[:2, run_] = np.linalg.norm(dop), np.linalg.norm(dop[:3])
+        here = X + start_error
+        try:
+            for step in range(steps + 1):
+                result[step + 2, run_] = np.linalg.norm((here - X)[:3])
+                here = positioning.corrected(satellites, ranges, here)
+        except positioning.DegenerateGeometryError:
+            continue
+    return result
+
+
+def rms_text(errors):
+    """Return the `rms_band` of errors as text.
+
+    >>> rms_text(np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]]))
+    '1 [1, 1]'
+    """
+    return "{:.3g} [{:.3g}, {:.3g}]".format(*rms_band(errors))
+
+
+def rms_band(errors):
+    """Return the root mean square of errors (..., M), and the 95 % band of it, from the spread over the M runs.
+
+    >>> rms_band(np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]]))
+    (1.0, 1.0, 1.0)
+    """
+    squares = np.square(errors).reshape(-1, np.shape(errors)[-1]).mean(axis=0)
+    mean, half = squares.mean(), 1.96 * squares.std() / np.sqrt(len(squares))
+    return tuple(float(np.sqrt(max(value, 0))) for value in (mean, mean - half, mean + half))
+
+
+def rough_kalman_errors(start_error, P0, Q, sigma, epochs, rng, M):
+    """Return the distance of an extended Kalman filter from the true place after each epoch, (epochs, M).
+
+    The skies, the errors and the start are those of `rough_errors`; P0 and Q are those of `position_kalman`.
+
+    >>> rough_kalman_errors(np.zeros(4), np.eye(4), np.zeros((4, 4)), 1.0, 3, np.random.default_rng(0), 2).shape
+    (3, 2)
+    """
+    result = np.empty((epochs, M))
+    for run_ in range(M):
+        satellites, X = random_sky(rng)
+        ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal((epochs, len(satellites)))
+        path = positioning.position_kalman(satellites, ranges, X + start_error, P0, Q, sigma**2)
+        result[:, run_] = np.linalg.norm((path - X)[:, :3], axis=1)
+    return result
+
+
+def line_errors(n, dt, sigma, rng, M):
+    """Return the errors of the fitted line (2007 Eqs. 8-10) at the points i = 0 ... n + 1, and of V, (n + 3, M).
+
+    The measured places have independent errors of standard deviation sigma; the fit is linear, so that the velocity
+    does not matter and is zero.
+
+    >>> line_errors(100, 1.0, 1.0, np.random.default_rng(0), 5).shape
+    (103, 5)
+    """
+    line = positioning.line_fit(sigma * rng.standard_normal((n, M)), dt)
+    return np.vstack([line.start + np.arange(n + 2)[:, None] * dt * line.velocity, line.velocity])
+
+
+def gps_ins_track(velocity, dt, sigmas, bias, rng, M):
+    """Draw what GPS and INS measure on tracks of given velocities (2007, after Eq. 11).
+
+    velocity is (N,), sigmas the standard deviations of a GPS position and an INS velocity, bias the constant error of
+    the INS. The track starts at zero and moves as Φ says: x(k+1) = x(k) + v(k) dt, before v changes. Returns the true
+    positions and velocities (N, 2) and the measurements (N, 2, M).
+
+    >>> gps_ins_track(np.full(3, 0.2), 1.0, (0.0, 0.0), 1.0, np.random.default_rng(0), 1)[1][..., 0].round(1)
+    array([[0. , 1.2],
+           [0.2, 1.2],
+           [0.4, 1.2]])
+    """
+    velocity = np.asarray(velocity, float)
+    truth = np.column_stack([dt * (velocity.cumsum() - velocity), velocity])
+    noise = np.reshape(sigmas, (2, 1)) * rng.standard_normal((len(velocity), 2, M))
+    return truth, truth[..., None] + [[0.0], [bias]] + noise
+
+
+def tracking_errors(trackers, velocity, dt, sigmas, bias, rng, M):
+    """Return the errors of position and velocity of some trackers on the same tracks, (trackers, N, 2, M).
+
+    A tracker is a function of the measurements (N, 2, M) of `gps_ins_track`; its result (N, 2, M) or (N, 3, M) starts
+    with position and velocity.
+
+    >>> tracking_errors([lambda z: z], np.zeros(5), 1.0, (1.0, 0.01), 1.0, np.random.default_rng(0), 3).shape
+    (1, 5, 2, 3)
+    """
+    truth, z = gps_ins_track(velocity, dt, sigmas, bias, rng, M)
+    return np.array([tracker(z)[:, :2] - truth[..., None] for tracker in trackers])
+
+
+def line_tracker(dt, *window):
+    """Return a tracker that is the `adaptive_line` of the places: window is its threshold, smallest, largest and fall.
+
+    >>> line_tracker(1.0, np.inf, 2, 100)(np.zeros((5, 2, 3))).shape
+    (5, 2, 3)
+    """
+    return lambda z: positioning.adaptive_line(z[:, :1], dt, *window).x
+
+
+def filter_tracker(model):
+    """Return a tracker that is the Kalman filter of a model of GPS alone (m = 1) or of GPS and INS (m = 2).
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> filter_tracker(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4)))(np.zeros((5, 2, 3))).shape
+    (5, 3, 3)
+    """
+    return lambda z: KalmanFilter(model).filter(z[:, : model.m])
+
+
+def gps_ins_errors(model, velocity, dt, sigmas, bias, rng, M):
+    """Return the errors of a GPS/INS filter on the tracks of `gps_ins_track`, (N, 3, M): place, velocity, bias.
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> model = gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4))
+    >>> gps_ins_errors(model, np.zeros(5), 1.0, (1.0, 0.01), 1.0, np.random.default_rng(0), 3).shape
+    (5, 3, 3)
+    """
+    truth, z = gps_ins_track(velocity, dt, sigmas, bias, rng, M)
+    return KalmanFilter(model).filter(z) - np.column_stack([truth, np.full(len(truth), bias)])[..., None]
+
+
+def third_row_start(model):
+    """Return the model as it is one step later: its x0 and P0 are those of x(1).
+
+    >>> from mpt_helpers.model import constant_velocity
+    >>> third_row_start(constant_velocity(dt=1.0, q=3.0, r=1.0)).P0
+    array([[1. , 1.5],
+           [1.5, 3. ]])
+    """
+    return replace(model, x0=model.F @ model.x0, P0=model.F @ model.P0 @ model.F.T + model.Q)
+
+
+def third_row_errors(model, N, rng, M):
+    """Return the errors of the GPS/INS filter under each of `READINGS` of its third row, (5, N, 3, M).
+
+    model is a `gps_ins` of three rows; tracks and measurements are drawn from it. The third measurement is, in turn:
+    none; the place one step before, measured by a second receiver; what GPS measured one step before; the filter's own
+    estimate of one step before; the difference of this step's GPS place and INS displacement. The filter always runs
+    from `third_row_start(model)` and takes the third row as independent, with the variance R_33.
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> third_row_errors(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4, 1.0)), N=4, rng=np.random.default_rng(0), M=2).shape
+    (5, 4, 3, 2)
+    """
+    start = third_row_start(model)
+    kf, two = KalmanFilter(start), KalmanFilter(without_third_row(start))
+    x, z = simulate(without_third_row(model), N + 1, rng, M)
+    receiver = x[:-1, :1] + np.sqrt(model.R[2, 2]) * rng.standard_normal((N, 1, M))
+    before, x, z = z[:-1, :1], x[1:], z[1:]
+    difference = z[:, :1] - model.F[0, 1] * z[:, 1:]
+    second, again, last = (kf.filter(np.concatenate([z, row], axis=1)) for row in (receiver, before, difference))
+    return np.array([each - x for each in (two.filter(z), second, again, _own_estimate(kf, z), last)])
+
+
+def without_third_row(model):
+    """Return a GPS/INS model of three rows without the third.
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> three, two = (gps_ins(dt=1.0, q=0.01, r=r) for r in ((1.0, 1e-4, 1.0), (1.0, 1e-4)))
+    >>> without_third_row(three) == two
+    True
+    """
+    return replace(model, H=model.H[:2], R=model.R[:2, :2])
+
+
+def with_last_gps(model):
+    """Return a GPS/INS model of two rows with what GPS measured one step before as a third, and its noise in the state.
+
+    The state is [x v b n y]: n is the noise of GPS, y what it measured one step before, so that the third measurement
+    is y itself. What must have a variance and has none gets a millionth of that of GPS; of the GPS place before the
+    first step nothing is known.
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> with_last_gps(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4))).H
+    array([[1., 0., 0., 1., 0.],
+           [0., 1., 1., 0., 0.],
+           [0., 0., 0., 0., 1.]])
+    """
+    gps, ins = np.diag(model.R)
+    F, H = np.zeros((5, 5)), np.zeros((3, 5))
+    F[:3, :3], F[4, [0, 3]] = model.F, 1
+    H[:2, :3], H[0, 3], H[2, 4] = model.H, 1, 1
+    Q, P0 = block_diag(model.Q, gps, 0), block_diag(model.P0, 1e6 * gps, 0)
+    return LinearModel(F=F, H=H, Q=Q, R=np.diag([1e-6 * gps, ins, 1e-6 * gps]), x0=[*model.x0, 0, 0], P0=P0)
+
+
+def _own_estimate(kf, z):
+    """Run the filter where z_3 is its own last place: its innovation is zero, as both are predicted from that place."""
+    A, B, _ = kf.coefficients(len(z))
+    F, H = kf.model.F, kf.model.H
+    A = A + B[:, :, 2:] @ H[2:] @ F  # (I - K H) F with the third row of H left out of the innovation
+    return run(lambda missed: (A, B[:, :, :2]), *measurements(z, 2), kf.model.x0)
+
+
+def repeated_row_covariances(model, rho, N):
+    """Return the covariance (N, 3, 3) of the errors that the filter of three rows really makes.
+
+    Its third measurement is the place one step before, with an error that rho makes of the error of GPS one step before
+    and of a new one, n, of variance R_33: 0 is the second receiver of `third_row_errors`, 1 is GPS again. The filter
+    assumes 0.
+
+        e(k+1) = (I - K H) (F e(k) + w) - K v
+        v_3(k+1) = rho v_1(k) + sqrt(1 - rho²) n - h_3 w,   h_3 = [1 -dt 0]
+
+    Raises ValueError for a rho outside [0, 1].
+
+    >>> from mpt_helpers.model import gps_ins
+    >>> model = gps_ins(dt=1.0, q=0.0, r=(1.0, 1e-4, 1.0))
+    >>> repeated_row_covariances(model, rho=1.0, N=5).shape
+    (5, 3, 3)
+    """
+    rho = checks.number("rho", rho, "a number in [0, 1]", lambda rho: 0 <= rho <= 1)
+    start = third_row_start(model)
+    F, H, Q, R = start.F, start.H, start.Q, start.R
+    K = KalmanFilter(start).coefficients(N).B
+    # The joint covariance of e(k) and v_1(k), which enters the next step through the third row.
+    e, cross, P = start.P0, np.zeros((3, 1)), np.empty((N, 3, 3))
+    shocks = np.diag([R[0, 0], R[1, 1], R[2, 2] * (1 - rho**2)])
+    for k in range(N):
+        update = np.eye(3) - K[k] @ H
+        on_w = update + K[k][:, 2:] @ H[2:]
+        on_e, on_old = update @ F, -rho * K[k][:, 2:]
+        mixed = on_e @ cross @ on_old.T
+        e = on_e @ e @ on_e.T + mixed + mixed.T + on_old * R[0, 0] @ on_old.T
+        e = e + on_w @ Q @ on_w.T + K[k] @ shocks @ K[k].T
+        cross = -K[k][:, :1] * R[0, 0]
+        P[k] = e
+    return P
