@@ -131,7 +131,7 @@ def steps_ahead(ax, errors, real, stated):
     ax.fill_between(N, -2 * real, 2 * real, color="C0", alpha=0.3, lw=0, label="± 2σ real")
     ax.plot(np.repeat(N, errors.shape[1]), errors.ravel(), ".", color="C2", ms=3, label="errors of this track")
     finish(ax, "steps ahead N", "prediction error (m), x axis, after the start")
-    ax.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+    ax.legend(loc="upper left", ncols=3)
 
 
 def effects(values, results, labels, xlabel):
