@@ -93,6 +93,7 @@ def test_small_and_large_steps_are_not_taken_for_singular(make, dt):
 @both_models
 def test_error_moments_are_those_of_simulated_tracks(model, steps):
     """A truth that differs in x0, P0, Q and R from the filter's model."""
+    model = replace(model, x0=-np.ones(model.n))
     truth = replace(model, x0=np.arange(model.n) + 1.0, P0=0.2 * np.eye(model.n), Q=3 * model.Q, R=2 * model.R)
     M, N = 20_000, 6
     x, z = mpt.simulate(truth, N + steps, np.random.default_rng(1), tracks=M)
