@@ -83,13 +83,13 @@ def test_an_interrupt_ends_the_study_with_the_blocks_at_work(workers):
     code = (
         "import time, mpt_helpers as mpt\n"
         "def slow(rng, M):\n    time.sleep(0.05)\n    return rng.random(M)\n"
-        f"print('ready', flush=True)\nmpt.study(slow, 1_000_000, 1, workers={workers})"
+        f"print('ready', flush=True)\nmpt.study(slow, 1_000_000, 1, tile=200_000, workers={workers})"
     )
     run = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT)
     assert run.stdout.readline() == b"ready\n"
     time.sleep(0.3)
     run.send_signal(signal.SIGINT)
-    _, errors = run.communicate(timeout=20)  # it takes a fraction of a second; the whole study some minutes
+    _, errors = run.communicate(timeout=20)  # a fraction of a second; a tile takes 50 s
     assert run.returncode != 0
     assert b"KeyboardInterrupt" in errors
 
