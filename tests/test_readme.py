@@ -25,6 +25,10 @@ def test_the_snippet_runs_and_does_what_its_comments_say():
     assert 1 < names["fir"].order < 100
     error = names["many"][:, 0] - names["tracks_x"][:, 0]
     sigma = np.sqrt(names["kf"].covariances(100)[:, 0, 0])
+    # 1,000 tracks know the mean of a chi-square of two degrees of freedom to 6 % at each step.
+    assert abs(names["nees"].mean(axis=1) - 2).max() < 5 * 2 / np.sqrt(1000)
+    # 10,000 runs know a standard deviation to 0.7 %.
+    np.testing.assert_allclose(names["errors"].std(), sigma[-1], rtol=0.035)
     # 100 correlated steps of 1,000 tracks: the rms is known to some 2 %.
     np.testing.assert_allclose(np.sqrt((error**2).mean()), np.sqrt((sigma**2).mean()), rtol=0.05)
 
