@@ -228,3 +228,12 @@ def test_nothing_that_is_passed_in_is_changed(model, z):
     np.testing.assert_array_equal(z, before)
     with pytest.raises(ValueError, match="read-only"):
         model.F[0, 0] = 2
+
+
+@pytest.mark.parametrize("late", [7, 8, 30, 39])
+def test_tracks_that_differ_in_one_missed_epoch_are_told_apart(late):
+    _, z = mpt.simulate(AXIS, 40, np.random.default_rng(1), tracks=3)
+    z[late, :, 1] = np.nan
+    many = mpt.KalmanFilter(AXIS).filter(z)
+    for i in range(3):
+        np.testing.assert_allclose(many[..., i], mpt.KalmanFilter(AXIS).filter(z[..., i]), **SAME)
