@@ -193,12 +193,13 @@ def dilution(satellites, X):
     return np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
 
 
-def position_kalman(satellites, ranges, start, P0, Q, R):
+def position_kalman(satellites, ranges, start, P0, Q, R, *, linearisations=1):
     """Return the positions of an extended Kalman filter over epochs of pseudoranges, (N, 4) (2007 Eqs. 6, 11).
 
     satellites is (m, 3), ranges (N, m); start and P0 are the mean (4,) and covariance (4, 4) before the first epoch, Q
-    (4, 4) is added between epochs, R is the variance of a pseudorange (m²). H is linearised at the prediction. Raises
-    ValueError as `position_steps` does, and for a P0 that is not definite.
+    (4, 4) is added between epochs, R is the variance of a pseudorange (m²). H is linearised at the prediction; more
+    linearisations of an epoch are at its estimates so far (the iterated filter). Raises ValueError as `position_steps`
+    does, and for a P0 that is not definite.
 
     >>> X = np.array([*place(56.95, 24.1), 0.0])
     >>> satellites = sky(X[:3], t=0.0)
@@ -209,15 +210,18 @@ def position_kalman(satellites, ranges, start, P0, Q, R):
     ranges = checks.matrix("ranges", ranges, "an (N, m) array")
     satellites, _, X = _checked(satellites, ranges[0], start)
     P, Q = checks.covariance("P0", P0, 4, definite=True), checks.covariance("Q", Q, 4)
-    sigma = np.sqrt(checks.positive("R", R))
+    sigma, linearisations = np.sqrt(checks.positive("R", R)), checks.count("linearisations", linearisations)
     path = []
     for k, measured in enumerate(ranges):
         P = P + Q if k else P
         # Eq. 11 as least squares of prediction and measurements: its own form loses the digits, as P0 is 1e11 times R.
         prior = np.linalg.cholesky(np.linalg.inv(P)).T
-        A = np.vstack([prior, linearised(satellites, X) / sigma])
-        new = np.append(np.zeros(4), (measured - pseudoranges(satellites, X)) / sigma)
-        X, P = X + np.linalg.lstsq(A, new)[0], np.linalg.inv(A.T @ A)
+        predicted = X
+        for _ in range(linearisations):
+            A = np.vstack([prior, linearised(satellites, X) / sigma])
+            new = np.append(prior @ (predicted - X), (measured - pseudoranges(satellites, X)) / sigma)
+            X = X + np.linalg.lstsq(A, new)[0]
+        P = np.linalg.inv(A.T @ A)
         path.append(X)
     return np.array(path)
 
@@ -294,13 +298,23 @@ class Tracked(NamedTuple):
     n: np.ndarray
 
 
-def adaptive_line(z, dt, threshold, smallest, largest, fall=None):
+def fitted_place(measured, fitted):
+    """Return the place that `adaptive_line` expects the next one from: the newest point of the line."""
+    return fitted
+
+
+def measured_place(measured, fitted):
+    """Return the place that `adaptive_line` expects the next one from: the newest measured place."""
+    return measured
+
+
+def adaptive_line(z, dt, threshold, smallest, largest, fall=None, last=fitted_place):
     """Return the newest point and the velocity of a line fit whose window adapts itself (2007, after Eq. 10).
 
     A place that is more than `threshold` (the paper's Δx, metres) from the expected one, x_n + V dt, takes `fall`
     points from the window, but leaves `smallest` (the paper's 2...5); where fall is None it takes all the others. A
     place that is nearer adds one, up to `largest`. A threshold of infinity grows the window only; smallest = largest
-    keeps it as it is.
+    keeps it as it is. `last` says what the paper's x_n is: `fitted_place` or `measured_place`.
 
     z is (N, 1) or (N, 1, M), the measured places. The first smallest - 1 rows of the result have no line: NaN.
 
@@ -321,11 +335,11 @@ def adaptive_line(z, dt, threshold, smallest, largest, fall=None):
     if len(z) < smallest:
         checks.refuse("z", f"at least {smallest} places, as smallest says", len(z))
     one = z.ndim == 2
-    tracked = _adapt(z[:, 0] if not one else z, dt, threshold, smallest, largest, fall)
+    tracked = _adapt(z[:, 0] if not one else z, dt, threshold, smallest, largest, fall, last)
     return Tracked(tracked.x[..., 0], tracked.n[..., 0]) if one else tracked
 
 
-def _adapt(z, dt, threshold, smallest, largest, fall):
+def _adapt(z, dt, threshold, smallest, largest, fall, last):
     N, M = z.shape
     x, windows = np.full((N, 2, M), np.nan), np.full((N, M), smallest)
     # Sums over the places up to k, of z and of k z; they start from the first place, so that they stay short numbers.
@@ -336,7 +350,7 @@ def _adapt(z, dt, threshold, smallest, largest, fall):
     n = windows[0]
     for end in range(smallest, N + 1):
         if end > smallest:
-            off = np.abs(z[end - 1] - x[end - 2, 0] - x[end - 2, 1] * dt) > threshold
+            off = np.abs(z[end - 1] - last(z[end - 2], x[end - 2, 0]) - x[end - 2, 1] * dt) > threshold
             n = np.where(off, np.maximum(n - fall, smallest), np.minimum(n + 1, largest))
         begin = end - n
         sum_x = sums[end] - sums[begin, tracks]

@@ -82,10 +82,24 @@ def rms_band(errors):
     return tuple(float(np.sqrt(max(value, 0))) for value in (mean, mean - half, mean + half))
 
 
-def rough_kalman_errors(start_error, P0, Q, sigma, epochs, rng, M):
+def median_band(errors):
+    """Return the median of errors (N, M) over the M runs and its 95 % band, (3, N), by the order of the runs.
+
+    >>> median_band(np.arange(101.0)[None])[:, 0]
+    array([50., 40., 60.])
+    """
+    M = np.shape(errors)[-1]
+    half = 1.96 * np.sqrt(M) / 2
+    ordered = np.sort(errors, axis=-1)
+    low, high = int(np.floor((M - 1) / 2 - half)), int(np.ceil((M - 1) / 2 + half))
+    return np.array([np.median(errors, axis=-1), ordered[..., max(low, 0)], ordered[..., min(high, M - 1)]])
+
+
+def rough_kalman_errors(start_error, P0, Q, sigma, epochs, rng, M, *, linearisations=1):
     """Return the distance of an extended Kalman filter from the true place after each epoch, (epochs, M).
 
-    The skies, the errors and the start are those of `rough_errors`; P0 and Q are those of `position_kalman`.
+    The skies, the errors and the start are those of `rough_errors`; P0, Q and the linearisations of an epoch are those
+    of `position_kalman`.
 
     >>> rough_kalman_errors(np.zeros(4), np.eye(4), np.zeros((4, 4)), 1.0, 3, np.random.default_rng(0), 2).shape
     (3, 2)
@@ -94,8 +108,29 @@ def rough_kalman_errors(start_error, P0, Q, sigma, epochs, rng, M):
     for run_ in range(M):
         satellites, X = random_sky(rng)
         ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal((epochs, len(satellites)))
-        path = positioning.position_kalman(satellites, ranges, X + start_error, P0, Q, sigma**2)
+        start = X + start_error
+        path = positioning.position_kalman(satellites, ranges, start, P0, Q, sigma**2, linearisations=linearisations)
         result[:, run_] = np.linalg.norm((path - X)[:, :3], axis=1)
+    return result
+
+
+def fix_kalman_errors(start_error, Q, sigma, epochs, rng, M):
+    """Return what `rough_kalman_errors` does where least squares makes the first epoch and the filter the others.
+
+    P0 of the filter is the covariance of that fix, σ² (HᵀH)⁻¹.
+
+    >>> fix_kalman_errors(np.zeros(4), np.zeros((4, 4)), 1.0, 3, np.random.default_rng(0), 2).shape
+    (3, 2)
+    """
+    result = np.empty((epochs, M))
+    for run_ in range(M):
+        satellites, X = random_sky(rng)
+        ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal((epochs, len(satellites)))
+        fix = positioning.position(satellites, ranges[0], X + start_error)
+        H = positioning.linearised(satellites, fix)
+        P0 = sigma**2 * np.linalg.inv(H.T @ H) + Q
+        path = positioning.position_kalman(satellites, ranges[1:], fix, P0, Q, sigma**2)
+        result[:, run_] = np.linalg.norm((np.vstack([fix, path]) - X)[:, :3], axis=1)
     return result
 
 
@@ -112,12 +147,16 @@ def line_errors(n, dt, sigma, rng, M):
     return np.vstack([line.start + np.arange(n + 2)[:, None] * dt * line.velocity, line.velocity])
 
 
-def gps_ins_track(velocity, dt, sigmas, bias, rng, M):
+def gps_ins_track(velocity, dt, sigmas, bias, rng, M, *, phase=0.0):
     """Draw what GPS and INS measure on tracks of given velocities (2007, after Eq. 11).
 
     velocity is (N,), sigmas the standard deviations of a GPS position and an INS velocity, bias the constant error of
-    the INS. The track starts at zero and moves as Φ says: x(k+1) = x(k) + v(k) dt, before v changes. Returns the true
-    positions and velocities (N, 2) and the measurements (N, 2, M).
+    the INS. The track starts at zero. A velocity changes by the part `phase` of a step before the sample that has it,
+
+        x(k+1) = x(k) + dt ((1 - phase) v(k) + phase v(k+1)),
+
+    so that with phase 0 the track moves as Φ says, even where v changes. Returns the true positions and velocities
+    (N, 2) and the measurements (N, 2, M). Raises ValueError for a phase outside [0, 1].
 
     >>> gps_ins_track(np.full(3, 0.2), 1.0, (0.0, 0.0), 1.0, np.random.default_rng(0), 1)[1][..., 0].round(1)
     array([[0. , 1.2],
@@ -125,26 +164,28 @@ def gps_ins_track(velocity, dt, sigmas, bias, rng, M):
            [0.4, 1.2]])
     """
     velocity = np.asarray(velocity, float)
-    truth = np.column_stack([dt * (velocity.cumsum() - velocity), velocity])
+    phase = checks.number("phase", phase, "a number in [0, 1]", lambda phase: 0 <= phase <= 1)
+    x = dt * (velocity.cumsum() - velocity + phase * (velocity - velocity[0]))
+    truth = np.column_stack([x, velocity])
     noise = np.reshape(sigmas, (2, 1)) * rng.standard_normal((len(velocity), 2, M))
     return truth, truth[..., None] + [[0.0], [bias]] + noise
 
 
-def tracking_errors(trackers, velocity, dt, sigmas, bias, rng, M):
+def tracking_errors(trackers, velocity, dt, sigmas, bias, rng, M, *, phase=0.0):
     """Return the errors of position and velocity of some trackers on the same tracks, (trackers, N, 2, M).
 
-    A tracker is a function of the measurements (N, 2, M) of `gps_ins_track`; its result (N, 2, M) or (N, 3, M) starts
-    with position and velocity.
+    The tracks are those of `gps_ins_track`. A tracker is a function of its measurements (N, 2, M); the result, (N, 2,
+    M) or (N, 3, M), starts with position and velocity.
 
     >>> tracking_errors([lambda z: z], np.zeros(5), 1.0, (1.0, 0.01), 1.0, np.random.default_rng(0), 3).shape
     (1, 5, 2, 3)
     """
-    truth, z = gps_ins_track(velocity, dt, sigmas, bias, rng, M)
+    truth, z = gps_ins_track(velocity, dt, sigmas, bias, rng, M, phase=phase)
     return np.array([tracker(z)[:, :2] - truth[..., None] for tracker in trackers])
 
 
 def line_tracker(dt, *window):
-    """Return a tracker that is the `adaptive_line` of the places: window is its threshold, smallest, largest and fall.
+    """Return a tracker that is the `adaptive_line` of the places: window is what follows dt there, from the threshold.
 
     >>> line_tracker(1.0, np.inf, 2, 100)(np.zeros((5, 2, 3))).shape
     (5, 2, 3)

@@ -179,6 +179,14 @@ CASES = [
     ("r[2]: needs a positive number, got", lambda: mpt.gps_ins(1.0, 0.0, [1.0, 1.0, NAN])),
     ("dt: needs a positive number, got 0", lambda: mpt.gps_ins(0, 0.0, [1.0, 1.0])),
     ("q: needs a number that is not negative, got -1", lambda: mpt.gps_ins(1.0, -1, [1.0, 1.0])),
+    (
+        "phase: needs a number in [0, 1], got 2",
+        lambda: trials.gps_ins_track([1.0], 1.0, (1.0, 1.0), 0.0, np.random.default_rng(0), 1, phase=2),
+    ),
+    (
+        "linearisations: needs an integer of at least 1, got 0",
+        lambda: positioning.position_kalman(SKY, [RANGES], START, EYE, EYE, 1.0, linearisations=0),
+    ),
     ("rho: needs a number in [0, 1], got 2", lambda: trials.repeated_row_covariances(THREE_ROWS, 2, 5)),
     # burden, metrics, tables, figures
     ("n: needs an integer of at least 1, got 0", lambda: mpt.burden.kalman(0, 1)),

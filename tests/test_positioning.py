@@ -168,6 +168,19 @@ def test_an_extended_kalman_filter_is_equation_11():
         np.testing.assert_allclose(x, before, atol=EXACT)
 
 
+def test_an_iterated_kalman_filter_with_a_wide_start_is_least_squares():
+    satellites, X = positioning.sky(RIGA, 0.0), np.append(RIGA, 0.0)
+    ranges = positioning.pseudoranges(satellites, X) + np.random.default_rng(8).standard_normal((1, len(satellites)))
+    before, P0 = far_from(X, 3e5, 5e3), np.diag([9e10, 9e10, 9e10, 2.5e7])
+    once, iterated = (
+        positioning.position_kalman(satellites, ranges, before, P0, np.zeros((4, 4)), 1.0, linearisations=count)[0]
+        for count in (1, 5)
+    )
+    fix = positioning.position(satellites, ranges[0], before)
+    assert np.linalg.norm((once - fix)[:3]) > 100
+    np.testing.assert_allclose(iterated, fix, rtol=0, atol=0.01)  # the prior of the clock weighs DOP² / 2.5e7 of 5 km
+
+
 @pytest.mark.parametrize("n", [2, 3, 5, 100, 200])
 @pytest.mark.parametrize("dt", [0.1, 1.0, 7.0])
 def test_line_fit_equals_polyfit(n, dt):
@@ -207,12 +220,12 @@ def test_window_never_leaves_its_bounds(seed):
     assert np.isfinite(tracked.x[smallest - 1 :]).all()
 
 
-def slow_window(z, dt, threshold, smallest, largest, fall):
+def slow_window(z, dt, threshold, smallest, largest, fall, measured):
     """The adaptive window with numpy.polyfit, one step at a time."""
     n, x, windows = smallest, [], []
     for k in range(smallest, len(z) + 1):
         if x:
-            off = abs(z[k - 1] - x[-1][0] - x[-1][1] * dt) > threshold
+            off = abs(z[k - 1] - (z[k - 2] if measured else x[-1][0]) - x[-1][1] * dt) > threshold
             n = max(n - fall, smallest) if off else min(n + 1, largest)
         slope, start = np.polyfit(dt * np.arange(1, n + 1), z[k - n : k], 1)
         x.append((start + slope * n * dt, slope))
@@ -221,15 +234,16 @@ def slow_window(z, dt, threshold, smallest, largest, fall):
 
 
 @pytest.mark.parametrize(("smallest", "largest", "fall"), [(2, 30, 100), (5, 100, 100), (3, 20, 4), (6, 6, 1)])
-def test_adaptive_line_equals_polyfit_in_a_loop(smallest, largest, fall):
+@pytest.mark.parametrize("last", [positioning.fitted_place, positioning.measured_place])
+def test_adaptive_line_equals_polyfit_in_a_loop(smallest, largest, fall, last):
     rng = np.random.default_rng(8)
     z = np.concatenate([np.zeros(60), 3.0 * np.arange(60)]) + rng.standard_normal(120) + 1e4
-    x, windows = slow_window(z, 0.5, 3.0, smallest, largest, fall)
-    tracked = adaptive_line(z[:, None], 0.5, 3.0, smallest, largest, fall)
+    x, windows = slow_window(z, 0.5, 3.0, smallest, largest, fall, last is positioning.measured_place)
+    tracked = adaptive_line(z[:, None], 0.5, 3.0, smallest, largest, fall, last)
     np.testing.assert_array_equal(tracked.n[smallest - 1 :], windows)
     np.testing.assert_allclose(tracked.x[smallest - 1 :], x, rtol=0, atol=1e-9)  # polyfit over places of 1e4 m
     assert len(set(windows)) > 1 or smallest == largest
-    many = adaptive_line(np.repeat(z[:, None, None], 3, axis=2), 0.5, 3.0, smallest, largest, fall)
+    many = adaptive_line(np.repeat(z[:, None, None], 3, axis=2), 0.5, 3.0, smallest, largest, fall, last)
     np.testing.assert_array_equal(many.x[..., 2], tracked.x)
 
 
@@ -297,6 +311,15 @@ def test_a_track_moves_as_the_model_says():
     np.testing.assert_allclose(truth[1:, 0], truth[:-1, 0] + 0.5 * velocity[:-1])
     np.testing.assert_array_equal(z[:, 0, 1], truth[:, 0])
     np.testing.assert_array_equal(z[:, 1, 0], velocity + 3)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.5, 0.9, 1.0])
+def test_the_phase_says_when_within_the_step_the_velocity_changes(phase):
+    velocity = np.array([1.0, 1.0, -2.0, -2.0])
+    truth, _ = trials.gps_ins_track(velocity, 0.5, (0.0, 0.0), 0.0, np.random.default_rng(3), 1, phase=phase)
+    steps = 0.5 * ((1 - phase) * velocity[:-1] + phase * velocity[1:])
+    np.testing.assert_allclose(truth[:, 0], [0, *steps.cumsum()])
+    np.testing.assert_array_equal(truth[:, 1], velocity)
 
 
 def test_the_filters_own_estimate_as_third_measurement_has_no_innovation():
@@ -392,6 +415,19 @@ def test_the_first_step_of_a_rough_kalman_filter_is_that_of_least_squares():
     rough = trials.rough_errors(off, 1.0, 1, 24, np.random.default_rng(14), 20)
     assert rough[3].min() > 100
     np.testing.assert_allclose(kalman[0], rough[3], rtol=1e-4)  # the prior of the clock weighs DOP² / 2.5e7 of 5 km
+
+
+def test_a_filter_from_a_fix_at_rest_is_least_squares_over_all_epochs():
+    """Its errors fall with the square root of the epochs."""
+    off = np.array([3e5, 0, 0, 5e3])
+    errors = trials.fix_kalman_errors(off, np.zeros((4, 4)), 1.0, 16, np.random.default_rng(15), 400)
+    ratio = np.sqrt(np.mean(errors[0] ** 2) / np.mean(errors[-1] ** 2))
+    assert ratio == pytest.approx(4, rel=0.2)  # 400 runs of unequal skies: a standard error of some 5 %
+
+
+def test_a_median_band_covers_the_median_as_often_as_it_says():
+    _, low, high = trials.median_band(np.random.default_rng(16).exponential(size=(2000, 100)))
+    assert 0.94 < np.mean((low <= np.log(2)) & (np.log(2) <= high)) < 0.985  # by whole runs it is somewhat wider
 
 
 def test_line_errors_have_the_standard_error_of_the_closed_form():
