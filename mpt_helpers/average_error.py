@@ -20,7 +20,7 @@ from .study import study
 
 UNITS = {"fraction": 1, "percent": 100}
 AVERAGES = ("mean of ratios", "ratio of sums")
-AXES = ("x", "y", "both", "plane")
+AXES = {"x": slice(0, 1), "y": slice(1, 2), "both": slice(0, 2), "plane": slice(2, 3)}  # of what error_sums returns
 FIRST_ESTIMATES, FIRST_PREDICTIONS = (1, 2), (0, 1, 2)
 
 
@@ -160,7 +160,7 @@ def averages(sums, ends, lengths, average, axes, first_estimate, first_predictio
 
     sums and ends are those of `error_sums`.
     """
-    chosen = slice(*{"x": (0, 1), "y": (1, 2), "both": (0, 2), "plane": (2, 3)}[axes])
+    chosen = AXES[axes]
     last, result = [ends.index(length) for length in lengths], []
     for N in range(sums.shape[2]):
         first = first_prediction if N else first_estimate

@@ -14,7 +14,7 @@ import filterpy.kalman
 import numpy as np
 
 from . import checks, riccati
-from .model import LinearModel, square_root, stack
+from .model import LinearModel, predicted_covariance, square_root, stack
 from .recursion import measurements, run
 
 
@@ -198,14 +198,12 @@ class SteadyStatePredictor(_Constant):
     def __init__(self, steady, steps):
         model = checks.instance("steady", steady, SteadyStateFilter).model
         steps = checks.count("steps", steps, least=0)
-        sigma = np.sqrt(np.diag(model.F @ steady.P @ model.F.T + model.Q))
+        sigma = np.sqrt(np.diag(predicted_covariance(model, steady.P, 1)))
         unit = np.where(sigma > 0, sigma, 1)  # in these units the entries of F can be compared
         if np.linalg.matrix_rank(model.F * unit / unit[:, None]) < model.n:
             checks.refuse("steady", "a model whose F has an inverse", "a singular F")
         F_N = np.linalg.matrix_power(model.F, steps)
-        P = steady.P
-        for _ in range(steps):
-            P = model.F @ P @ model.F.T + model.Q
+        P = predicted_covariance(model, steady.P, steps)
         A_N = np.linalg.solve(F_N.T, (F_N @ steady.A).T).T
         super().__init__(replace(model, x0=F_N @ model.x0), A=A_N, B=F_N @ steady.B, P=(P + P.T) / 2)
         object.__setattr__(self, "steps", steps)

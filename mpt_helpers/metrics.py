@@ -8,7 +8,7 @@ from scipy.special import erf, gammaincinv
 
 from . import checks
 from .filters import SteadyStateFilter
-from .model import LinearModel
+from .model import LinearModel, predicted_covariance
 from .recursion import measurements
 
 
@@ -92,15 +92,17 @@ def innovations(each, z):
     array([[1.   ],
            [1.239]])
     """
-    F, H, Q, R = each.model.F, each.model.H, each.model.Q, each.model.R
-    z, missed = measurements(z, each.model.m)
+    model = each.model
+    z, missed = measurements(z, model.m)
     if missed.any():
         checks.refuse("z", "no missed epochs", "rows of NaN")
     x, P = each.filter(z), each.covariances(len(z))
-    start = each.P if isinstance(each, SteadyStateFilter) else each.model.P0
-    before = np.concatenate([np.broadcast_to(_column(each.model.x0, x), x[:1].shape), x[:-1]])
-    P = F @ np.concatenate([start[None], P[:-1]]) @ F.T + Q
-    return Innovations(z - np.tensordot(H @ F, before, (1, 1)).swapaxes(0, 1), H @ P @ H.T + R)
+    P_0 = each.P if isinstance(each, SteadyStateFilter) else model.P0
+    x_0 = model.x0 if x.ndim == 2 else model.x0[:, None]
+    x_before = np.concatenate([np.broadcast_to(x_0, x[:1].shape), x[:-1]])
+    P_before = np.concatenate([P_0[None], P[:-1]])
+    expected = np.tensordot(model.H @ model.F, x_before, (1, 1)).swapaxes(0, 1)
+    return Innovations(z - expected, model.H @ predicted_covariance(model, P_before, 1) @ model.H.T + model.R)
 
 
 def nis(each, z):
@@ -153,7 +155,7 @@ def error_moments(steady, truth, N, steps=0):
     for k in range(N):
         e, C = steady.A @ e, steady.A @ C @ steady.A.T + noise
         mean[k], P[k] = e, C
-    return ErrorMoments(mean @ np.linalg.matrix_power(truth.F, steps).T, _ahead(truth, P, steps))
+    return ErrorMoments(mean @ np.linalg.matrix_power(truth.F, steps).T, predicted_covariance(truth, P, steps))
 
 
 def error_covariance(steady, truth, steps=0):
@@ -170,7 +172,7 @@ def error_covariance(steady, truth, steps=0):
     """
     require_same(steady, truth)
     P = solve_discrete_lyapunov(steady.A, _step_noise(steady, truth))
-    return _ahead(truth, (P + P.T) / 2, checks.count("steps", steps, least=0))
+    return predicted_covariance(truth, (P + P.T) / 2, checks.count("steps", steps, least=0))
 
 
 class ErrorMoments(NamedTuple):
@@ -197,12 +199,6 @@ def expected_absolute(mean, variance):
     return float(value) if np.ndim(value) == 0 else value
 
 
-def _ahead(truth, P, steps):
-    for _ in range(steps):
-        P = truth.F @ P @ truth.F.T + truth.Q
-    return P
-
-
 def _step_noise(steady, truth):
     update = np.eye(truth.n) - steady.B @ truth.H
     return update @ truth.Q @ update.T + steady.B @ truth.R @ steady.B.T
@@ -214,7 +210,3 @@ def require_same(steady, truth):
     checks.instance("truth", truth, LinearModel)
     if not all(np.array_equal(getattr(truth, name), getattr(steady.model, name)) for name in "FH"):
         checks.refuse("truth", "the F and H of the filter's model", "others")
-
-
-def _column(x0, x):
-    return x0 if x.ndim == 2 else x0[:, None]

@@ -182,6 +182,18 @@ def stack(*models):
     return LinearModel(**blocks, x0=np.concatenate([model.x0 for model in models]))
 
 
+def predicted_covariance(model, P, steps):
+    """Return the covariance P (n, n) or (N, n, n) of an error, so many steps ahead: P <- F P Fᵀ + Q each time.
+
+    >>> predicted_covariance(constant_velocity(dt=1.0, q=3.0, r=1.0), np.zeros((2, 2)), steps=1)
+    array([[1. , 1.5],
+           [1.5, 3. ]])
+    """
+    for _ in range(steps):
+        P = model.F @ P @ model.F.T + model.Q
+    return P
+
+
 def square_root(C):
     """Return the square root G of a positive semidefinite matrix, G Gᵀ = C, that is symmetric at unit variances.
 

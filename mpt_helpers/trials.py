@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from . import checks, positioning
 from .filters import KalmanFilter
-from .model import LinearModel, simulate
+from .model import LinearModel, predicted_covariance, simulate
 from .recursion import measurements, run
 
 # How the third row of H_k, [1 -dt 0], can be read: which measurement it takes. The paper does not say.
@@ -223,7 +223,7 @@ def third_row_start(model):
     array([[1. , 1.5],
            [1.5, 3. ]])
     """
-    return replace(model, x0=model.F @ model.x0, P0=model.F @ model.P0 @ model.F.T + model.Q)
+    return replace(model, x0=model.F @ model.x0, P0=predicted_covariance(model, model.P0, 1))
 
 
 def third_row_errors(model, N, rng, M):
