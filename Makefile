@@ -2,8 +2,9 @@
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
+BENCH := .venv-bench
 
-.PHONY: reproduce test
+.PHONY: reproduce test bench
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
@@ -14,6 +15,16 @@ test: $(VENV)/.ok
 	$(PY) -m ruff format --check .
 	$(PY) -m pytest
 	$(PY) -m pytest --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+
+# The package beside its peers: some minutes, on a machine that does nothing else. Then `make reproduce`.
+bench: $(VENV)/.ok $(BENCH)/.ok
+	$(BENCH)/bin/python benchmarks/bench.py
+
+$(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
+	$(PYTHON) -m venv --clear $(BENCH)
+	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check -r benchmarks/environment.txt
+	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $@
 
 $(VENV)/.ok: environment.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, this is {sys.version}: make PYTHON=...")'

@@ -12,6 +12,7 @@ from .published import stored_verdicts
 from .tables import Table
 
 NOTEBOOKS, FIGURES = Path("notebooks"), Path("figures")
+MEASURED = Path("benchmarks") / "results.json"  # what notebooks read of the clock, so that none of them looks at it
 CELL_TIMEOUT = 600  # seconds; the slowest cell takes a few
 
 
@@ -30,6 +31,9 @@ def reproduce(keys):
             stage = Path(place)
             stage.joinpath(FIGURES).mkdir()
             shutil.copytree(NOTEBOOKS, stage / NOTEBOOKS)
+            if MEASURED.exists():
+                stage.joinpath(MEASURED).parent.mkdir()
+                shutil.copy(MEASURED, stage / MEASURED)
             text = _execute(key, stage / NOTEBOOKS)
             FIGURES.mkdir(exist_ok=True)
             for figure in sorted(stage.joinpath(FIGURES).iterdir()):

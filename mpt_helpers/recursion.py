@@ -43,6 +43,7 @@ def measurements(z, m):
         complete = np.isfinite(z.sum())  # no mask as large as z
     if complete:
         return z.astype(float, copy=False), np.broadcast_to(False, (z.shape[0], *z.shape[2:]))
+    _require_finite(z)
     missed = _missed(z)
     return np.where(np.expand_dims(missed, 1), 0.0, z), missed
 
@@ -66,18 +67,20 @@ def _need(m):
     return f"an (N, {m}) or (N, {m}, M) array"
 
 
-def _missed(z, tracks=None):
-    """Return which rows are all NaN; raise for an infinite z and for a row that is partly NaN, naming its track."""
-    if np.isinf(z).any():
-        checks.refuse("z", f"{_need(z.shape[1])} of finite numbers", "an infinite value")
+def _missed(z, first=0):
+    """Return which rows are all NaN; raise for one that is partly NaN, `first` being the number of the first track."""
     lost = np.isnan(z)
-    missed = lost.all(axis=1)
-    partly = np.argwhere(lost.any(axis=1) & ~missed)
-    if len(partly):
+    missed = lost[:, 0] if z.shape[1] == 1 else lost.all(axis=1)
+    if z.shape[1] > 1 and len(partly := np.argwhere(lost.any(axis=1) & ~missed)):
         row, *track = partly[0]
-        place = f"row {row}" + "".join(f" of track {t if tracks is None else tracks[t]}" for t in track)
+        place = f"row {row}" + "".join(f" of track {first + t}" for t in track)
         checks.refuse("z", "rows that are all numbers or all NaN (a missed epoch)", f"{place} partly NaN")
     return missed
+
+
+def _require_finite(z):
+    if np.isinf(z).any():
+        checks.refuse("z", f"{_need(z.shape[1])} of finite numbers", "an infinite value")
 
 
 def run(blocks, z, start, n):
@@ -96,12 +99,12 @@ def run(blocks, z, start, n):
     """
     one = z.ndim == 2
     z = z[..., None] if one else z
-    start, L = start[:, None], steps_at_once(n, z.shape[2])
+    start = start[:, None]
     # Most tracks miss what the first one does. Those that do not show it: NaN, infinity and 0·NaN stay not finite to
     # the last row, so that the input needs no pass of its own.
     pattern = np.isnan(z[:, 0, 0])
     with np.errstate(invalid="ignore"):
-        x = advance(blocks(pattern, L), z, pattern, start, n)
+        x = advance(blocks(pattern, steps_at_once(n, z.shape[2])), z, pattern, start, n)
     alike = np.isfinite(x[-1]).all(axis=0)
     for k in np.flatnonzero(pattern):
         alike &= np.isnan(z[k]).all(axis=0)
@@ -109,19 +112,22 @@ def run(blocks, z, start, n):
     if len(others):
         for pattern, which in _patterns(z, others, one):
             for tracks in np.array_split(others[which], -(-which.sum() // TILE)):
-                _fill(x, tracks, blocks(pattern, steps_at_once(n, len(tracks))), z, pattern, start)
+                with np.errstate(invalid="ignore"):  # of estimates that overflow
+                    _fill(x, tracks, blocks(pattern, steps_at_once(n, len(tracks))), z, pattern, start)
+        if not np.isfinite(x[-1]).all():
+            _require_finite(z)
     return x[..., 0] if one else x
 
 
 def _patterns(z, tracks, one):
     """Give each pattern of missed epochs (N,) of these tracks and the boolean of those that have it."""
-    parts = np.array_split(tracks, -(-len(tracks) // CHUNK))
-    missed = [_missed(z[..., 0])[:, None]] if one else (_missed(z[..., part], part) for part in parts)
-    packed = np.concatenate([np.packbits(each, axis=0) for each in missed], axis=1)
-    strings = np.ascontiguousarray(packed.T).view(f"V{len(packed)}")  # a short string of bytes for each sorts fast
+    N, _, M = z.shape
+    missed = [_missed(z[..., 0])[:, None]] if one else (_missed(z[..., i : i + CHUNK], i) for i in range(0, M, CHUNK))
+    packed = np.concatenate([np.packbits(np.ascontiguousarray(each.T), axis=1) for each in missed])[tracks]
+    strings = packed.view(f"V{packed.shape[1]}")  # a short string of bytes for each track sorts fast
     _, first, pattern_of = np.unique(strings, return_index=True, return_inverse=True)
     for i, track in enumerate(first):
-        yield np.unpackbits(packed[:, track], count=len(z)).astype(bool), pattern_of.ravel() == i
+        yield np.unpackbits(packed[track], count=N).astype(bool), pattern_of.ravel() == i
 
 
 def steps_at_once(n, M):
@@ -194,7 +200,8 @@ def _fill(x, tracks, blocks, z, missed, start):
     state, ahead = inputs[:n], inputs[p:].reshape(L, m, -1)
     flat, together = x.reshape(N * n, M), isinstance(tracks, slice)
     for k, i, gap in zip(range(0, N, L), blocks.of, gaps, strict=True):
-        rows, out = z[k : k + L, :, tracks], slice(k * n, (k + L) * n)
+        rows, out = z[k : k + L], slice(k * n, (k + L) * n)
+        rows = rows[..., tracks] if together else rows.take(tracks, axis=2)  # faster than by index
         ahead[: len(rows)] = rows
         if gap:
             ahead[: len(rows)][missed[k : k + L]] = 0
