@@ -4,7 +4,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 BENCH := .venv-bench
 
-.PHONY: reproduce test bench
+.PHONY: reproduce test bench mutants
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
@@ -19,6 +19,10 @@ test: $(VENV)/.ok
 # The package beside its peers: some minutes, on a machine that does nothing else. Then `make reproduce`.
 bench: $(VENV)/.ok $(BENCH)/.ok
 	$(BENCH)/bin/python benchmarks/bench.py
+
+# Break a copy of the project in each of some fifty ways: the tests must see it.
+mutants: $(VENV)/.ok
+	$(PY) tests/mutants.py
 
 $(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
 	$(PYTHON) -m venv --clear $(BENCH)
