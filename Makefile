@@ -4,7 +4,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 BENCH := .venv-bench
 
-.PHONY: reproduce test bench mutants
+.PHONY: reproduce test test-all lock bench mutants
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
@@ -13,8 +13,8 @@ reproduce: $(VENV)/.ok
 test: $(VENV)/.ok
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(PY) -m pytest
-	$(PY) -m pytest --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+	$(PY) -m pytest -n auto --dist loadfile
+	$(PY) -m pytest -n auto --dist loadscope --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
 
 # The package beside its peers: some minutes, on a machine that does nothing else. Then `make reproduce`.
 bench: $(VENV)/.ok $(BENCH)/.ok
@@ -30,9 +30,18 @@ $(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
 	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	@touch $@
 
-$(VENV)/.ok: environment.txt pyproject.toml
+# The tests on every Python, BLAS core type and set of versions that is promised: most of an hour.
+test-all:
+	$(PYTHON) tests/everywhere.py
+
+# What is installed, to the hash: made from environment.txt.
+lock: $(VENV)/.ok
+	$(PY) -m pip install --quiet --disable-pip-version-check uv==0.13.8
+	$(VENV)/bin/uv pip compile --quiet --universal --generate-hashes --python-version 3.11 environment.txt -o environment.lock
+
+$(VENV)/.ok: environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, this is {sys.version}: make PYTHON=...")'
 	$(PYTHON) -m venv --clear $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt
-	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@

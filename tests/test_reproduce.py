@@ -135,7 +135,7 @@ def test_verdicts_are_printed_without_running_a_notebook(monkeypatch, capsys):
 
 
 def test_the_committed_notebooks_and_figures_come_out_byte_for_byte(tmp_path):
-    for folder in ("notebooks", "figures"):
+    for folder in ("notebooks", "figures", "benchmarks"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns(".ipynb_checkpoints"))
     before = files(tmp_path)
     for path in tmp_path.glob("figures/*.png"):
