@@ -1,12 +1,13 @@
-# The two commands of the README: `make reproduce` and `make test`. Both set up .venv first, once.
+# The commands of the README. Each sets up what it needs first, once.
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
 
-.PHONY: reproduce test
+.PHONY: reproduce test site site-test
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
+	$(PY) -m mpt_helpers readme
 
 # A part of it: .venv/bin/python -m pytest tests/test_filters.py -k lainiotis
 test: $(VENV)/.ok
@@ -14,6 +15,20 @@ test: $(VENV)/.ok
 	$(PY) -m ruff format --check .
 	$(PY) -m pytest
 	$(PY) -m pytest --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+
+site: $(VENV)/.site
+	$(PY) docs/pages.py
+	$(PY) -m sphinx --fail-on-warning --keep-going --quiet -c docs docs/_build/source docs/_build/html
+	@echo "the site: docs/_build/html/index.html"
+
+site-test: site
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get update -qq && apt-get install -y -qq chromium; } \
+		|| { echo "error: site-test needs Chromium: sudo apt-get install chromium" >&2; exit 1; }
+	$(PY) -m pytest docs/test_site.py
+
+$(VENV)/.site: $(VENV)/.ok docs/environment.txt
+	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt -r docs/environment.txt
+	@touch $@
 
 $(VENV)/.ok: environment.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, this is {sys.version}: make PYTHON=...")'
