@@ -1,7 +1,6 @@
 """How Sphinx builds the site from what pages.py has put together."""
 
 import re
-from pathlib import Path
 
 from docutils import nodes
 
@@ -27,6 +26,7 @@ html_css_files = ["site.css"]
 html_js_files = [("values.js", {"defer": "defer"})]
 html_show_sphinx = False
 html_copy_source = False
+html_domain_indices = False
 mathjax_path = "tex-svg.js"
 mathjax3_config = {"options": {"enableMenu": False}}
 pygments_style = "a11y-high-contrast-light"
@@ -43,14 +43,18 @@ def name_cells(app, doctree):
             link += image
 
 
-def escape_docstring(app, what, name, obj, options, lines):
-    """Keep stars and bars of plain docstrings from being read as markup."""
-    for i, line in enumerate(lines):
-        if not line.lstrip().startswith((">>>", "...")):
-            lines[i] = re.sub(r"([*|])", r"\\\1", line)
+def plain_docstring(app, what, name, obj, options, lines):
+    """Read docstrings as plain text: an indented part is a formula, as it stands; stars and bars are no markup."""
+    parts = "\n".join(lines).split("\n\n")
+    for i, part in enumerate(parts):
+        if part.startswith("    "):
+            parts[i] = f"::\n\n{part}"
+        elif not part.startswith(">>>"):
+            parts[i] = re.sub(r"([*|])|(?<=\w)_(?!\w)", r"\\\g<0>", part)
+    lines[:] = "\n\n".join(parts).splitlines()
 
 
 def setup(app):
     """Connect the two."""
     app.connect("doctree-read", name_cells)
-    app.connect("autodoc-process-docstring", escape_docstring)
+    app.connect("autodoc-process-docstring", plain_docstring)

@@ -21,6 +21,8 @@ BUILD = ROOT / "docs" / "_build"
 MATHJAX = "sphinx-mathjax-offline", "sphinx-mathjax-offline/static/mathjax/tex-svg.js"
 MATHJAX_SHA256 = "d4295dc33744836935c1399feece5159577b34c5c8ffb9f1c6324cd82e03a882"
 
+SEE = "*What to see:*"
+
 
 def source(cell):
     """Return the source of a notebook's cell as text."""
@@ -60,6 +62,12 @@ def counts_html(given):
     )
 
 
+def home(about, given):
+    """Return the head of the README with its table of counts and its picture as the site has them."""
+    about = re.sub(r"(?s)<!-- verdicts.*end of verdicts -->", lambda _: counts_html(given), about)
+    return re.sub(r"!\[(.*)\]\(figures/(\w+)\.png\)", lambda image: picture_html(image[2], image[1]), about)
+
+
 def slip(verdict):
     """Return what kind of slip an erratum is: the first sentence of its reason, without its numbers."""
     return re.sub(r"[\d./]+\d", "#", verdict.reason).partition(". ")[0]
@@ -76,17 +84,16 @@ def errata_html(given, titles):
         lines = "\n".join(f"<li>{_erratum_html(group)}</li>" for group in alike.values())
         link = f'<a href="{values_link(paper, ERRATUM)}">{len(errata)} errata</a>'
         parts.append(f"<h3>{escape(title)}: {link}</h3>\n<ul>\n{lines}\n</ul>")
-    return "\n".join(parts)
+    return '<div class="errata">\n' + "\n".join(parts) + "\n</div>"
 
 
 def _erratum_html(group):
     first = group[0]
-    places = "; ".join(dict.fromkeys(each.where.partition(",")[0] for each in group)) if group[1:] else first.where
-    example = f"({len(group)} values), as in {first.where}: " if group[1:] else ": "
+    place = "; ".join(dict.fromkeys(each.where.partition(",")[0] for each in group)) if group[1:] else first.where
+    number = f" ({len(group)} items), as in {first.where}" if group[1:] else ""
     computed = f"; computed: {first.computed}" if len(first.computed) <= 40 else ""
-    reason = re.split(r" Against ", first.reason)[0]
-    words = f"{example}printed: {first.printed}{computed}. {reason}"
-    return f'<strong>{escape(places)}</strong> {escape(words)} <a href="{cell_link(first)}">proof</a>'
+    words = f"{number}: “{first.printed}”{computed}. {first.reason.partition(' Against ')[0]}"
+    return f'<strong>{escape(place)}</strong>{escape(words)} <a href="{cell_link(first)}">proof</a>'
 
 
 def values_html(given):
@@ -125,20 +132,30 @@ def figures_of(key, cells):
     """Return the figures of a notebook: name, heading, caption, cell and alt text."""
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
     made = []
-    for cell in cells:
+    for i, cell in enumerate(cells):
         for name in re.findall(r'save_figure\(fig, "(\w+)"\)', source(cell)):
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
             (caption,) = (part for part in prose if part.startswith(f"**{label}."))
+            if SEE not in caption:  # then it may stand below the figure
+                below = source(cells[i + 1]).split("\n\n")
+                caption = " ".join([caption, *(part for part in below if part.startswith(SEE))])
             pictures = [out for out in cell["outputs"] if "image/png" in out.get("data", {})]
             (alt,) = (out["metadata"]["image/png"]["alt"] for out in pictures)
             made.append((name, label, caption.partition(".** ")[2], cell["id"], alt))
     return made
 
 
-def png_size(path):
-    """Return the width and height of a PNG, in pixels."""
-    return struct.unpack(">II", path.read_bytes()[16:24])
+def png_size(name):
+    """Return the width and height of a figure's PNG, in pixels."""
+    return struct.unpack(">II", (ROOT / FIGURES / f"{name}.png").read_bytes()[16:24])
+
+
+def picture_html(name, alt):
+    """Return a figure that links to its SVG."""
+    width, height = png_size(name)
+    image = f'<img src="figures/{name}.png" alt="{escape(alt)}" width="{width}" height="{height}" loading="lazy">'
+    return f'<a href="figures/{name}.svg">{image}</a>'
 
 
 def gallery(notebooks):
@@ -147,11 +164,8 @@ def gallery(notebooks):
     for key, cells in notebooks.items():
         parts.append(f"## {paper_title(cells)}")
         for name, label, caption, cell, alt in figures_of(key, cells):
-            width, height = png_size(ROOT / FIGURES / f"{name}.png")
             parts.append(
-                f"### {label}, {key[:4]}\n\n"
-                f'<a href="figures/{name}.svg"><img src="figures/{name}.png" alt="{escape(alt)}" '
-                f'width="{width}" height="{height}" loading="lazy"></a>\n\n{caption}\n\n'
+                f"### {label}, {key[:4]}\n\n{picture_html(name, alt)}\n\n{caption}\n\n"
                 f'<p class="downloads"><a href="notebooks/{key}.html#cell-{cell}">cell</a> '
                 f'<a href="figures/{name}.png" download>PNG</a> <a href="figures/{name}.svg" download>SVG</a></p>'
             )
@@ -173,8 +187,11 @@ def prepared(key, notebook):
     """Return a notebook as it is rendered: cells that know their id, pictures with alt text and size, downloads."""
     for name, _, _, id, alt in figures_of(key, notebook["cells"]):
         (cell,) = (cell for cell in notebook["cells"] if cell["id"] == id)
-        width, height = png_size(ROOT / FIGURES / f"{name}.png")
-        cell["metadata"] = {"figure": name, "mystnb": {"image": {"alt": alt, "width": str(width), "height": str(height)}}}
+        width, height = png_size(name)
+        cell["metadata"] = {
+            "figure": name,
+            "mystnb": {"image": {"alt": alt, "width": str(width), "height": str(height)}},
+        }
     for cell in notebook["cells"]:
         cell["metadata"]["id"] = cell["id"]
     first = notebook["cells"][0]
@@ -197,9 +214,11 @@ def main():
     notebooks = {key: json.loads((ROOT / NOTEBOOKS / f"{key}.ipynb").read_text(encoding="utf-8")) for key in known([])}
     cells = {key: notebook["cells"] for key, notebook in notebooks.items()}
     titles = {key: paper_title(each) for key, each in cells.items()}
-    about = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## Without make")[0]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## Without make")[0]
+    about, commands, how = readme.partition("With Python 3.11")
     made = {
-        "ABOUT": re.sub(r"(?s)<!-- verdicts.*end of verdicts -->", lambda _: counts_html(given), about),
+        "ABOUT": home(about, given),
+        "COMMANDS": commands + how,
         "ERRATA": errata_html(given, titles),
         "FILTER": filter_html(titles),
         "VALUES": values_html(given),

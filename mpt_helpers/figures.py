@@ -309,7 +309,7 @@ def alt_text(fig):
         labels = dict.fromkeys(str(each.get_label()) for each in drawn)
         curves = "; ".join(label for label in labels if label and not label.startswith("_"))
         log = " (log scale)" if ax.get_yscale() == "log" else ""
-        alike.setdefault((ax.get_xlabel(), curves), []).append((ax.get_title(loc="left") or ax.get_ylabel()) + log)
+        alike.setdefault((ax.get_xlabel(), curves), []).append(_title(ax) + log)
     count = f"{len(fig.axes)} panels. " if len(fig.axes) > 1 else ""
     return count + " ".join(
         "; ".join(titles) + (f", over {xlabel}" if xlabel else "") + (f". Curves: {curves}." if curves else ".")
@@ -335,12 +335,16 @@ def describe(fig):
             f"{side} {axis.get_label_text()!r} {axis.get_scale()} {_digits(axis.get_view_interval(), '..')}"
             for side, axis in (("x", ax.xaxis), ("y", ax.yaxis))
         ]
-        title = ax.get_title(loc="left") or ax.get_title()
+        title = _title(ax)
         lines.append(f"axes {i}: " + (f"{title!r} " if title else "") + "; ".join(sides))
         drawn = [*ax.lines, *ax.collections, *ax.patches, *ax.images, *ax.texts]
         lines += [f"  {_describe_artist(artist)}" for artist in drawn]
         lines += [f"  {_describe_legend(ax.get_legend())}"] if ax.get_legend() else []
     return "\n".join(lines + [_describe_legend(legend) for legend in fig.legends])
+
+
+def _title(ax):
+    return ax.get_title(loc="left") or ax.get_title()
 
 
 def _describe_legend(legend):

@@ -63,7 +63,9 @@ class Table:
         |---|---|
         | a\|b | 509 |
         """
-        lines = ["| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in (self.header, *self.rows)]
+        lines = [
+            "| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in (self.header, *self.rows)
+        ]
         return "\n".join([lines[0], "|" + "---|" * len(self.header), *lines[1:]])
 
     def _repr_html_(self):

@@ -192,8 +192,17 @@ def test_stored_verdicts_are_those_displayed(tmp_path, paper):
     early = {MIME: Paper("test", read_items("test", ITEMS)).verdicts().records()}
     path.write_text(json.dumps({"cells": [{"outputs": [{"data": early}]}, {"outputs": [{"data": data}]}]}))
     assert list(stored_verdicts(path)) == list(paper.verdicts())
+    assert {each.cell for each in paper.verdicts()} == {None}  # no notebook runs here
     assert "<td>count</td>" in data["text/html"]
     assert len(data[MIME]) == len(paper.items)
+
+
+def test_a_stored_verdict_names_the_cell_that_gave_it(tmp_path, paper):
+    paper.check("count", 17)
+    records = [{**each, "cell": 7} if each["id"] == "count" else each for each in paper.verdicts().records()]
+    cells = [{"id": "text"}, {"id": "computes", "execution_count": 7, "outputs": [{"data": {MIME: records}}]}]
+    (tmp_path / "n.ipynb").write_text(json.dumps({"cells": cells}))
+    assert {each.id: each.cell for each in stored_verdicts(tmp_path / "n.ipynb") if each.cell} == {"count": "computes"}
 
 
 def test_every_paper_has_a_notebook_and_every_notebook_a_paper():
