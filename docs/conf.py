@@ -26,21 +26,24 @@ html_css_files = ["site.css"]
 html_js_files = [("values.js", {"defer": "defer"})]
 html_show_sphinx = False
 html_copy_source = False
-html_domain_indices = False
+html_use_index = html_domain_indices = False
 mathjax_path = "tex-svg.js"
 mathjax3_config = {"options": {"enableMenu": False}}
 pygments_style = "a11y-high-contrast-light"
 pygments_dark_style = "a11y-high-contrast-dark"
 
 
-def name_cells(app, doctree):
-    """Give each code cell the anchor #cell-ID, and each picture of a notebook a link to its SVG."""
+def name_parts(app, doctree):
+    """Give each code cell the anchor #cell-ID, each of its pictures a link to its SVG, and long formulas a class."""
     for cell in doctree.findall(lambda node: node.get("nb_element") == "cell_code" if node.children else False):
         cell["ids"].append(f"cell-{cell['cell_metadata']['id']}")
         for image in list(cell.findall(nodes.image)):
             link = nodes.reference("", "", refuri=f"../figures/{cell['cell_metadata']['figure']}.svg")
             image.replace_self(link)
             link += image
+    for formula in doctree.findall(nodes.math):
+        if len(formula.astext()) > 35:  # too wide for a phone
+            formula["classes"].append("long")
 
 
 def plain_docstring(app, what, name, obj, options, lines):
@@ -56,5 +59,5 @@ def plain_docstring(app, what, name, obj, options, lines):
 
 def setup(app):
     """Connect the two."""
-    app.connect("doctree-read", name_cells)
+    app.connect("doctree-read", name_parts)
     app.connect("autodoc-process-docstring", plain_docstring)

@@ -101,12 +101,12 @@ PICTURES = """async () => {
   return wrong;
 }"""
 SIDEWAYS = """() => {
-  const scrolls = (each) => each && (["auto", "scroll"].includes(getComputedStyle(each).overflowX)
-    || scrolls(each.parentElement));
+  const scrolls = (each) => !each.matches("article")
+    && (["auto", "scroll"].includes(getComputedStyle(each).overflowX) || scrolls(each.parentElement));
   const wide = [...document.querySelectorAll("article *")].filter((each) => !each.closest("mjx-container, thead")
-    && each.getBoundingClientRect().right > innerWidth + 1 && !scrolls(each));
+    && each.getBoundingClientRect().right > innerWidth + 1 && !scrolls(each)).map((each) => each.outerHTML);
   const width = document.documentElement.scrollWidth;
-  return [...(width > innerWidth ? [`a page of ${width} pixels`] : []), ...wide.slice(0, 3).map((each) => each.outerHTML.slice(0, 120))];
+  return [...(width > innerWidth ? [`a page of ${width} pixels`] : []), ...wide.slice(0, 3)];
 }"""
 UNREADABLE = """() => {
   const canvas = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
