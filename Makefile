@@ -22,7 +22,7 @@ site: $(VENV)/.site
 	@echo "the site: docs/_build/html/index.html"
 
 site-test: site
-	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get update -qq && apt-get install -y -qq chromium; } \
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq install chromium; } \
 		|| { echo "error: site-test needs Chromium: sudo apt-get install chromium" >&2; exit 1; }
 	$(PY) -m pytest docs/test_site.py
 

@@ -7,13 +7,11 @@ from docutils import nodes
 import mpt_helpers
 
 project = "mpt_helpers"
-author = "the authors of mpt_helpers"
 release = mpt_helpers.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
-suppress_warnings = ["mystnb.unknown_mime_type"]
 nb_execution_mode = "off"
-myst_enable_extensions = ["dollarmath", "colon_fence"]
-myst_heading_anchors = 3
+suppress_warnings = ["mystnb.unknown_mime_type"]  # the verdicts for machines, beside their table
+myst_enable_extensions = ["dollarmath"]
 default_role = "py:obj"
 add_module_names = False
 autodoc_member_order = "bysource"
@@ -24,7 +22,7 @@ html_static_path = ["_static", "_build/static"]
 html_extra_path = ["_build/extra"]
 html_css_files = ["site.css"]
 html_js_files = [("values.js", {"defer": "defer"})]
-html_show_sphinx = False
+html_show_sphinx = html_show_copyright = False
 html_copy_source = False
 html_use_index = html_domain_indices = False
 mathjax_path = "tex-svg.js"

@@ -90,7 +90,8 @@ def errata_html(given, titles):
 def _erratum_html(group):
     first = group[0]
     place = "; ".join(dict.fromkeys(each.where.partition(",")[0] for each in group)) if group[1:] else first.where
-    number = f" ({len(group)} items), as in {first.where}" if group[1:] else ""
+    number = f" ({len(group)} items)" if group[1:] else ""
+    number += f", as in {first.where}" if place != first.where else ""
     computed = f"; computed: {first.computed}" if len(first.computed) <= 40 else ""
     words = f"{number}: “{first.printed}”{computed}. {first.reason.partition(' Against ')[0]}"
     return f'<strong>{escape(place)}</strong>{escape(words)} <a href="{cell_link(first)}">proof</a>'

@@ -7,6 +7,7 @@ from functools import partial
 from html.parser import HTMLParser
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from shutil import which
 from urllib.parse import parse_qs, unquote, urldefrag, urljoin, urlsplit
 
 import pytest
@@ -27,8 +28,8 @@ class Served(SimpleHTTPRequestHandler):
 
 @pytest.fixture(scope="session")
 def browser_type_launch_args():
-    """Return what starts Debian's Chromium."""
-    return {"executable_path": "/usr/bin/chromium", "args": QUIET}
+    """Return what starts Chromium."""
+    return {"executable_path": which("chromium"), "args": QUIET}
 
 
 @pytest.fixture(scope="session")
