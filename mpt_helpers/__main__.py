@@ -60,7 +60,7 @@ def _execute(key, folder):
         notebook,
         timeout=CELL_TIMEOUT,
         kernel_name="python3",
-        extra_arguments=["--IPKernelApp.log_level=40"],  # what it warns of is not about the notebook
+        extra_arguments=["--IPKernelApp.log_level=50"],  # what it says below that is not about the notebook
         resources={"metadata": {"path": str(folder)}},
         record_timing=False,
         coalesce_streams=True,
