@@ -196,6 +196,15 @@ def shown(page):
 
 
 @pytest.mark.parametrize("width", WIDTHS)
+def test_a_link_to_a_cell_shows_the_cell_after_the_formulas_above_it_are_set(visit, width):
+    *_, last = (row for row in json.loads((HTML / "verdicts.json").read_text(encoding="utf-8")) if row["cell"])
+    page = visit(f"notebooks/{last['paper']}.html#cell-{last['cell']}", width)
+    page.evaluate("MathJax.startup.promise")
+    place = f"document.getElementById('cell-{last['cell']}').getBoundingClientRect().top"
+    page.wait_for_function(f"0 <= {place} && {place} < innerHeight / 2", timeout=5000)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
 def test_the_filter_of_the_values_works(visit, width):
     rows = [(row["paper"], row["verdict"]) for row in json.loads((HTML / "verdicts.json").read_text(encoding="utf-8"))]
     page = visit("values.html", width)
