@@ -23,7 +23,7 @@ html_extra_path = ["_build/extra"]
 html_css_files = ["site.css"]
 html_js_files = [("values.js", {"defer": "defer"})]
 html_show_sphinx = html_show_copyright = False
-html_copy_source = False
+html_copy_source = html_show_search_summary = False  # summaries cannot be read from files
 html_use_index = html_domain_indices = False
 mathjax_path = "tex-svg.js"
 mathjax3_config = {"options": {"enableMenu": False}}
