@@ -11,6 +11,7 @@ import struct
 from html import escape
 from importlib.metadata import distribution
 from pathlib import Path
+from typing import NamedTuple
 
 from mpt_helpers.__main__ import FIGURES, NOTEBOOKS, as_csv, as_json, known, verdicts
 from mpt_helpers.published import ERRATUM, VERDICTS, counts_by_paper
@@ -20,8 +21,17 @@ BUILD = ROOT / "docs" / "_build"
 # es5/tex-svg.js of MathJax 3.2.2, as in the package `mathjax` of the npm registry.
 MATHJAX = "sphinx-mathjax-offline", "sphinx-mathjax-offline/static/mathjax/tex-svg.js"
 MATHJAX_SHA256 = "d4295dc33744836935c1399feece5159577b34c5c8ffb9f1c6324cd82e03a882"
-
 SEE = "*What to see:*"
+
+
+class Drawn(NamedTuple):
+    """A figure of a notebook: the name of its files, what it is called, its caption, its cell and its alt text."""
+
+    name: str
+    label: str
+    caption: str
+    cell: str
+    alt: str
 
 
 def source(cell):
@@ -130,21 +140,24 @@ def filter_html(papers):
 
 
 def figures_of(key, cells):
-    """Return the figures of a notebook: name, heading, caption, cell and alt text."""
+    """Return the figures of a notebook; raises ValueError for one without its caption in the prose."""
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
-    made = []
+    drawn = []
     for i, cell in enumerate(cells):
         for name in re.findall(r'save_figure\(fig, "(\w+)"\)', source(cell)):
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
-            (caption,) = (part for part in prose if part.startswith(f"**{label}."))
+            captions = [part for part in prose if part.startswith(f"**{label}.**")]
+            if len(captions) != 1:
+                raise ValueError(f"{name}: needs one paragraph that begins with **{label}.**, got {len(captions)}")
+            caption = captions[0].removeprefix(f"**{label}.** ")
             if SEE not in caption:  # then it may stand below the figure
                 below = source(cells[i + 1]).split("\n\n")
                 caption = " ".join([caption, *(part for part in below if part.startswith(SEE))])
             pictures = [out for out in cell["outputs"] if "image/png" in out.get("data", {})]
             (alt,) = (out["metadata"]["image/png"]["alt"] for out in pictures)
-            made.append((name, label, caption.partition(".** ")[2], cell["id"], alt))
-    return made
+            drawn.append(Drawn(name, label, caption, cell["id"], alt))
+    return drawn
 
 
 def png_size(name):
@@ -164,21 +177,24 @@ def gallery(notebooks):
     parts = []
     for key, cells in notebooks.items():
         parts.append(f"## {paper_title(cells)}")
-        for name, label, caption, cell, alt in figures_of(key, cells):
+        for each in figures_of(key, cells):
             parts.append(
-                f"### {label}, {key[:4]}\n\n{picture_html(name, alt)}\n\n{caption}\n\n"
-                f'<p class="downloads"><a href="notebooks/{key}.html#cell-{cell}">cell</a> '
-                f'<a href="figures/{name}.png" download>PNG</a> <a href="figures/{name}.svg" download>SVG</a></p>'
+                f"### {each.label}, {key[:4]}\n\n{picture_html(each.name, each.alt)}\n\n{each.caption}\n\n"
+                f'<p class="downloads"><a href="notebooks/{key}.html#cell-{each.cell}">cell</a> '
+                f"{file_links(each.name)}</p>"
             )
     return "\n\n".join(parts)
+
+
+def file_links(name, root=""):
+    """Return the links to a figure's files."""
+    return " ".join(f'<a href="{root}figures/{name}.{kind}" download>{kind.upper()}</a>' for kind in ("png", "svg"))
 
 
 def downloads(key, cells):
     """Return the links to a notebook's files."""
     links = [f'<a href="{key}.ipynb" download>the notebook</a>']
-    for name, label, *_ in figures_of(key, cells):
-        files = (f'<a href="../figures/{name}.{ext}" download>{ext.upper()}</a>' for ext in ("png", "svg"))
-        links.append(f"{label.replace('`', '')}: {' '.join(files)}")
+    links += [f"{each.label.replace('`', '')}: {file_links(each.name, '../')}" for each in figures_of(key, cells)]
     links.append(f'<a href="../{values_link(key)}">all its verdicts</a>')
     items = "".join(f"<li>{link}</li>" for link in links)
     return f'<details class="downloads"><summary>Downloads</summary><ul>{items}</ul></details>'
@@ -186,15 +202,13 @@ def downloads(key, cells):
 
 def prepared(key, notebook):
     """Return a notebook as it is rendered: cells that know their id, pictures with alt text and size, downloads."""
-    for name, _, _, id, alt in figures_of(key, notebook["cells"]):
-        (cell,) = (cell for cell in notebook["cells"] if cell["id"] == id)
-        width, height = png_size(name)
-        cell["metadata"] = {
-            "figure": name,
-            "mystnb": {"image": {"alt": alt, "width": str(width), "height": str(height)}},
-        }
+    drawn = {each.cell: each for each in figures_of(key, notebook["cells"])}
     for cell in notebook["cells"]:
         cell["metadata"]["id"] = cell["id"]
+        if each := drawn.get(cell["id"]):
+            width, height = map(str, png_size(each.name))
+            image = {"alt": each.alt, "width": width, "height": height}
+            cell["metadata"] |= {"figure": each.name, "mystnb": {"image": image}}
     first = notebook["cells"][0]
     first["source"] = f"{source(first)}\n\n{downloads(key, notebook['cells'])}\n"
     return notebook
@@ -233,7 +247,7 @@ def main():
         (BUILD / "source" / page.name).write_text(text, encoding="utf-8")
     for folder in ("source", "extra"):
         (BUILD / folder / NOTEBOOKS).mkdir()
-        shutil.copytree(ROOT / FIGURES, BUILD / folder / FIGURES)
+    shutil.copytree(ROOT / FIGURES, BUILD / "extra" / FIGURES)
     for key, notebook in notebooks.items():
         shutil.copy(ROOT / NOTEBOOKS / f"{key}.ipynb", BUILD / "extra" / NOTEBOOKS)
         text = json.dumps(prepared(key, notebook), ensure_ascii=False)

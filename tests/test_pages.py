@@ -60,6 +60,7 @@ def test_a_caption_says_what_to_see_also_where_that_stands_below():
         {"cell_type": "code", "id": "draw", "source": 'mpt.save_figure(fig, "p_fig1")', "outputs": image},
         {"cell_type": "markdown", "source": "*What to see:* it settles.\n\nMore."},
     ]
-    assert pages.figures_of("p", cells) == [
-        ("p_fig1", "Figure 1", "The gain. *What to see:* it settles.", "draw", "a curve")
-    ]
+    seen = "The gain. *What to see:* it settles."
+    assert pages.figures_of("p", cells) == [("p_fig1", "Figure 1", seen, "draw", "a curve")]
+    with pytest.raises(ValueError, match=r"p_fig1: needs one paragraph that begins with \*\*Figure 1"):
+        pages.figures_of("p", cells[1:])
