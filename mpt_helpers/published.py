@@ -1,8 +1,10 @@
 """What the papers printed, and the verdict on each: computed, never typed."""
 
 import json
+import linecache
 import sys
 import tomllib
+import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
@@ -60,7 +62,7 @@ class Item:
 class Verdict:
     """The verdict on one item, with both values and, where they differ, the reason.
 
-    cell is the notebook cell that gave it: its number while it runs, its id once it is stored.
+    cell is the notebook cell that gave it: a checksum of its source while it runs, its id once it is stored.
     """
 
     paper: str
@@ -71,7 +73,7 @@ class Verdict:
     computed: str
     verdict: str
     reason: str
-    cell: int | str | None = None
+    cell: str | None = None
 
     def __repr__(self):
         reason = f" ({self.reason})" if self.reason else ""
@@ -304,7 +306,7 @@ def stored_verdicts(notebook):
     try:
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         stored = [out["data"][MIME] for cell in cells for out in cell.get("outputs", []) if MIME in out.get("data", {})]
-        ids = {cell["execution_count"]: cell["id"] for cell in cells if cell.get("execution_count")}
+        ids = {_mark("".join(cell["source"])): cell["id"] for cell in cells if cell.get("execution_count")}
         verdicts = [Verdict(**record) for record in stored[-1]]
         return Verdicts(replace(each, cell=ids.get(each.cell)) for each in verdicts)
     except (OSError, json.JSONDecodeError, KeyError, TypeError, IndexError) as error:
@@ -327,8 +329,16 @@ def counts_by_paper(verdicts):
 
 
 def _cell():
+    # The running cell is known by its source: nbval, for one, runs cells without a number.
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    return len(shell.user_ns["In"]) - 1 if shell else None  # execution_count is this or one more, by version
+    frame = sys._getframe() if shell else None
+    while frame and frame.f_globals is not shell.user_ns:
+        frame = frame.f_back
+    return _mark("".join(linecache.getlines(frame.f_code.co_filename))) if frame else None
+
+
+def _mark(source):
+    return f"{zlib.crc32(source.strip().encode()):08x}"
 
 
 def _folder():
