@@ -2,8 +2,9 @@
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
+BENCH := .venv-bench
 
-.PHONY: reproduce test site site-test
+.PHONY: reproduce test site site-test bench mutants
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
@@ -28,6 +29,20 @@ site-test: site
 
 $(VENV)/.site: $(VENV)/.ok docs/environment.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt -r docs/environment.txt
+	@touch $@
+
+# The package beside its peers: some minutes, on a machine that does nothing else. Then `make reproduce`.
+bench: $(VENV)/.ok $(BENCH)/.ok
+	$(BENCH)/bin/python benchmarks/bench.py
+
+# Break a copy of the project in each of some fifty ways: the tests must see it.
+mutants: $(VENV)/.ok
+	$(PY) tests/mutants.py
+
+$(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
+	$(PYTHON) -m venv --clear $(BENCH)
+	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check -r benchmarks/environment.txt
+	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	@touch $@
 
 $(VENV)/.ok: environment.txt pyproject.toml

@@ -17,6 +17,7 @@ from .tables import Table
 NOTEBOOKS, FIGURES = Path("notebooks"), Path("figures")
 README = Path("README.md")
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
+MEASURED = Path("benchmarks") / "results.json"  # what notebooks read of the clock, so that none of them looks at it
 CELL_TIMEOUT = 600  # seconds; the slowest cell takes a few
 
 
@@ -35,6 +36,9 @@ def reproduce(keys):
             stage = Path(place)
             stage.joinpath(FIGURES).mkdir()
             shutil.copytree(NOTEBOOKS, stage / NOTEBOOKS)
+            if MEASURED.exists():
+                stage.joinpath(MEASURED).parent.mkdir()
+                shutil.copy(MEASURED, stage / MEASURED)
             text = _execute(key, stage / NOTEBOOKS)
             FIGURES.mkdir(exist_ok=True)
             for figure in sorted(stage.joinpath(FIGURES).iterdir()):

@@ -66,8 +66,8 @@ def instance(name, value, kind):
     return value
 
 
-def real(name, value, need):
-    """Return a new float array of real numbers (NaN allowed), or raise; `need` says what is needed, in words."""
+def numbers(name, value, need):
+    """Return an array of real numbers, `value` itself if it is one (NaN and infinity allowed), or raise."""
     if isinstance(value, np.ma.MaskedArray):
         refuse(name, f"{need} without a mask (a missed epoch is a row of NaN)", "a masked array", TypeError)
     try:
@@ -76,7 +76,12 @@ def real(name, value, need):
         refuse(name, need, "rows of different lengths")
     if array.dtype.kind not in "iuf":
         refuse(name, f"{need} of real numbers", f"an array of {array.dtype} data", TypeError)
-    array = array.astype(float)  # always a copy: what the caller does to his array later does not reach us
+    return array
+
+
+def real(name, value, need):
+    """Return a new float array of real numbers (NaN allowed), or raise; `need` says what is needed, in words."""
+    array = numbers(name, value, need).astype(float)  # a copy: what the caller does to his array later is his affair
     if np.isinf(array).any():
         refuse(name, f"{need} of finite numbers", "an infinite value")
     return array

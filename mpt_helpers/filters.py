@@ -8,6 +8,8 @@ x(k+1/k+1). It raises ValueError or TypeError for measurements of another shape 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from threading import Lock
 from typing import NamedTuple
 
 import filterpy.kalman
@@ -15,7 +17,7 @@ import numpy as np
 
 from . import checks, riccati
 from .model import LinearModel, predicted_covariance, square_root, stack
-from .recursion import measurements, run
+from .recursion import System, lift, measurements, run, shaped, tiles
 
 
 class Coefficients(NamedTuple):
@@ -26,9 +28,41 @@ class Coefficients(NamedTuple):
     P: np.ndarray
 
 
+class _Linear:
+    """What every filter is: s(k+1) = A_k s(k) + B_k z(k+1), the first n entries of s being the estimate.
+
+    A subclass has a model, `_system(missed)`, which returns the recursion.System for the missed epochs, (N,), and
+    `_start`, which is s(0).
+    """
+
+    def filter(self, z):
+        """Return the estimates x(1/1) ... x(N/N) of one track or many."""
+        model = self.model
+        return run(self._blocks, shaped(z, model.m), self._start, model.n)
+
+    @property
+    def _start(self):
+        return self.model.x0
+
+    def _blocks(self, missed, L):
+        return self._lifted(missed.tobytes(), L)
+
+    @cached_property
+    def _lifted(self):
+        @lru_cache(maxsize=4)  # a filter that runs again over as many steps has its coefficients ready
+        def lifted(missed, L):
+            return lift(self._system(np.frombuffer(missed, bool)), L, self.model.n)
+
+        return lifted
+
+    def __getstate__(self):
+        """Leave out what is made anew in another process."""
+        return {name: value for name, value in vars(self).items() if name not in ("_lifted", "_step")}
+
+
 @dataclass(frozen=True, eq=False)
-class _Recursive:
-    """What every filter with coefficients shares.
+class _Recursive(_Linear):
+    """What every filter with coefficients of its own shares: s is the estimate.
 
     A subclass has a `_stepper()`, which makes a function that takes P(k/k) and whether epoch k+1 is missed, and returns
     A_k, B_k and P(k+1/k+1).
@@ -39,29 +73,47 @@ class _Recursive:
     def __post_init__(self):
         checks.instance("model", self.model, LinearModel)
 
-    def filter(self, z):
-        """Return the estimates x(1/1) ... x(N/N) of one track or many."""
-        z, missed = measurements(z, self.model.m)
-        return run(lambda missed: self._coefficients(missed)[:2], z, missed, self.model.x0)
-
     def coefficients(self, N):
         """Return the coefficients A, B and the covariance P of steps 1 to N, with no epoch missed."""
-        return self._coefficients(np.zeros(checks.count("N", N), bool))
+        steps, of = self._steps(np.zeros(checks.count("N", N), bool))
+        return Coefficients(*(each[of] for each in steps))
 
     def covariances(self, N):
         """Return P(1/1) ... P(N/N), (N, n, n)."""
         return self.coefficients(N).P
 
-    def _coefficients(self, missed):
-        N, n, m = len(missed), self.model.n, self.model.m
-        A, B, P = np.empty((N, n, n)), np.empty((N, n, m)), np.empty((N, n, n))
-        step = self._stepper()
-        for k, lost in enumerate(missed):
-            if k > 1 and lost == missed[k - 1] and np.array_equal(P[k - 1], P[k - 2]):
-                A[k], B[k], P[k] = A[k - 1], B[k - 1], P[k - 1]  # steady to the last bit: the step repeats itself
-            else:
-                A[k], B[k], P[k] = step(P[k - 1] if k else self.model.P0, lost)
-        return Coefficients(A, B, P)
+    def _system(self, missed):
+        (A, B, _), of = self._steps(missed)
+        return System(A, B, of)
+
+    def _steps(self, missed):
+        """Return the Coefficients of the distinct steps, and which of them each epoch takes.
+
+        A step depends on P(k/k) and on whether the epoch is missed, and P soon repeats itself to the last bit: a step
+        that was made once is not made again.
+        """
+        rows, of = {}, np.empty(len(missed), int)
+        ends = np.append(np.flatnonzero(np.diff(missed)) + 1, len(missed))
+        k, P = 0, self.model.P0.tobytes()
+        while k < len(missed):
+            here = P, bool(missed[k])
+            row, step = rows.setdefault(here, (len(rows), self._step(*here)))
+            P = step.P.tobytes()
+            end = ends[np.searchsorted(ends, k, "right")] if here[0] == P else k + 1
+            of[k:end] = row
+            k = end
+        return Coefficients(*map(np.array, zip(*(step for _, step in rows.values()), strict=True))), of
+
+    @cached_property
+    def _step(self):
+        step, lock, n = self._stepper(), Lock(), self.model.n
+
+        @lru_cache(maxsize=4096)
+        def remembered(P, lost):
+            with lock:  # filterpy's object has a state
+                return Coefficients(*map(np.array, step(np.frombuffer(P).reshape(n, n), lost)))
+
+        return remembered
 
 
 class KalmanFilter(_Recursive):
@@ -134,10 +186,9 @@ class _Constant(_Recursive):
         object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
         object.__setattr__(self, "P", checks.array("P", self.P, (n, n)))
 
-    def _coefficients(self, missed):
-        lost = missed[:, None, None]
-        P = np.broadcast_to(self.P, (len(missed), *self.P.shape))
-        return Coefficients(np.where(lost, self.model.F, self.A), np.where(lost, 0, self.B), P)
+    def _steps(self, missed):
+        both = np.array([self.A, self.model.F]), np.array([self.B, np.zeros_like(self.B)]), np.array([self.P, self.P])
+        return Coefficients(*both), missed.astype(int)
 
 
 class SteadyStateFilter(_Constant):
@@ -210,7 +261,7 @@ class SteadyStatePredictor(_Constant):
 
 
 @dataclass(frozen=True)
-class JoinFilter:
+class JoinFilter(_Linear):
     """Two filters on the same measurements, half the weight each: JKLF and JSSKLF (2014 Eqs. 8, 16; 2015 Eqs. 4-5, 13).
 
     Raises ValueError when the two models differ.
@@ -236,16 +287,30 @@ class JoinFilter:
         """The model of both filters."""
         return self.first.model
 
-    def filter(self, z):
-        """Return the mean of both estimates."""
-        return (self.first.filter(z) + self.second.filter(z)) / 2
-
     def covariances(self, N):
         """Return the mean of both covariances, (N, n, n)."""
         return (self.first.covariances(N) + self.second.covariances(N)) / 2
 
+    @property
+    def _halves(self):
+        """What makes (x_1 + x_2)/2 and (x_1 - x_2)/2 of x_1 and x_2, and leaves the rest of both states as it is."""
+        n, first, both = self.model.n, len(self.first._start), len(self.first._start) + len(self.second._start)
+        T = np.eye(both)
+        one, two = np.arange(n), first + np.arange(n)
+        T[one, one], T[one, two], T[two, one], T[two, two] = 0.5, 0.5, 0.5, -0.5
+        return T
 
-class Separate:
+    @property
+    def _start(self):
+        return self._halves @ np.concatenate([self.first._start, self.second._start])
+
+    def _system(self, missed):
+        (A, B), of = _together([each._system(missed) for each in (self.first, self.second)])
+        T = self._halves
+        return System(T @ _diagonal(A) @ np.linalg.inv(T), T @ np.concatenate(B, axis=1), of)
+
+
+class Separate(_Linear):
     """Filters side by side, each on its own part of the state: model B of the papers (2014 Section 5, Eqs. 17-18).
 
     Raises ValueError when no filter is given.
@@ -264,27 +329,48 @@ class Separate:
             _require_filter(f"filters[{i}]", each)
         self.filters = filters
 
-    @property
+    @cached_property
     def model(self):
         """The stacked model: model A."""
         return stack(*(each.model for each in self.filters))
 
-    def filter(self, z):
-        """Return the estimates of all filters, joined end to end."""
-        measurements(z, self.model.m)
-        ends = np.cumsum([each.model.m for each in self.filters])
-        parts = np.split(np.asarray(z), ends[:-1], axis=1)
-        return np.concatenate([each.filter(part) for each, part in zip(self.filters, parts, strict=True)], axis=1)
-
     def covariances(self, N):
         """Return the block diagonal covariances, (N, n, n)."""
-        model = self.model
-        P = np.zeros((checks.count("N", N), model.n, model.n))
-        end = 0
-        for each in self.filters:
-            start, end = end, end + each.model.n
-            P[:, start:end, start:end] = each.covariances(N)
-        return P
+        checks.count("N", N)
+        return _diagonal([each.covariances(N) for each in self.filters])
+
+    @property
+    def _order(self):
+        """The places of all estimates among the states joined end to end, then the places of the rest."""
+        rest = np.concatenate([np.arange(len(each._start)) >= each.model.n for each in self.filters])
+        return np.argsort(rest, kind="stable")
+
+    @property
+    def _start(self):
+        return np.concatenate([each._start for each in self.filters])[self._order]
+
+    def _system(self, missed):
+        (A, B), of = _together([each._system(missed) for each in self.filters])
+        order = self._order
+        return System(_diagonal(A)[:, order[:, None], order], _diagonal(B)[:, order], of)
+
+
+def _together(systems):
+    """Return the A's and the B's of several systems for each combination of their steps, and which each epoch takes."""
+    code = np.zeros(len(systems[0].of), int)
+    for each in systems:
+        code = code * len(each.A) + each.of
+    _, first, of = np.unique(code, return_index=True, return_inverse=True)
+    return zip(*((each.A[each.of[first]], each.B[each.of[first]]) for each in systems), strict=True), of
+
+
+def _diagonal(blocks):
+    """Return the block diagonal matrices (U, Σ rows, Σ columns) of matrices (U, rows, columns)."""
+    rows, columns = (np.cumsum([0, *(each.shape[axis] for each in blocks)]) for axis in (1, 2))
+    D = np.zeros((len(blocks[0]), rows[-1], columns[-1]))
+    for i, each in enumerate(blocks):
+        D[:, rows[i] : rows[i + 1], columns[i] : columns[i + 1]] = each
+    return D
 
 
 def fir_order(A, tol, norm=2):
@@ -309,7 +395,7 @@ def fir_order(A, tol, norm=2):
 
 
 @dataclass(frozen=True, eq=False)
-class FIRFilter:
+class FIRFilter(_Linear):
     """The finite impulse response form of a steady-state filter (2014 Eq. 22): taps Aʲ B on the last M measurements.
 
         x(k/k) = sum over j = 0 ... M-1 of Aʲ B z(k-j)
@@ -358,15 +444,40 @@ class FIRFilter:
         return self._convolve(z, missed)
 
     def _convolve(self, z, missed):
+        """Several steps at once: the taps, shifted, as one matrix times the measurements that these steps take."""
+        (N, m, M), n = z.shape, self.model.n
+        L, before = min(8, N), self.order - 1
+        T = np.zeros((L, n, before + L, m))
+        for i in range(L):
+            T[i, :, i : i + self.order] = self.taps[::-1].swapaxes(0, 1)
+        T = T.reshape(L * n, -1)
+        x, z = np.empty((N * n, M)), z.reshape(N * m, M)
+        for tile in tiles(M):
+            for k in range(0, N, L):
+                start, end = max(k - before, 0), min(k + L, N)
+                taps = T[: (end - k) * n, (start - k + before) * m : (end - k + before) * m]
+                np.matmul(taps, z[start * m : end * m, tile], out=x[k * n : end * n, tile])
+        x = x.reshape(N, n, M)
         F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]
-        x = np.zeros((len(z), self.model.n, z.shape[2]))
-        for j, tap in enumerate(self.taps[: len(z)]):
-            x[j:] += tap @ z[: len(z) - j]
         for k in np.flatnonzero(missed.any(axis=1)):
             predicted = F @ (x[k - 1] if k else x0)
-            x[k : k + self.order] += self.taps[: len(z) - k] @ np.where(missed[k], H @ predicted, 0)
+            x[k : k + self.order] += self.taps[: N - k] @ np.where(missed[k], H @ predicted, 0)
             x[k] = np.where(missed[k], predicted, x[k])
         return x
+
+    @property
+    def _start(self):
+        return np.concatenate([self.model.x0, np.zeros(self.order * self.model.m)])
+
+    def _system(self, missed):
+        """Return the same as a recursion, for JoinFilter and Separate: s is x(k/k) and the last M measurements."""
+        n, m, p = self.model.n, self.model.m, len(self._start)
+        A, B = np.zeros((2, p, p)), np.zeros((2, p, m))
+        A[:, n + m :, n : p - m] = np.eye(p - n - m)
+        A[0, :n, n : p - m], B[0, :n] = np.hstack([np.empty((n, 0)), *self.taps[1:]]), self.taps[0]
+        B[0, n : n + m] = np.eye(m)
+        A[1, :n, :n], A[1, n : n + m, :n] = self.model.F, self.model.H @ self.model.F
+        return System(A, B, missed.astype(int))
 
 
 def six_filters(model):
@@ -385,5 +496,5 @@ def six_filters(model):
 
 
 def _require_filter(name, value):
-    if not isinstance(value, (_Recursive, JoinFilter, Separate, FIRFilter)):
+    if not isinstance(value, _Linear):
         checks.refuse(name, "a filter", f"{type(value).__name__} {value!r:.40}", TypeError)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import checks
+from .recursion import System, advance, lift, steps_at_once
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -232,10 +233,7 @@ def mean_track(model, N):
            [60., 20.]])
     """
     checks.instance("model", model, LinearModel)
-    x = np.empty((checks.count("N", N), model.n))
-    for k in range(N):
-        x[k] = model.F @ (x[k - 1] if k else model.x0)
-    return x
+    return _states(model, np.zeros((checks.count("N", N), model.n, 1)), model.x0[:, None])[..., 0]
 
 
 def simulate(model, N, rng, tracks=None):
@@ -257,10 +255,14 @@ def simulate(model, N, rng, tracks=None):
     checks.instance("rng", rng, np.random.Generator)
     M = 1 if tracks is None else checks.count("tracks", tracks)
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
-    w = square_root(model.Q) @ rng.standard_normal((N, model.n, M))
-    v = square_root(model.R) @ rng.standard_normal((N, model.m, M))
-    x = np.empty_like(w)
-    for k in range(N):
-        x[k] = model.F @ (x[k - 1] if k else x0) + w[k]
-    z = model.H @ x + v
+    x = _states(model, rng.standard_normal((N, model.n, M)), x0)
+    z = square_root(model.R) @ rng.standard_normal((N, model.m, M))
+    z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)
+
+
+def _states(model, noise, x0):
+    """Return x(k+1) = F x(k) + G noise(k+1), G Gᵀ = Q: the recursion that filters run, with other coefficients."""
+    N, n, M = noise.shape
+    F, G, none = model.F[None], square_root(model.Q)[None], np.zeros(N, int)
+    return advance(lift(System(F, G, none), steps_at_once(n, M), n), noise, none.astype(bool), x0, n)

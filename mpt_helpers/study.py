@@ -12,6 +12,7 @@ from . import checks
 
 # So many runs share a stream of random numbers and are filtered together: it is part of what a seed means.
 BLOCK = 200
+KEPT = 2**25 - 2**16  # below the most that glibc keeps; else it returns each run's arrays to the kernel and asks anew
 
 
 def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
@@ -46,6 +47,7 @@ def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
 
 
 def _tile(experiment, stop, streams):
+    np.empty(KEPT, np.uint8)  # freed at once: from then on the C library reuses memory of up to this size
     parts = []
     for stream in streams:
         if stop is not None and stop.is_set():

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from . import checks, positioning
 from .filters import KalmanFilter
 from .model import LinearModel, predicted_covariance, simulate
-from .recursion import measurements, run
+from .recursion import System, lift, run, shaped
 
 # How the third row of H_k, [1 -dt 0], can be read: which measurement it takes. The paper does not say.
 READINGS = ("no third row", "second receiver", "GPS again", "own estimate", "GPS - Δt INS")
@@ -285,7 +285,8 @@ def _own_estimate(kf, z):
     A, B, _ = kf.coefficients(len(z))
     F, H = kf.model.F, kf.model.H
     A = A + B[:, :, 2:] @ H[2:] @ F  # (I - K H) F with the third row of H left out of the innovation
-    return run(lambda missed: (A, B[:, :, :2]), *measurements(z, 2), kf.model.x0)
+    system = System(A, B[:, :, :2], np.arange(len(A)))
+    return run(lambda missed, L: lift(system, L, kf.model.n), shaped(z, 2), kf.model.x0, kf.model.n)
 
 
 def repeated_row_covariances(model, rho, N):

@@ -1,5 +1,6 @@
 """The papers' claims as theorems, and every filter against oracles that share no code with it."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from conftest import AXIS, dense_model
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
 import mpt_helpers as mpt
+from mpt_helpers import recursion
 
 # Estimates here are of order 100 and variances start at 100: sixty steps of rounding stay below 1e-12 of that.
 SAME = {"rtol": 1e-10, "atol": 1e-10}
@@ -76,7 +78,7 @@ def test_joint_equals_both(model, z):
 def test_joint_is_the_mean(model, z):
     kf, steady = mpt.KalmanFilter(model), mpt.SteadyStateFilter.from_kalman(model)
     join = mpt.JoinFilter(kf, steady)
-    np.testing.assert_array_equal(join.filter(z), (kf.filter(z) + steady.filter(z)) / 2)
+    np.testing.assert_allclose(join.filter(z), (kf.filter(z) + steady.filter(z)) / 2, **SAME)
     np.testing.assert_array_equal(join.covariances(9), (kf.covariances(9) + steady.covariances(9)) / 2)
 
 
@@ -237,3 +239,75 @@ def test_tracks_that_differ_in_one_missed_epoch_are_told_apart(late):
     many = mpt.KalmanFilter(AXIS).filter(z)
     for i in range(3):
         np.testing.assert_allclose(many[..., i], mpt.KalmanFilter(AXIS).filter(z[..., i]), **SAME)
+
+
+@pytest.mark.parametrize(
+    "first", [0, 50, 70]
+)  # where the first track that differs stands: among those looked at or not
+def test_each_pattern_of_missed_epochs_takes_one_pass_at_most(monkeypatch, first):
+    _, z = mpt.simulate(AXIS, 40, np.random.default_rng(1), tracks=100)
+    z[9, :, first::5], z[30, :, first::7] = np.nan, np.nan
+    passes, fill = [], recursion._fill
+    monkeypatch.setattr(recursion, "_fill", lambda *given: [passes.append(given), fill(*given)])
+    x = mpt.KalmanFilter(AXIS).filter(z)
+    patterns = {np.isnan(z[:, 0, i]).tobytes() for i in range(100)}
+    assert len(passes) == len(patterns) == 4
+    for i in range(100):
+        np.testing.assert_allclose(x[..., i], mpt.KalmanFilter(AXIS).filter(z[..., i]), **SAME)
+
+
+@pytest.mark.parametrize("gaps", [(), (5,), (0, 20, 21, 39)])
+def test_missed_epochs_that_all_tracks_share_take_no_pass_of_their_own(monkeypatch, gaps):
+    _, z = mpt.simulate(AXIS, 40, np.random.default_rng(1), tracks=100)
+    z[list(gaps)] = np.nan
+    passes, fill = [], recursion._fill
+    monkeypatch.setattr(recursion, "_fill", lambda *given: [passes.append(given), fill(*given)])
+    mpt.KalmanFilter(AXIS).filter(z)
+    assert len(passes) == 1
+
+
+@pytest.mark.parametrize("make", [*FILTERS, *SOLVED, lambda model: mpt.JoinFilter(*(make(model) for make in FILTERS))])
+def test_no_memory_is_taken_beside_the_estimates(make):
+    z = np.random.default_rng(0).standard_normal((500, 1, 2000))
+    each = make(AXIS)
+    tracemalloc.start()
+    x = each.filter(z)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1.05 * x.nbytes
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 4, 31, 32, 33, 65])
+@pytest.mark.parametrize("tracks", [1, 40, 200, 800, 20_000])
+def test_any_number_of_steps_and_tracks_is_the_recursion(steps, tracks):
+    """Whole blocks of steps and parts of them, one tile of tracks and several."""
+    _, z = mpt.simulate(AXIS, steps, np.random.default_rng(1), tracks=tracks)
+    A, B, _ = mpt.KalmanFilter(AXIS).coefficients(steps)
+    x = np.repeat(AXIS.x0[:, None], tracks, axis=1)
+    for k, row in enumerate(mpt.KalmanFilter(AXIS).filter(z)):
+        x = A[k] @ x + B[k] @ z[k]
+        np.testing.assert_allclose(row, x, **SAME)
+
+
+def test_a_finite_track_whose_estimate_overflows_is_not_refused():
+    stiff = mpt.constant_velocity(dt=1e-3, q=1e6, r=1e-6)  # a place of 1e308 m within a millisecond
+    with pytest.warns(RuntimeWarning, match="overflow"):
+        x = mpt.KalmanFilter(stiff).filter(np.full((3, 1, 3), 1e308))
+    assert np.isinf(x[0, 1]).all()
+
+
+def test_separate_and_joint_fir_filters_are_the_fir_filter(axis_and_count, model, z):
+    axis, axes = axis_and_count
+    fir = [mpt.FIRFilter.from_steady_state(mpt.SteadyStateFilter.from_kalman(each), tol=1e-2) for each in (axis, model)]
+    z = missing(z, 0, 9, 10, 30)
+    np.testing.assert_allclose(mpt.Separate(*[fir[0]] * axes).filter(z), fir[1].filter(z), **SAME)
+    np.testing.assert_allclose(mpt.JoinFilter(fir[1], fir[1]).filter(z), fir[1].filter(z), **SAME)
+
+
+def test_filters_of_different_kinds_join(model, z):
+    steady = mpt.SteadyStateFilter.from_kalman(model)
+    kf, fir, z = mpt.KalmanFilter(model), mpt.FIRFilter.from_steady_state(steady), missing(z, 5, 6)
+    joint = mpt.JoinFilter(mpt.JoinFilter(kf, fir), steady).filter(z)
+    np.testing.assert_allclose(joint, (kf.filter(z) + fir.filter(z)) / 4 + steady.filter(z) / 2, **SAME)
+    apart = mpt.Separate(mpt.JoinFilter(kf, fir), steady).filter(np.concatenate([z, z], axis=1))
+    np.testing.assert_allclose(apart, np.hstack([(kf.filter(z) + fir.filter(z)) / 2, steady.filter(z)]), **SAME)

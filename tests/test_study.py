@@ -7,7 +7,9 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
+from itertools import count
 
 import numpy as np
 import pytest
@@ -41,6 +43,31 @@ def test_workers_may_be_a_map_of_threads_or_processes(expected):
         np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, workers=pool.map), expected)
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, workers=pool.imap), expected)
+
+
+def dies_at_the_third_call(folder, rng, M):
+    """What ERRORS gives; the process that makes the third call is killed there."""
+    for call in count():
+        with suppress(FileExistsError):
+            folder.joinpath(str(call)).touch(exist_ok=False)
+            break
+    if call == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return ERRORS(rng, M)
+
+
+def test_workers_may_be_a_dask_cluster_and_a_killed_worker_loses_nothing(expected, tmp_path):
+    from dask.distributed import Client, LocalCluster
+
+    dying = partial(dies_at_the_third_call, tmp_path)
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+        before = set(client.run(os.getpid).values())
+        cluster_map = client.get_executor().map
+        np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, workers=cluster_map), expected)
+        np.testing.assert_array_equal(mpt.study(dying, 1500, 4, workers=cluster_map), expected)
+        client.wait_for_workers(2)
+        assert len(before) == 2
+        assert len(before - set(client.run(os.getpid).values())) == 1  # one was killed indeed
 
 
 def test_a_longer_study_begins_with_the_shorter_one(expected):

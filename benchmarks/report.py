@@ -1,0 +1,73 @@
+"""The tables of README.md, from results.json."""
+
+import json
+from pathlib import Path
+
+from mpt_helpers.files import write_whole
+
+HERE = Path(__file__).parent
+
+
+def tables(results):
+    """Return the tables of README.md, by the names of their places in it."""
+    met = {True: "yes", False: "**no**", None: ""}
+    rows = [
+        [
+            each["work"],
+            f"{each['tracks']:,}" if each.get("tracks") else "",
+            each["against"],
+            number(each.get("ms")),
+            number(each.get("against_ms")),
+            number(each["ratio"]),
+            each["goal"],
+            met[each["met"]],
+        ]
+        for each in results["rows"]
+    ]
+    head = "work", "tracks", "against", "ms", "its ms", "ratio", "goal", "reached"
+    grown = [
+        [f"{e['steps']:,}", f"{e['tracks']:,}", number(e["ns"]), number(e["rise"]), number(e["copy_ns"]), met[e["met"]]]
+        for e in results["growth"]
+    ]
+    lines = [
+        [f"`{line}`", *(f"{shares.get(k, 0):.0%}" for k in ("10000", "1"))]
+        for line, shares in results["profile"].items()
+    ]
+    clock = [
+        [paper, pair, *(number(values[kind]) for kind in ("one", "own", "shared"))]
+        for paper, pairs in results["speedups"].items()
+        for pair, values in pairs.items()
+    ]
+    described = [f"{k}: {v}" for k, v in (results["machine"] | results["versions"]).items()]
+    return {
+        "machine": ", ".join(described) + ".",
+        "rows": markdown(head, rows),
+        "growth": markdown(("steps", "tracks", "ns per track and step", "rise", "copy, ns", "rise <= 1.2"), grown),
+        "profile": markdown(("line of `recursion._fill`", "10,000 tracks", "1 track"), lines),
+        "speedups": markdown(("paper", "pair", "one track", "many, own covariance", "many, shared"), clock),
+    }
+
+
+def number(value):
+    """Return a number as text of three digits, and nothing for none."""
+    return "" if value is None else f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def markdown(head, rows):
+    """Return a table in Markdown."""
+    return "\n".join("| " + " | ".join(map(str, cells)) + " |" for cells in (head, ["---"] * len(head), *rows))
+
+
+def filled(text, places):
+    """Return a text with what stands between <!-- name --> and <!-- /name --> replaced."""
+    for name, new in places.items():
+        before, rest = text.split(f"<!-- {name} -->\n")
+        text = f"{before}<!-- {name} -->\n{new}\n<!-- /{name} -->" + rest.split(f"<!-- /{name} -->")[1]
+    return text
+
+
+def write_readme():
+    """Fill the tables of README.md from results.json."""
+    readme = HERE / "README.md"
+    results = json.loads((HERE / "results.json").read_text())
+    write_whole(readme, filled(readme.read_text(), tables(results)).encode())

@@ -1,0 +1,49 @@
+"""The stored measurements and what is made of them; nothing is timed here."""
+
+import json
+import sys
+
+import pytest
+from conftest import ROOT
+
+BENCHMARKS = ROOT / "benchmarks"
+RESULTS = json.loads((BENCHMARKS / "results.json").read_text())
+
+
+@pytest.fixture(autouse=True)
+def beside_the_benchmarks(monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    yield
+    for name in ("report", "speedups"):
+        sys.modules.pop(name, None)
+
+
+def test_the_tables_are_those_of_the_stored_results():
+    import report
+
+    text = (BENCHMARKS / "README.md").read_text()
+    assert report.filled(text, report.tables(RESULTS)) == text
+
+
+def test_every_goal_that_is_said_to_be_reached_is():
+    for each in RESULTS["rows"]:
+        if each["goal"]:
+            relation, number = each["goal"].split()[:2]
+            reached = each["ratio"] <= float(number) if relation == "<=" else each["ratio"] >= float(number)
+            assert each["met"] == reached, each
+
+
+def test_the_steps_that_are_timed_are_the_same_filter():
+    import speedups
+
+    speedups.agree(1e-10)  # variances and estimates of order one, some ten products
+
+
+def test_the_notebooks_show_the_stored_speedups():
+    for key, pairs in RESULTS["speedups"].items():
+        cells = json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text())["cells"]
+        (cell,) = (each for each in cells if each["id"] == "clock")
+        shown = "".join(cell["outputs"][0]["data"]["text/plain"])
+        for values in pairs.values():
+            for value in values.values():
+                assert f"{value:.3g}" in shown
