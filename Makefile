@@ -1,13 +1,14 @@
-# The two commands of the README: `make reproduce` and `make test`. Both set up .venv first, once.
+# The commands of the README. Each sets up what it needs first, once.
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
 BENCH := .venv-bench
 
-.PHONY: reproduce test test-all lock bench mutants
+.PHONY: reproduce test site site-test bench mutants test-all lock
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
+	$(PY) -m mpt_helpers readme
 
 # A part of it: .venv/bin/python -m pytest tests/test_filters.py -k lainiotis
 test: $(VENV)/.ok
@@ -15,6 +16,20 @@ test: $(VENV)/.ok
 	$(PY) -m ruff format --check .
 	$(PY) -m pytest -n auto --dist loadfile
 	$(PY) -m pytest -n auto --dist loadscope --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+
+site: $(VENV)/.site
+	$(PY) docs/pages.py
+	$(PY) -m sphinx --fail-on-warning --keep-going --quiet -c docs docs/_build/source docs/_build/html
+	@echo "the site: docs/_build/html/index.html"
+
+site-test: site
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq install chromium; } \
+		|| { echo "error: site-test needs Chromium: sudo apt-get install chromium" >&2; exit 1; }
+	$(PY) -m pytest docs/test_site.py
+
+$(VENV)/.site: $(VENV)/.ok docs/environment.txt
+	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt -r docs/environment.txt
+	@touch $@
 
 # The package beside its peers: some minutes, on a machine that does nothing else. Then `make reproduce`.
 bench: $(VENV)/.ok $(BENCH)/.ok
