@@ -238,6 +238,7 @@ def main():
         "FILTER": filter_html(titles),
         "VALUES": values_html(given),
         "GALLERY": gallery(cells),
+        "SPEED": (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8"),
     }
     shutil.rmtree(BUILD, ignore_errors=True)
     for part in ("source", "static", "extra"):
