@@ -78,8 +78,17 @@ def tried(place):
         versions = json.loads(subprocess.run([python, "-c", code], capture_output=True, text=True).stdout)
         results = []
         for arguments in (
-            [f"--deselect={each}" for each in place.leave_out],
-            ["--nbval", "--nbval-current-env", "--nbval-cell-timeout=600", "notebooks"],
+            ["-n", "auto", "--dist", "loadfile", *(f"--deselect={each}" for each in place.leave_out)],
+            [
+                "-n",
+                "auto",
+                "--dist",
+                "loadscope",
+                "--nbval",
+                "--nbval-current-env",
+                "--nbval-cell-timeout=600",
+                "notebooks",
+            ],
         ):
             log = ROOT / ".test-all" / f"{place.name} {len(results)}.txt"
             log.parent.mkdir(exist_ok=True)
