@@ -51,9 +51,13 @@ def not_negative(name, value):
 
 
 def brief(value):
-    """Return what a value is, in at most some 60 letters."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{type(value).__name__} {text[:40]}..."
+    """Return a value as text, and a long one as its type and beginning."""
+    return repr(value) if len(repr(value)) <= 60 else kind_of(value)
+
+
+def kind_of(value):
+    """Return the type of a value, and its beginning as text."""
+    return f"{type(value).__name__} {value!r:.40}"
 
 
 def count(name, value, least=1):
@@ -75,16 +79,17 @@ def count(name, value, least=1):
 
 
 def instance(name, value, kind):
-    """Return `value` if it is a `kind`, or raise a TypeError."""
+    """Return `value` if it is a `kind`, or one of several, or raise a TypeError."""
     if not isinstance(value, kind):
-        refuse(name, f"a {kind.__name__}", f"{type(value).__name__} {value!r:.40}", TypeError)
+        need = " or ".join(f"a {each.__name__}" for each in (kind if isinstance(kind, tuple) else (kind,)))
+        refuse(name, need, kind_of(value), TypeError)
     return value
 
 
 def function(name, value, need):
     """Return `value` if it can be called, or raise a TypeError."""
     if not callable(value):
-        refuse(name, need, brief(value), TypeError)
+        refuse(name, need, kind_of(value), TypeError)
     return value
 
 
@@ -150,18 +155,17 @@ def finite(name, value, *shapes):
     ...
     ValueError: truth: needs an (N, 2) or (N, 3) array, got shape (2,)
     """
-    need = "an " + (" or ".join(map(str, shapes)).replace("'", "") + " array" if shapes else "array")
+    need = "an " + " or ".join(map(str, shapes)).replace("'", "") + " array" if shapes else "numbers"
     result = real(name, value, need)
-    fits = [
-        len(shape) == result.ndim
-        and all(have > 0 if isinstance(want, str) else have == want for have, want in zip(result.shape, shape, strict=True))
-        for shape in shapes
-    ]
-    if not (any(fits) if shapes else result.size):
+    if not result.size or (shapes and not any(_fits(result.shape, shape) for shape in shapes)):
         refuse(name, need, f"shape {result.shape}" if result.ndim else "a scalar")
     if np.isnan(result).any():
         refuse(name, f"{need} of finite numbers", "NaN")
     return result
+
+
+def _fits(have, want):
+    return len(have) == len(want) and all(isinstance(w, str) or h == w for h, w in zip(have, want, strict=True))
 
 
 def array(name, value, shape):

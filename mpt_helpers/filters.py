@@ -517,12 +517,12 @@ def six_filters(model):
 def require_filter(name, value):
     """Return `value` if it is a filter, or raise a TypeError."""
     if not isinstance(value, _Linear):
-        checks.refuse(name, "a filter", f"{type(value).__name__} {value!r:.40}", TypeError)
+        checks.refuse(name, "a filter", checks.kind_of(value), TypeError)
     return value
 
 
 def require_covariances(name, value):
     """Return `value` if it is a filter that states its covariances, or raise a TypeError."""
-    if not hasattr(require_filter(name, value), "covariances"):
-        checks.refuse(name, "a filter that states its covariances", f"a {type(value).__name__}", TypeError)
+    if not (hasattr(value, "filter") and hasattr(value, "covariances")):
+        checks.refuse(name, "a filter that states its covariances", checks.kind_of(value), TypeError)
     return value

@@ -144,7 +144,7 @@ CASES = [
     ("X: needs a vector of length 4", lambda: positioning.dilution(SKY, PLACE)),
     ("x: needs a place that is not on the axis of the Earth", lambda: positioning.local_axes([0.0, 0.0, 1.0])),
     ("satellites: needs an (m, 3) array, got a scalar", lambda: positioning.elevation(5.0, PLACE)),
-    ("satellites: needs a 2×3 matrix, got shape (2, 2)", lambda: positioning.elevation(np.ones((2, 2)), PLACE)),
+    ("satellites: needs an (m, 3) array, got shape (2, 2)", lambda: positioning.elevation(np.ones((2, 2)), PLACE)),
     (
         "P0: needs a symmetric positive definite",
         lambda: positioning.position_kalman(SKY, [RANGES], START, ZERO, EYE, 1),
