@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from math import prod
+from numbers import Real
 
 from . import checks
 
@@ -92,7 +93,7 @@ class Polynomial:
     __rmul__ = __mul__
 
     def __eq__(self, other):
-        return self.terms == Polynomial.of(other).terms
+        return self.terms == Polynomial.of(other).terms if isinstance(other, (Polynomial, Real)) else NotImplemented
 
     __hash__ = None
 

@@ -523,6 +523,6 @@ def require_filter(name, value):
 
 def require_covariances(name, value):
     """Return `value` if it is a filter that states its covariances, or raise a TypeError."""
-    if not (hasattr(value, "filter") and hasattr(value, "covariances")):
+    if isinstance(value, type) or not (hasattr(value, "filter") and hasattr(value, "covariances")):
         checks.refuse(name, "a filter that states its covariances", checks.kind_of(value), TypeError)
     return value

@@ -43,10 +43,10 @@ def largest_gaps(reference, others, z):
         checks.refuse("z", f"an (N, {reference.model.m}) array of one track", "many tracks")
     x, P = reference.filter(z), reference.covariances(len(z))
     sigma = np.sqrt(np.einsum("kii->ki", P))
-    if not x.any(axis=0).all():
-        checks.refuse("z", "measurements that move every component of the estimate", "a component that stays zero")
     if not sigma.all():
         checks.refuse("reference", "a filter whose variances are positive", "a variance of zero")
+    if not x.any(axis=0).all():
+        checks.refuse("z", "measurements that move every component of the estimate", "a component that stays zero")
     x_gap = max(np.abs((each.filter(z) - x) / np.abs(x).max(axis=0)).max() for each in others)
     P_gap = max(np.abs((each.covariances(len(z)) - P) / sigma[:, :, None] / sigma[:, None, :]).max() for each in others)
     return float(x_gap), float(P_gap)
