@@ -53,7 +53,7 @@ def _execute(key, folder):
 
     try:
         notebook = nbformat.read(folder / f"{key}.ipynb", as_version=4)
-    except (ValueError, LookupError, AttributeError, nbformat.ValidationError) as error:
+    except (ValueError, TypeError, LookupError, AttributeError, nbformat.ValidationError) as error:
         raise CommandError(f"{key}: needs a notebook ({error!r:.200})") from error
     total = sum(cell.cell_type == "code" for cell in notebook.cells)
     ran = []
@@ -84,8 +84,8 @@ def _execute(key, folder):
         )
         gone = str(error) or "the kernel is gone, as after an interrupt"
         where, what = next(errors, (ran[-1] if ran else "none", gone))
-        if what.startswith("KeyboardInterrupt") or hasattr(client, "_async_cleanup_kernel_future"):
-            raise KeyboardInterrupt from error  # in the kernel, or in nbclient, which then stops the kernel
+        if hasattr(client, "_async_cleanup_kernel_future"):  # nbclient caught a signal, and stopped the kernel
+            raise KeyboardInterrupt from error
         raise CommandError(f"{key}: cell {where} failed: {what}") from error
     notebook.metadata["language_info"] = {"name": "python"}  # the rest of it names the version of Python
     return nbformat.writes(notebook) + "\n"
