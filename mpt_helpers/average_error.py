@@ -120,6 +120,7 @@ class Case:
             checks.refuse("truths", "the motions on two axes", len(truths))
         for truth in truths:
             require_same(self.steady, truth, "truths")
+        object.__setattr__(self, "truths", truths)
         checks.array("printed", self.printed, (len(checks.several("printed", self.printed, "printed numbers")),))
 
     @property

@@ -206,8 +206,10 @@ class Burden:
     operations: tuple
 
     def __post_init__(self):
-        for i, each in enumerate(checks.several("operations", self.operations, "Operations")):
+        operations = checks.several("operations", self.operations, "Operations")
+        for i, each in enumerate(operations):
             checks.instance(f"operations[{i}]", each, Operation)
+        object.__setattr__(self, "operations", operations)
 
     @property
     def total(self):

@@ -99,7 +99,6 @@ PAPER = published.published("2014_gsm_2d")
 NUMBER, CLAIM = (next(each.id for each in PAPER.items.values() if each.kind == of) for of in ("number", "claim"))
 ITEM = published.Item("t", "Table 1", "number", "1.5")
 KNOWN = {next(id for id in PAPER.items if id.startswith("table4.")).split(".")[1]: 500}
-LOST, WORDS = replace(ITEM, printed="?"), replace(ITEM, kind="claim")
 VERDICT = published.Verdict("p", "t", "Table 1", "number", "2", "2", "reproduced", "")
 TOML = "items = [{id = 'a', where = 'b', kind = 'claim', printed = 'c'}]\n"
 GRID = "[[grids]]\nid = 't'\nwhere = 'row {row}'\ncolumns = ['1']\nrows = { 1 = ['2'] }\n"
@@ -740,6 +739,11 @@ def test_what_an_argument_cannot_take_is_refused_by_name(call, good, name, refus
         assert isinstance(raised.value, error), (bad, raised.value)
         assert re.match(rf"{name}\b.*: needs .*, (got|but) ", str(raised.value)), (bad, raised.value)
         assert Path(traceback.extract_tb(raised.tb)[-1].filename).parent == PACKAGE, bad
+
+
+def test_a_polynomial_equals_nothing_else():
+    assert burden.n != "n"
+    assert burden.n != KF
 
 
 def test_there_are_thousands_of_cases():
