@@ -4,13 +4,14 @@ import argparse
 import csv
 import io
 import json
+import os
 import re
 import shutil
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from .files import write_whole
+from .files import write_together, write_whole
 from .published import Verdicts, counts_by_paper, stored_verdicts
 from .tables import Table
 
@@ -28,9 +29,14 @@ class CommandError(Exception):
 def reproduce(keys):
     """Execute notebooks in place and write their figures; nothing is touched when a cell fails.
 
-    Raises CommandError for an unknown key and for a notebook that fails, naming the notebook, the cell and the error.
+    Raises CommandError for an unknown key, for a folder that cannot be written to and for a notebook that fails, naming
+    the notebook, the cell and the error.
     """
-    for key in known(keys):
+    keys = known(keys)
+    for folder in (FIGURES, NOTEBOOKS):
+        if folder.exists() and not (folder.is_dir() and os.access(folder, os.W_OK)):
+            raise CommandError(f"{folder}: needs a folder that can be written to")
+    for key in keys:
         # A cell reads ../figures: the notebook runs in a copy of its place, and what it made is moved over at the end.
         with TemporaryDirectory(prefix=".reproduce-", dir=".") as place:
             stage = Path(place)
@@ -41,9 +47,8 @@ def reproduce(keys):
                 shutil.copy(MEASURED, stage / MEASURED)
             text = _execute(key, stage / NOTEBOOKS)
             FIGURES.mkdir(exist_ok=True)
-            for figure in sorted(stage.joinpath(FIGURES).iterdir()):
-                write_whole(FIGURES / figure.name, figure.read_bytes())
-            write_whole(NOTEBOOKS / f"{key}.ipynb", text.encode())
+            made = {FIGURES / each.name: each.read_bytes() for each in sorted(stage.joinpath(FIGURES).iterdir())}
+            write_together(made | {NOTEBOOKS / f"{key}.ipynb": text.encode()})
 
 
 def _execute(key, folder):
@@ -51,7 +56,10 @@ def _execute(key, folder):
     import nbformat
     from nbclient import NotebookClient
 
-    notebook = nbformat.read(folder / f"{key}.ipynb", as_version=4)
+    try:
+        notebook = nbformat.read(folder / f"{key}.ipynb", as_version=4)
+    except (ValueError, TypeError, LookupError, AttributeError, nbformat.ValidationError) as error:
+        raise CommandError(f"{key}: needs a notebook ({error!r:.200})") from error
     total = sum(cell.cell_type == "code" for cell in notebook.cells)
     ran = []
 
@@ -81,6 +89,8 @@ def _execute(key, folder):
         )
         gone = str(error) or "the kernel is gone, as after an interrupt"
         where, what = next(errors, (ran[-1] if ran else "none", gone))
+        if hasattr(client, "_async_cleanup_kernel_future"):  # nbclient caught a signal, and stopped the kernel
+            raise KeyboardInterrupt from error
         raise CommandError(f"{key}: cell {where} failed: {what}") from error
     notebook.metadata["language_info"] = {"name": "python"}  # the rest of it names the version of Python
     return nbformat.writes(notebook) + "\n"
@@ -164,7 +174,7 @@ def main(arguments=None):
         table = Table(columns, [[getattr(each, column) for column in columns] for each in given])
         print(options.form(given).rstrip() if options.form else table)
         return 0
-    except CommandError as failure:
+    except (CommandError, OSError) as failure:  # as of a full disk
         print(f"error: {failure}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

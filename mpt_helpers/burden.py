@@ -9,9 +9,11 @@ a symmetric result only the upper triangle is computed, and a p×p inverse costs
 
 import re
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from math import prod
+from numbers import Real
 
 from . import checks
 
@@ -19,7 +21,7 @@ from . import checks
 class Polynomial:
     """A polynomial with exact coefficients in variables of one letter.
 
-    `terms` maps monomials to coefficients: {"nn": 2, "n": -1} is 2n² - n.
+    `terms` maps monomials to coefficients: {"nn": 2, "n": -1} is 2n² - n. Raises TypeError or ValueError for others.
 
     >>> n, m = Polynomial({"n": 1}), Polynomial({"m": 1})
     >>> 2 * n * n + m / 2 - n
@@ -29,27 +31,39 @@ class Polynomial:
     """
 
     def __init__(self, terms):
+        for monomial, c in checks.instance("terms", terms, Mapping).items():
+            if not re.fullmatch("[A-Za-z]*", checks.instance("terms", monomial, str)):
+                checks.refuse("terms", "monomials of letters", repr(monomial))
+            checks.number(f"terms[{monomial!r}]", c)
         terms = {"".join(sorted(monomial, reverse=True)): Fraction(c) for monomial, c in terms.items() if c}
         self.terms = {key: terms[key] for key in sorted(sorted(terms, reverse=True), key=len, reverse=True)}
 
     @classmethod
     def of(cls, value):
-        """Return a number as a constant polynomial, and a polynomial as it is."""
-        return value if isinstance(value, Polynomial) else cls({"": value})
+        """Return a number as a constant polynomial, and a polynomial as it is; raises TypeError for anything else."""
+        if isinstance(value, Polynomial):
+            return value
+        checks.number("value", value, "a number or a Polynomial")
+        return cls({"": value})
 
     @classmethod
     def parse(cls, text):
         """Read a formula as the papers print it: sums of terms such as 3.5n² and (16m³ - 3m² - m)/6 or (M - 1)n.
 
+        Raises ValueError or TypeError for what is none.
+
         >>> Polynomial.parse("n² + (3n² - n)/6 + (M - 1)n")
         1.5n² + nM - (7/6)n
         """
+        checks.instance("text", text, str)
         text = text.replace("−", "-").replace("²", "^2").replace("³", "^3").replace(" ", "")
         total = cls({})
         letters = r"(?:[A-Za-z](?:\^\d)?)"
         term = rf"([+-]?)(?:\(([^()]+)\)(?:/(\d+))?|(\d+(?:\.\d+)?)|(?={letters}))({letters}*)"
         if not re.fullmatch(f"(?:{term})(?:(?=[+-]){term})*", text):
             checks.refuse("text", "a formula such as 2n² - n + (M - 1)n", repr(text))
+        if re.search(r"/0+(?!\d)", text):
+            checks.refuse("text", "a divisor that is not zero", repr(text))
         for sign, group, divisor, factor, letters in re.findall(term, text):
             inner = cls.parse(group) / int(divisor or 1) if group else cls.of(Fraction(factor or 1))
             monomial = "".join(letter * int(power or 1) for letter, power in re.findall(r"([A-Za-z])\^?(\d?)", letters))
@@ -79,16 +93,22 @@ class Polynomial:
     __rmul__ = __mul__
 
     def __eq__(self, other):
-        return self.terms == Polynomial.of(other).terms
+        return self.terms == Polynomial.of(other).terms if isinstance(other, (Polynomial, Real)) else NotImplemented
 
     __hash__ = None
 
     def __call__(self, **values):
         """Return the value for these numbers, as a Fraction or an int; a variable may also be given a Polynomial.
 
+        Raises ValueError or TypeError unless every variable has a value.
+
         >>> (n * n + M)(n=4, M=M)
         M + 16
         """
+        letters = set("".join(self.terms))
+        for letter, value in {**dict.fromkeys(letters), **values}.items():
+            if not isinstance(value, Polynomial):
+                checks.number(letter, value, "a number or a Polynomial")
         value = sum((c * prod(values[letter] for letter in monomial) for monomial, c in self.terms.items()), Fraction())
         return int(value) if isinstance(value, Fraction) and value.denominator == 1 else value
 
@@ -113,6 +133,17 @@ class Operation:
     dimensions: str
     burden: Polynomial
 
+    def __post_init__(self):
+        checks.instance("what", self.what, str)
+        checks.instance("dimensions", self.dimensions, str)
+        checks.instance("burden", self.burden, (Polynomial, int, float))
+
+
+def _sizes(**sizes):
+    for name, size in sizes.items():
+        if not isinstance(size, Polynomial):
+            checks.count(name, size)
+
 
 def product(what, p, q, r):
     """(p×q)·(q×r): p r entries of q multiplications and q - 1 additions.
@@ -120,6 +151,7 @@ def product(what, p, q, r):
     >>> product("F x(k/k)", n, n, 1)
     Operation(what='F x(k/k)', dimensions='(n×n)·(n×1)', burden=2n² - n)
     """
+    _sizes(p=p, q=q, r=r)
     return Operation(what, f"({p}×{q})·({q}×{r})", p * r * (2 * q - 1))
 
 
@@ -129,21 +161,25 @@ def symmetric_product(what, p, q):
     >>> symmetric_product("F P(k/k) Fᵀ", n, n).burden
     n³ + 0.5n² - 0.5n
     """
+    _sizes(p=p, q=q)
     return Operation(what, f"({p}×{q})·({q}×{p}), symmetric", p * (p + 1) / 2 * (2 * q - 1))
 
 
 def addition(what, p, q):
     """(p×q) + (p×q), or a (p×q) matrix times a number."""
+    _sizes(p=p, q=q)
     return Operation(what, f"({p}×{q})", Polynomial.of(p * q))
 
 
 def symmetric_addition(what, p):
     """(p×p) + (p×p) with a symmetric result, or a symmetric (p×p) matrix times a number."""
+    _sizes(p=p)
     return Operation(what, f"({p}×{p}), symmetric", p * (p + 1) / 2)
 
 
 def identity_plus(what, p):
     """I + (p×p): the diagonal only."""
+    _sizes(p=p)
     return Operation(what, f"({p}×{p}), diagonal", p)
 
 
@@ -153,6 +189,7 @@ def inverse(what, p):
     >>> inverse("[H P Hᵀ + R]⁻¹", m).burden
     (8/3)m³ - 0.5m² - (1/6)m
     """
+    _sizes(p=p)
     return Operation(what, f"({p}×{p})⁻¹", (16 * p * p * p - 3 * p * p - p) / 6)
 
 
@@ -168,6 +205,12 @@ class Burden:
 
     operations: tuple
 
+    def __post_init__(self):
+        operations = checks.several("operations", self.operations, "Operations")
+        for i, each in enumerate(operations):
+            checks.instance(f"operations[{i}]", each, Operation)
+        object.__setattr__(self, "operations", operations)
+
     @property
     def total(self):
         """The sum over the operations, a Polynomial."""
@@ -179,6 +222,8 @@ class Burden:
     def __call__(self, n, m, **order):
         """Return the number of operations; raises ValueError or TypeError unless n, m (and M) are positive integers."""
         values = {name: checks.count(name, value) for name, value in {"n": n, "m": m, **order}.items()}
+        for name in set(order) - set("".join(self.total.terms)):
+            checks.refuse(name, f"a variable of {self.total}", name)
         return self.total(**values)
 
     def rows(self):

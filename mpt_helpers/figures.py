@@ -1,5 +1,7 @@
 """Figures: one saved file each, and a description in words and numbers that a test can compare.
 
+Every function raises ValueError or TypeError for arguments that are not what it says, naming the argument.
+
 A PNG cannot be compared across machines, so `save_figure` shows beside it, as plain text, what the figure plots. The
 style is in notebooks/matplotlibrc.
 """
@@ -7,12 +9,15 @@ style is in notebooks/matplotlibrc.
 import re
 import zlib
 from base64 import b64encode
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
@@ -20,7 +25,7 @@ from matplotlib.patches import Patch
 from matplotlib.text import Text
 
 from . import checks
-from .files import write_whole
+from .files import write_together
 
 # Gaps below this are rounding, and other digits on every processor: they are drawn at it.
 FLOOR = 1e-12
@@ -38,8 +43,15 @@ def panels(layout, height=2.3):
     >>> sorted(ax)
     ['gap', 's_x', 's_y']
     """
+    need, height = "rows of as many names each, a name filling a rectangle", checks.positive("height", height)
+    layout = [checks.several("layout", row, need) for row in checks.several("layout", layout, need)]
+    for name in (name for row in layout for name in row):
+        checks.instance("layout", name, str)
     fig = Figure(figsize=(7.2, height * len(layout)), layout="constrained")
-    return fig, fig.subplot_mosaic(layout)
+    try:
+        return fig, fig.subplot_mosaic([list(row) for row in layout])
+    except ValueError:
+        checks.refuse("layout", need, checks.brief(layout))
 
 
 def tracking(x, z, estimates, P, gaps):
@@ -54,7 +66,12 @@ def tracking(x, z, estimates, P, gaps):
     >>> [ax.get_title(loc="left") for ax in fig.axes][:3]
     ['position (m), x axis', 'position error (m), x axis', 'velocity (m/s), x axis']
     """
-    letters = "xyz"[: z.shape[1]]
+    z = checks.finite("z", z, ("N", 1), ("N", 2), ("N", 3))
+    N, d = z.shape
+    x, P = checks.finite("x", x, (N, 2 * d)), checks.finite("P", P, (N, 2 * d, 2 * d))
+    _not_negative("P", np.einsum("kii->ki", P))
+    estimates, gaps = _curves("estimates", estimates, (2,), (N, 2 * d)), _gaps(gaps)
+    letters = "xyz"[:d]
     rows = ["position (m)", "position error (m)", "velocity (m/s)"]
     fig, ax = panels([[f"{row}, {letter} axis" for letter in letters] for row in rows] + [["gap"] * len(letters)], 1.8)
     for i, letter in enumerate(letters):
@@ -99,6 +116,13 @@ def following(k, true, estimated, mean, sigma, label, last=None):
     >>> list(ax)
     ['position (m), x axis', 'error (m), x axis', 'error (m), x axis, enlarged', 'steps']
     """
+    true = checks.finite("true", true, ("N", 1), ("N", 2), ("N", 3))
+    k = checks.finite("k", k, true.shape[:1])
+    named = {"estimated": estimated, "mean": mean, "sigma": sigma}
+    estimated, mean, sigma = (checks.finite(name, value, true.shape) for name, value in named.items())
+    _not_negative("sigma", sigma)
+    checks.instance("label", label, str)
+    checks.instance("last", "" if last is None else last, str)
     letters = "xyz"[: true.shape[1]]
     rows = ["position (m), {} axis", "error (m), {} axis", "error (m), {} axis, enlarged"]
     layout = [[row.format(letter) for letter in letters] for row in rows]
@@ -128,6 +152,11 @@ def steps_ahead(ax, errors, real, stated):
     >>> fig, ax = panels([["steps"]])
     >>> steps_ahead(ax["steps"], np.zeros((3, 5)), real=np.ones(3), stated=np.ones(3))
     """
+    checks.instance("ax", ax, Axes)
+    errors = checks.finite("errors", errors, ("N", "K"))
+    real, stated = (checks.finite(name, each, errors.shape[:1]) for name, each in (("real", real), ("stated", stated)))
+    _not_negative("real", real)
+    _not_negative("stated", stated)
     N = np.arange(len(errors))
     ax.fill_between(N, -2 * stated, 2 * stated, color="0.85", lw=0, label="± 2σ stated")
     ax.fill_between(N, -2 * real, 2 * real, color="C0", alpha=0.3, lw=0, label="± 2σ real")
@@ -146,7 +175,19 @@ def effects(values, results, labels, xlabel):
     >>> [ax.get_title(loc="left") for ax in fig.axes]
     ['σ (m), CV', 'σ (m), CA']
     """
-    rows, columns = (list(dict.fromkeys(names)) for names in zip(*results, strict=True))
+    values = checks.finite("values", values, ("N",))
+    if values.min() <= 0:
+        checks.refuse("values", "positive numbers, for a logarithmic axis", f"{values.min():.6g}")
+    labels, xlabel = checks.several("labels", labels, "one to three labels"), checks.instance("xlabel", xlabel, str)
+    if len(labels) > 3:
+        checks.refuse("labels", "one to three labels", len(labels))
+    names = checks.several("results", checks.instance("results", results, Mapping), "at least one result")
+    if not all(isinstance(name, tuple) and len(name) == 2 for name in names):
+        checks.refuse("results", "pairs (result, model) as keys", checks.brief(names))
+    results = {name: checks.finite("results", each, (len(values), len(labels))) for name, each in results.items()}
+    rows, columns = (list(dict.fromkeys(each)) for each in zip(*names, strict=True))
+    if len(rows) * len(columns) != len(results):
+        checks.refuse("results", "every result for every model", checks.brief(names))
     fig, ax = panels([[f"{row}, {column}" for column in columns] for row in rows])
     for (row, column), result in results.items():
         for curve, label, style in zip(np.transpose(result), labels, ("o-", "s--", "^:"), strict=False):
@@ -169,6 +210,14 @@ def coordinate(t, truth, measured, estimates, sigma):
     >>> [ax.get_title(loc="left") for ax in fig.axes]
     ['position (m)', 'position error (m)', 'velocity (m/s)']
     """
+    truth = checks.finite("truth", truth, ("N", 2), ("N", 3))
+    t, measured = (checks.finite(name, each, truth.shape[:1]) for name, each in (("t", t), ("measured", measured)))
+    estimates = _curves("estimates", estimates, (1, 2), ("n", 2), ("n", 3))
+    for x in estimates.values():
+        if len(x) > len(t) or x.shape[1] > truth.shape[1]:
+            checks.refuse("estimates", f"at most the shape of truth, {truth.shape}", f"shape {x.shape}")
+    sigma = checks.finite("sigma", sigma, next(iter(estimates.values())).shape)
+    _not_negative("sigma", sigma)
     names = ["position (m)", "velocity (m/s)", "constant error of the INS (m/s)"][: truth.shape[1]]
     fig, ax = panels([["position (m)", "position error (m)"], names[-2:] if len(names) == 3 else names[1:] * 2])
     ax["position (m)"].plot(t, measured, ".", color="0.45", ms=3.5, label="measured")
@@ -205,6 +254,8 @@ def draw_gaps(ax, gaps):
     >>> ax["gap"].lines[0].get_ydata()
     array([1.e-12, 1.e-12])
     """
+    checks.instance("ax", ax, Axes)
+    gaps = _gaps(gaps)
     styles = ["-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1))]
     for i, (label, gap) in enumerate(gaps.items()):
         largest = np.reshape(gap, (len(gap), -1)).max(axis=1)
@@ -216,6 +267,27 @@ def draw_gaps(ax, gaps):
     finish(ax, "step k", "largest gap in the state (m, m/s)")
 
 
+def _curves(name, curves, counts, *shapes):
+    """Return arrays of one of these shapes by their labels, so many of them."""
+    checks.instance(name, curves, Mapping)
+    if len(curves) not in counts:
+        checks.refuse(name, f"{' or '.join(map(str, counts))} of them by their labels", len(curves))
+    return {checks.instance(name, label, str): checks.finite(name, each, *shapes) for label, each in curves.items()}
+
+
+def _gaps(gaps):
+    checks.several("gaps", checks.instance("gaps", gaps, Mapping), "at least one gap by its label")
+    gaps = _curves("gaps", gaps, (len(gaps),), ("N",), ("N", "n"))
+    for gap in gaps.values():
+        _not_negative("gaps", gap)
+    return gaps
+
+
+def _not_negative(name, values):
+    if values.min() < 0:
+        checks.refuse(name, "numbers that are not negative", f"{values.min():.6g}")
+
+
 def finish(ax, xlabel, title):
     """Label the x axis, say above the axes what they show, and name the curves.
 
@@ -223,8 +295,9 @@ def finish(ax, xlabel, title):
     >>> _ = ax["a"].plot([1, 2], [3, 4], label="K")
     >>> finish(ax["a"], "step k", "gain")
     """
-    ax.set_xlabel(xlabel)
-    ax.set_title(title, loc="left")
+    checks.instance("ax", ax, Axes)
+    ax.set_xlabel(checks.instance("xlabel", xlabel, str))
+    ax.set_title(checks.instance("title", title, str), loc="left")
     ax.legend()
     if ax.get_xscale() == "linear":
         ax.xaxis.get_major_locator().set_params(integer=True)
@@ -239,7 +312,9 @@ def visible_gap(gap):
     >>> visible_gap([0.12345, 1.2345e-10, 1e-17])
     array([1.23e-01, 1.00e-10, 1.00e-12])
     """
-    gap = np.maximum(np.asarray(gap, float), FLOOR)
+    gap = checks.finite("gap", gap)
+    _not_negative("gap", gap)
+    gap = np.maximum(gap, FLOOR)
     unit = 10.0 ** (np.floor(np.log10(gap)) - np.where(gap < QUANTUM, 0, 2))
     return np.round(gap / unit) * unit
 
@@ -269,14 +344,14 @@ def save_figure(fig, name, folder="../figures"):
     checks.instance("fig", fig, Figure)
     if not re.fullmatch(r"\w+", checks.instance("name", name, str), re.ASCII):
         checks.refuse("name", "letters, digits and underscores", repr(name))
-    if not Path(folder).is_dir():
+    if not Path(checks.instance("folder", folder, (str, PathLike))).is_dir():
         checks.refuse("folder", "a folder that exists", repr(str(folder)))
     png, svg = BytesIO(), BytesIO()
     fig.savefig(png, format="png", metadata={"Software": None})
     with rc_context({"svg.hashsalt": name}):
         fig.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
-    write_whole(Path(folder) / f"{name}.png", png.getvalue())
-    write_whole(Path(folder) / f"{name}.svg", round_svg(svg.getvalue().decode()).encode())
+    rounded = round_svg(svg.getvalue().decode()).encode()
+    write_together({Path(folder) / f"{name}.png": png.getvalue(), Path(folder) / f"{name}.svg": rounded})
     return SavedFigure(png.getvalue(), f"{name}.png\n{describe(fig)}", alt_text(fig))
 
 
@@ -286,6 +361,7 @@ def round_svg(text):
     >>> round_svg('<path d="M 1.23456 7 L 2.5 -0.000001" stroke-width="0.123456" transform="scale(0.015625)"/>')
     '<path d="M 1.23 7 L 2.5 0" stroke-width="0.123456" transform="scale(0.015625)"/>'
     """
+    checks.instance("text", text, str)
     return re.sub(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)', lambda place: _round_all(place[0]), text)
 
 
@@ -304,7 +380,7 @@ def alt_text(fig):
     '2 panels. σ of s (log scale); σ of v (log scale), over step k. Curves: KF.'
     """
     alike = {}
-    for ax in fig.axes:
+    for ax in checks.instance("fig", fig, Figure).axes:
         drawn = [*ax.lines, *ax.collections, *ax.patches, *ax.images]
         labels = dict.fromkeys(str(each.get_label()) for each in drawn)
         curves = "; ".join(label for label in labels if label and not label.startswith("_"))
@@ -329,6 +405,7 @@ def describe(fig):
     axes 1: x '' linear 0.9..3.1; y '' linear -0.05..1.05
       line 'a': 3 points, x 1..3 mean 2, y 0..1 mean 0.5, checksum 43970567
     """
+    checks.instance("fig", fig, Figure)
     lines = [f"text {text.get_text()!r}" for text in fig.texts]
     for i, ax in enumerate(fig.axes, 1):
         sides = [

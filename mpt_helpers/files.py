@@ -6,10 +6,25 @@ from pathlib import Path
 
 def write_whole(path, data):
     """Write bytes beside the file and move them into its place: an interrupt leaves the old file as it was."""
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
+    write_together({path: data})
+
+
+def write_together(contents):
+    """Write bytes to several files, of which contents maps the paths: beside them first, then all into their places.
+
+    A full disk or an interrupt leaves every file as it was while they are written. What stops the moves, some
+    microseconds in all, leaves some files new and some old, each whole.
+    """
+    contents = {Path(path): data for path, data in contents.items()}
+    parts = {path: path.with_name(path.name + ".part") for path in contents}
+    if there := [str(path) for path in contents if path.is_dir()]:
+        raise IsADirectoryError(f"a folder is in the place of the file {there[0]}")
     try:
-        part.write_bytes(data)
-        os.replace(part, path)
+        for path, part in parts.items():
+            part.write_bytes(contents[path])
+        for path, part in parts.items():
+            os.replace(part, path)
     finally:
-        part.unlink(missing_ok=True)
+        for part in parts.values():
+            if part.is_file():
+                part.unlink()

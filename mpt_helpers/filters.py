@@ -32,8 +32,10 @@ class _Linear:
     """What every filter is: s(k+1) = A_k s(k) + B_k z(k+1), the first n entries of s being the estimate.
 
     A subclass has a model, `_system(missed)`, which returns the recursion.System for the missed epochs, (N,), and
-    `_start`, which is s(0).
+    `_start`, which is s(0). `steps` is how far ahead its estimates are.
     """
+
+    steps = 0
 
     def filter(self, z):
         """Return the estimates x(1/1) ... x(N/N) of one track or many."""
@@ -184,7 +186,7 @@ class _Constant(_Recursive):
         n, m = self.model.n, self.model.m
         object.__setattr__(self, "A", checks.array("A", self.A, (n, n)))
         object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
-        object.__setattr__(self, "P", checks.array("P", self.P, (n, n)))
+        object.__setattr__(self, "P", checks.covariance("P", self.P, n, rounding=checks.COMPUTED))
 
     def _steps(self, missed):
         both = np.array([self.A, self.model.F]), np.array([self.B, np.zeros_like(self.B)]), np.array([self.P, self.P])
@@ -264,7 +266,7 @@ class SteadyStatePredictor(_Constant):
 class JoinFilter(_Linear):
     """Two filters on the same measurements, half the weight each: JKLF and JSSKLF (2014 Eqs. 8, 16; 2015 Eqs. 4-5, 13).
 
-    Raises ValueError when the two models differ.
+    Raises ValueError when the two models differ, or how far ahead the two predict, TypeError for what is no filter.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
@@ -278,9 +280,17 @@ class JoinFilter(_Linear):
 
     def __post_init__(self):
         for name in ("first", "second"):
-            _require_filter(name, getattr(self, name))
+            require_filter(name, getattr(self, name))
         if self.first.model != self.second.model:
             checks.refuse("second", "a filter of the same model as the first", "one of another model")
+        if self.first.steps != self.second.steps:
+            need, got = (f"a filter {each.steps} steps ahead" for each in (self.first, self.second))
+            checks.refuse("second", f"{need}, as the first", got)
+
+    @property
+    def steps(self):
+        """How far ahead both filters predict."""
+        return self.first.steps
 
     @property
     def model(self):
@@ -289,6 +299,8 @@ class JoinFilter(_Linear):
 
     def covariances(self, N):
         """Return the mean of both covariances, (N, n, n)."""
+        for name in ("first", "second"):
+            require_covariances(name, getattr(self, name))
         return (self.first.covariances(N) + self.second.covariances(N)) / 2
 
     @property
@@ -313,7 +325,7 @@ class JoinFilter(_Linear):
 class Separate(_Linear):
     """Filters side by side, each on its own part of the state: model B of the papers (2014 Section 5, Eqs. 17-18).
 
-    Raises ValueError when no filter is given.
+    Raises ValueError when no filter is given or they predict differently far ahead, TypeError for what is no filter.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> kf = KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1))
@@ -326,8 +338,10 @@ class Separate(_Linear):
         if not filters:
             checks.refuse("filters", "at least one filter", "none")
         for i, each in enumerate(filters):
-            _require_filter(f"filters[{i}]", each)
-        self.filters = filters
+            require_filter(f"filters[{i}]", each)
+        if len(ahead := sorted({each.steps for each in filters})) > 1:
+            checks.refuse("filters", "filters that predict equally far ahead", f"steps {ahead}")
+        self.filters, self.steps = filters, *ahead
 
     @cached_property
     def model(self):
@@ -337,6 +351,8 @@ class Separate(_Linear):
     def covariances(self, N):
         """Return the block diagonal covariances, (N, n, n)."""
         checks.count("N", N)
+        for i, each in enumerate(self.filters):
+            require_covariances(f"filters[{i}]", each)
         return _diagonal([each.covariances(N) for each in self.filters])
 
     @property
@@ -377,7 +393,7 @@ def fir_order(A, tol, norm=2):
     """Return the FIR order M: ‖Aᴹ‖ < tol and ‖Aᴹ⁻¹‖ >= tol for the first time (2014 Section 7).
 
     A is n×n, tol is the paper's ε, norm is what `numpy.linalg.norm` takes: 2 is the spectral norm. Raises ValueError
-    for tol outside (0, 1] (‖A⁰‖ >= tol must hold) or an A that does not decay.
+    for tol outside (0, 1] (‖A⁰‖ >= tol must hold), an A that does not decay or what is no norm.
 
     >>> fir_order([[0.5]], tol=0.1)
     4
@@ -385,6 +401,7 @@ def fir_order(A, tol, norm=2):
     A = checks.matrix("A", A, "a square matrix")
     A = checks.array("A", A, (len(A), len(A)))
     tol = checks.number("tol", tol, "a number in (0, 1]", lambda tol: 0 < tol <= 1)
+    checks.one_of("norm", norm, (1, 2, np.inf, "fro", "nuc"))
     radius = np.abs(np.linalg.eigvals(A)).max()
     if radius >= 1:
         checks.refuse("A", "a spectral radius below 1", f"{radius:.6g}")
@@ -402,7 +419,9 @@ class FIRFilter(_Linear):
 
     taps is (M, n, m). Measurements before z(1) count as zero, and x0 enters only where there is no estimate before a
     missed epoch. A missed epoch is predicted only, and its measurement replaced by the predicted one, H F x(k-1/k-1):
-    that is what a missed epoch does to the steady-state filter.
+    that is what a missed epoch does to the steady-state filter. It has no covariances.
+
+    Raises TypeError or ValueError for anything but a model and such an array.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> steady = SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1))
@@ -495,6 +514,15 @@ def six_filters(model):
     return {"KF": kf, "LF": lf, "JKLF": join, "SSKF": sskf, "SSLF": sslf, "JSSKLF": join_steady}
 
 
-def _require_filter(name, value):
+def require_filter(name, value):
+    """Return `value` if it is a filter, or raise a TypeError."""
     if not isinstance(value, _Linear):
-        checks.refuse(name, "a filter", f"{type(value).__name__} {value!r:.40}", TypeError)
+        checks.refuse(name, "a filter", checks.kind_of(value), TypeError)
+    return value
+
+
+def require_covariances(name, value):
+    """Return `value` if it is a filter that states its covariances, or raise a TypeError."""
+    if isinstance(value, type) or not (hasattr(value, "filter") and hasattr(value, "covariances")):
+        checks.refuse(name, "a filter that states its covariances", checks.kind_of(value), TypeError)
+    return value

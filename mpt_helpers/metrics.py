@@ -7,18 +7,20 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.special import erf, gammaincinv
 
 from . import checks
-from .filters import SteadyStateFilter
+from .filters import SteadyStateFilter, require_covariances
 from .model import LinearModel, predicted_covariance
-from .recursion import measurements
+from .recursion import measurements, shaped
 
 
 def relative_gap(a, b):
     """Return the largest difference between two arrays of one shape, relative to the largest entry of the second.
 
+    Raises ValueError or TypeError for anything else, and for NaN.
+
     >>> relative_gap([1.0, 2.0], [1.0, 4.0])
     0.5
     """
-    a, b = checks.real("a", a, "an array"), checks.real("b", b, "an array")
+    a, b = (checks.finite(name, each) for name, each in (("a", a), ("b", b)))
     if a.shape != b.shape or not b.any():
         checks.refuse("a", "the shape of b, which is not all zero", f"{a.shape}, b {b.shape}")
     return float(np.abs(a - b).max() / np.abs(b).max())
@@ -29,9 +31,22 @@ def largest_gaps(reference, others, z):
 
     Both are the largest over the others, the steps and the components: of the estimates relative to the largest
     estimate of that component, of the covariances relative to the standard deviations of both components at that step.
+
+    Raises ValueError or TypeError for anything but filters of one model that state their covariances, measurements of
+    one track, and where a component of the estimates or a variance is zero throughout.
     """
+    require_covariances("reference", reference)
+    for i, each in enumerate(others := checks.several("others", others, "at least one filter")):
+        if require_covariances(f"others[{i}]", each).model != reference.model:
+            checks.refuse(f"others[{i}]", "a filter of the same model as the reference", "one of another model")
+    if shaped(z, reference.model.m).ndim != 2:
+        checks.refuse("z", f"an (N, {reference.model.m}) array of one track", "many tracks")
     x, P = reference.filter(z), reference.covariances(len(z))
     sigma = np.sqrt(np.einsum("kii->ki", P))
+    if not sigma.all():
+        checks.refuse("reference", "a filter whose variances are positive", "a variance of zero")
+    if not x.any(axis=0).all():
+        checks.refuse("z", "measurements that move every component of the estimate", "a component that stays zero")
     x_gap = max(np.abs((each.filter(z) - x) / np.abs(x).max(axis=0)).max() for each in others)
     P_gap = max(np.abs((each.covariances(len(z)) - P) / sigma[:, :, None] / sigma[:, None, :]).max() for each in others)
     return float(x_gap), float(P_gap)
@@ -40,9 +55,16 @@ def largest_gaps(reference, others, z):
 def rms(values, axis=None):
     """Return the root mean square along an axis, or of all.
 
+    Raises ValueError or TypeError for anything but finite numbers and axes that they have.
+
     >>> rms([3.0, -3.0])
     3.0
     """
+    values = checks.finite("values", values)
+    if axis is not None:
+        for each in checks.several("axis", [axis] if np.ndim(axis) == 0 else axis, "an axis or some"):
+            if checks.count("axis", each, least=-values.ndim) >= values.ndim:
+                checks.refuse("axis", f"an axis of an array of {values.ndim}", each)
     square = np.mean(np.square(values), axis=axis)
     return float(np.sqrt(square)) if axis is None else np.sqrt(square)
 
@@ -53,18 +75,16 @@ def nees(errors, P):
     errors is (N, n) or (N, n, M), P the covariance that the filter states: (n, n), or (N, n, n), one for each step.
     Returns (N,) or (N, M). Its mean over steps or tracks is n when the errors have mean zero and covariance P.
 
-    Raises ValueError for other shapes and for a P that is not definite.
+    Raises ValueError for other shapes, NaN and a P that is not symmetric and definite, TypeError for no real numbers.
 
     >>> nees([[1.0, 2.0]], [[1.0, 0.0], [0.0, 4.0]])
     array([2.])
     """
-    errors = checks.real("errors", errors, "an (N, n) or (N, n, M) array")
-    if errors.ndim not in (2, 3) or 0 in errors.shape:
-        checks.refuse("errors", "an (N, n) or (N, n, M) array", f"shape {errors.shape}")
+    errors = checks.finite("errors", errors, ("N", "n"), ("N", "n", "M"))
     N, n = errors.shape[:2]
-    P = checks.real("P", P, f"an ({n}, {n}) or ({N}, {n}, {n}) array")
-    if P.shape not in ((n, n), (N, n, n)):
-        checks.refuse("P", f"an ({n}, {n}) or ({N}, {n}, {n}) array", f"shape {P.shape}")
+    P = checks.finite("P", P, (n, n), (N, n, n))
+    if np.abs(P - P.swapaxes(-1, -2)).max() > checks.COMPUTED * np.abs(P).max():
+        checks.refuse("P", "positive definite matrices", "one that is not symmetric")
     try:
         root = np.linalg.cholesky(P)
     except np.linalg.LinAlgError:
@@ -84,7 +104,8 @@ def innovations(each, z):
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N, of a filter over measurements z.
 
     `each` is a filter with a model and covariances, z is (N, m) or (N, m, M). P(0/0) is the model's P0, and P for a
-    steady-state filter. Raises ValueError or TypeError for measurements of another shape or with missed epochs.
+    steady-state filter. Raises ValueError or TypeError for measurements of another shape or with missed epochs, and for
+    a filter without covariances or a predictor.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -92,7 +113,9 @@ def innovations(each, z):
     array([[1.   ],
            [1.239]])
     """
-    model = each.model
+    model = require_covariances("each", each).model
+    if getattr(each, "steps", 0):
+        checks.refuse("each", "a filter of estimates", f"one that predicts {each.steps} steps ahead")
     z, missed = measurements(z, model.m)
     if missed.any():
         checks.refuse("z", "no missed epochs", "rows of NaN")
@@ -107,6 +130,8 @@ def innovations(each, z):
 
 def nis(each, z):
     """Return the normalised innovation squared of each step, (N,) or (N, M): its mean is m for a consistent filter.
+
+    Raises as `innovations` does.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> nis(SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [2.0]]).round(2)
@@ -163,7 +188,8 @@ def error_covariance(steady, truth, steps=0):
 
         P = A P Aᵀ + (I - B H) Q (I - B H)ᵀ + B R Bᵀ   with the Q and R of `truth`
 
-    It is the P of the filter when `truth` is the filter's own model.
+    It is the P of the filter when `truth` is the filter's own model. Raises ValueError when truth has another F or H
+    and when the filter has no limit: an A that does not decay.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -171,8 +197,11 @@ def error_covariance(steady, truth, steps=0):
     True
     """
     require_same(steady, truth)
+    steps, radius = checks.count("steps", steps, least=0), np.abs(np.linalg.eigvals(steady.A)).max()
+    if radius >= 1:
+        checks.refuse("steady", "a filter whose A has a spectral radius below 1", f"{radius:.6g}")
     P = solve_discrete_lyapunov(steady.A, _step_noise(steady, truth))
-    return predicted_covariance(truth, (P + P.T) / 2, checks.count("steps", steps, least=0))
+    return predicted_covariance(truth, (P + P.T) / 2, steps)
 
 
 class ErrorMoments(NamedTuple):
@@ -185,15 +214,19 @@ class ErrorMoments(NamedTuple):
 def expected_absolute(mean, variance):
     """Return the expected absolute value of Gaussian variables: the mean of a folded normal distribution.
 
-    Raises ValueError for a negative variance.
+    Raises ValueError for a negative variance, NaN and shapes that do not fit together, TypeError for no real numbers.
 
     >>> expected_absolute(0.0, 1.0), expected_absolute(-3.0, 0.0)
     (0.7978845608028654, 3.0)
     """
-    variance = checks.real("variance", variance, "numbers")
-    if not (variance >= 0).all():
+    mean, variance = (checks.finite(n, v) for n, v in (("mean", mean), ("variance", variance)))
+    if (variance < 0).any():
         checks.refuse("variance", "numbers that are not negative", f"{variance.min():.6g}")
-    mean, sigma = np.abs(checks.real("mean", mean, "numbers")), np.sqrt(variance)
+    try:
+        np.broadcast_shapes(mean.shape, variance.shape)
+    except ValueError:
+        checks.refuse("variance", f"a shape that goes with that of mean, {mean.shape}", variance.shape)
+    mean, sigma = np.abs(mean), np.sqrt(variance)
     ratio = np.divide(mean, sigma, out=np.full(np.broadcast(mean, sigma).shape, np.inf), where=sigma > 0)
     value = sigma * np.sqrt(2 / np.pi) * np.exp(-np.square(ratio) / 2) + mean * erf(ratio / np.sqrt(2))
     return float(value) if np.ndim(value) == 0 else value
@@ -204,9 +237,9 @@ def _step_noise(steady, truth):
     return update @ truth.Q @ update.T + steady.B @ truth.R @ steady.B.T
 
 
-def require_same(steady, truth):
-    """Raise unless `truth` is a model with the F and H of the steady-state filter's."""
+def require_same(steady, truth, name="truth"):
+    """Raise, with this name for it, unless `truth` is a model with the F and H of the steady-state filter's."""
     checks.instance("steady", steady, SteadyStateFilter)
-    checks.instance("truth", truth, LinearModel)
+    checks.instance(name, truth, LinearModel)
     if not all(np.array_equal(getattr(truth, name), getattr(steady.model, name)) for name in "FH"):
-        checks.refuse("truth", "the F and H of the filter's model", "others")
+        checks.refuse(name, "the F and H of the filter's model", "others")

@@ -158,7 +158,7 @@ def gps_ins(dt, q, r):
 def _axis_parameters(dt, q, r):
     return (
         checks.positive("dt", dt),
-        checks.number("q", q, "a number that is not negative", lambda q: q >= 0),
+        checks.not_negative("q", q),
         checks.positive("r", r),
     )
 
@@ -186,11 +186,15 @@ def stack(*models):
 def predicted_covariance(model, P, steps):
     """Return the covariance P (n, n) or (N, n, n) of an error, so many steps ahead: P <- F P Fᵀ + Q each time.
 
+    Raises ValueError or TypeError for anything but a model, arrays of these shapes and a count that is not negative.
+
     >>> predicted_covariance(constant_velocity(dt=1.0, q=3.0, r=1.0), np.zeros((2, 2)), steps=1)
     array([[1. , 1.5],
            [1.5, 3. ]])
     """
-    for _ in range(steps):
+    n = checks.instance("model", model, LinearModel).n
+    P = checks.finite("P", P, (n, n), ("N", n, n))
+    for _ in range(checks.count("steps", steps, least=0)):
         P = model.F @ P @ model.F.T + model.Q
     return P
 
@@ -199,13 +203,14 @@ def square_root(C):
     """Return the square root G of a positive semidefinite matrix, G Gᵀ = C, that is symmetric at unit variances.
 
     It is unique, so that tracks drawn with it do not depend on the signs that an eigenvalue routine picks, and
-    variances of very different size keep their digits.
+    variances of very different size keep their digits. Raises ValueError or TypeError for anything else.
 
     >>> square_root([[4.0, 0.0], [0.0, 0.0]])
     array([[2., 0.],
            [0., 0.]])
     """
-    scale = np.sqrt(np.maximum(np.diag(C), 0))
+    C = checks.covariance("C", C, len(checks.matrix("C", C, "a square matrix")), rounding=checks.COMPUTED)
+    scale = np.sqrt(np.diag(C))
     unit = np.where(scale > 0, scale, 1)
     w, V = np.linalg.eigh(C / unit[:, None] / unit)
     w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # what is smaller is the rounding of a zero
@@ -214,6 +219,8 @@ def square_root(C):
 
 def exact_motion(model, x0):
     """Return the model of a track that starts at x0 exactly and has no process noise; the measurements keep theirs.
+
+    Raises TypeError or ValueError for anything but a model and a vector of length n.
 
     >>> exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]).Q
     array([[0., 0.],
@@ -226,6 +233,8 @@ def exact_motion(model, x0):
 
 def mean_track(model, N):
     """Return the track that a model takes without noise: x(1) ... x(N) = F x0 ... Fᴺ x0, (N, n).
+
+    Raises TypeError or ValueError for anything but a model and a positive count.
 
     >>> mean_track(exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]), N=3)
     array([[20., 20.],

@@ -43,6 +43,8 @@ class DegenerateGeometryError(ValueError):
 def place(latitude, longitude):
     """Return the place (3,) in metres on the surface of the Earth at a latitude and longitude in degrees.
 
+    Raises ValueError or TypeError for no finite numbers and a latitude beyond 90.
+
     >>> place(0.0, 90.0).round()
     array([      0., 6371000.,       0.])
     """
@@ -53,6 +55,8 @@ def place(latitude, longitude):
 
 def local_axes(x):
     """Return the unit vectors east, north and up at a place that is not a pole: the rows of a 3×3 matrix.
+
+    Raises ValueError or TypeError for anything else.
 
     >>> local_axes(place(0.0, 0.0)).round() + 0.0
     array([[0., 1., 0.],
@@ -87,11 +91,15 @@ def constellation(t):
 def elevation(satellites, x):
     """Return the elevation (m,) in degrees of satellites (m, 3) above the horizon of a place (3,).
 
+    Raises ValueError or TypeError for other arrays, the centre of the Earth and a place that is a satellite's.
+
     >>> elevation([[2e7, 0.0, 0.0]], place(0.0, 0.0))
     array([90.])
     """
-    satellites = checks.matrix("satellites", satellites, "an (m, 3) array")
-    away = checks.array("satellites", satellites, (len(satellites), 3)) - checks.array("x", x, (3,))
+    satellites, x = checks.finite("satellites", satellites, ("m", 3)), checks.array("x", x, (3,))
+    if not x.any() or (satellites == x).all(axis=1).any():
+        checks.refuse("x", "a place that is neither the centre of the Earth nor a satellite's", x)
+    away = satellites - x
     sine = away @ x / np.linalg.norm(away, axis=1) / np.linalg.norm(x)
     return np.degrees(np.arcsin(np.clip(sine, -1, 1)))
 
@@ -99,39 +107,60 @@ def elevation(satellites, x):
 def sky(x, t, mask=MASK):
     """Return the satellites of the nominal constellation above the mask (degrees) at a place and time, (m, 3).
 
+    Raises ValueError or TypeError for what is no place, time or number.
+
     >>> len(sky(place(56.95, 24.1), t=0.0))
     8
     """
-    satellites = constellation(t)
-    return satellites[elevation(satellites, x) > checks.number("mask", mask)]
+    satellites, mask = constellation(t), checks.number("mask", mask)
+    return satellites[elevation(satellites, x) > mask]
 
 
 def pseudoranges(satellites, X):
     """Return the pseudoranges P(X) without errors, (m,) in metres (2007 Eq. 5): distances plus clock shift.
 
+    Raises ValueError or TypeError for anything but satellites (m, 3) and a state (4,).
+
     >>> pseudoranges([[3.0, 4.0, 0.0]], [0.0, 0.0, 0.0, 10.0])
     array([15.])
     """
-    return np.linalg.norm(np.asarray(satellites) - X[:3], axis=1) + X[3]
+    return _ranges(checks.finite("satellites", satellites, ("m", 3)), checks.array("X", X, (4,)))
+
+
+def _ranges(satellites, X):
+    return np.linalg.norm(satellites - X[:3], axis=1) + X[3]
 
 
 def linearised(satellites, X):
     """Return H (m, 4), the derivatives of the pseudoranges by [x y z D'] at X (2007 Eq. 6).
 
+    Raises ValueError or TypeError for anything but satellites (m, 3) and a state (4,) that is not at one of them.
+
     >>> linearised([[3.0, 4.0, 0.0]], [0.0, 0.0, 0.0, 10.0])
     array([[-0.6, -0.8, -0. ,  1. ]])
     """
-    away = np.asarray(satellites) - X[:3]
+    satellites, X = checks.finite("satellites", satellites, ("m", 3)), checks.array("X", X, (4,))
+    _require_apart("X", satellites, X)
+    return _derivatives(satellites, X)
+
+
+def _derivatives(satellites, X):
+    away = satellites - X[:3]
     return np.column_stack([-away / np.linalg.norm(away, axis=1)[:, None], np.ones(len(away))])
 
 
 def corrected(satellites, ranges, X):
     """Return one step of the iteration (2007 Eq. 7): X + (HᵀH)⁻¹Hᵀ (ranges - P(X)), solved by numpy's least squares.
 
-    Raises DegenerateGeometryError, a ValueError, when the satellites do not determine a position near X.
+    Raises DegenerateGeometryError, a ValueError, when the satellites do not determine a position near X, and ValueError
+    or TypeError as `position_steps` does.
     """
-    H = linearised(satellites, X)
-    step, _, _, singular = np.linalg.lstsq(H, ranges - pseudoranges(satellites, X), rcond=None)
+    return _corrected(*_checked(satellites, ranges, X, "X"))
+
+
+def _corrected(satellites, ranges, X):
+    H = _derivatives(satellites, X)
+    step, _, _, singular = np.linalg.lstsq(H, ranges - _ranges(satellites, X), rcond=None)
     _require_determined(singular)
     return X + step
 
@@ -153,7 +182,7 @@ def position_steps(satellites, ranges, start, steps):
     satellites, ranges, start = _checked(satellites, ranges, start)
     path = [start]
     for _ in range(checks.count("steps", steps, least=0)):
-        path.append(corrected(satellites, ranges, path[-1]))
+        path.append(_corrected(satellites, ranges, path[-1]))
     return np.array(path)
 
 
@@ -170,7 +199,7 @@ def position(satellites, ranges, start):
     """
     satellites, ranges, X = _checked(satellites, ranges, start)
     for _ in range(STEPS):
-        before, X = X, corrected(satellites, ranges, X)
+        before, X = X, _corrected(satellites, ranges, X)
         if np.abs(X - before).max() < CONVERGED:
             return X
     checks.refuse("start", "a place from which the iteration converges", f"a last correction of {X - before} m")
@@ -187,7 +216,8 @@ def dilution(satellites, X):
     np.float64(2.49)
     """
     satellites, X = _satellites(satellites), checks.array("X", X, (4,))
-    H = linearised(satellites, X)
+    _require_apart("X", satellites, X)
+    H = _derivatives(satellites, X)
     H[:, :3] = H[:, :3] @ local_axes(X[:3]).T
     _require_determined(np.linalg.svd(H, compute_uv=False))
     return np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
@@ -218,8 +248,8 @@ def position_kalman(satellites, ranges, start, P0, Q, R, *, linearisations=1):
         prior = np.linalg.cholesky(np.linalg.inv(P)).T
         predicted = X
         for _ in range(linearisations):
-            A = np.vstack([prior, linearised(satellites, X) / sigma])
-            new = np.append(prior @ (predicted - X), (measured - pseudoranges(satellites, X)) / sigma)
+            A = np.vstack([prior, _derivatives(satellites, X) / sigma])
+            new = np.append(prior @ (predicted - X), (measured - _ranges(satellites, X)) / sigma)
             X = X + np.linalg.lstsq(A, new)[0]
         P = np.linalg.inv(A.T @ A)
         path.append(X)
@@ -234,10 +264,14 @@ def _satellites(satellites):
     return satellites
 
 
-def _checked(satellites, ranges, start):
-    satellites, start = _satellites(satellites), checks.array("start", start, (4,))
-    if (satellites == start[:3]).all(axis=1).any():
-        checks.refuse("start", "a place that is not a satellite's", start[:3])
+def _require_apart(name, satellites, X):
+    if (satellites == X[:3]).all(axis=1).any():
+        checks.refuse(name, "a place that is not a satellite's", X[:3])
+
+
+def _checked(satellites, ranges, start, name="start"):
+    satellites, start = _satellites(satellites), checks.array(name, start, (4,))
+    _require_apart(name, satellites, start)
     return satellites, checks.array("ranges", ranges, (len(satellites),)), start
 
 
@@ -265,7 +299,7 @@ def line_fit(x, dt):
     """
     need = "an (n,) or (n, M) array of at least 2 places"
     x, dt = checks.real("x", x, need), checks.positive("dt", dt)
-    if x.ndim not in (1, 2) or len(x) < 2 or np.isnan(x).any():
+    if x.ndim not in (1, 2) or len(x) < 2 or 0 in x.shape or np.isnan(x).any():
         checks.refuse("x", need, f"shape {x.shape}" if not np.isnan(x).any() else "NaN")
     i = np.arange(1, len(x) + 1)
     return _line(len(x), x.sum(axis=0), i @ x, dt)
@@ -282,12 +316,14 @@ def line_sigma(n, i):
     """Return the standard error of the fitted place at point i of n, in units of that of one place.
 
     It is sqrt(1/n + 12 (i - (n + 1)/2)² / (n (n² - 1))): 1/sqrt(n) in the middle of the window, i = (n + 1)/2, and
-    nowhere else. i = 0 is Eq. 8, i = n the newest point, i = n + 1 the expected place.
+    nowhere else. i = 0 is Eq. 8, i = n the newest point, i = n + 1 the expected place. i is a number or an array.
+
+    Raises ValueError or TypeError for an n below 2 and an i that is not finite.
 
     >>> line_sigma(100, np.array([0, 50.5, 100])).round(3)
     array([0.202, 0.1  , 0.199])
     """
-    n = checks.count("n", n, least=2)
+    n, i = checks.count("n", n, least=2), checks.finite("i", i)[()]
     return np.sqrt(1 / n + 12 * np.square(i - (n + 1) / 2) / (n * (n**2 - 1)))
 
 
@@ -318,7 +354,8 @@ def adaptive_line(z, dt, threshold, smallest, largest, fall=None, last=fitted_pl
 
     z is (N, 1) or (N, 1, M), the measured places. The first smallest - 1 rows of the result have no line: NaN.
 
-    Raises ValueError for missed epochs, smallest < 2, largest < smallest, fewer than `smallest` places.
+    Raises ValueError for missed epochs, smallest < 2, largest < smallest, fewer than `smallest` places, and TypeError
+    for a `last` that is no function.
 
     >>> z = np.array([[0.0], [1.0], [2.0], [3.0], [14.0], [15.0]])
     >>> adaptive_line(z, dt=1.0, threshold=3.0, smallest=2, largest=100).n
@@ -327,16 +364,27 @@ def adaptive_line(z, dt, threshold, smallest, largest, fall=None, last=fitted_pl
     z, missed = measurements(z, 1)
     if missed.any():
         checks.refuse("z", "places without a missed epoch", f"{missed.sum()} of them")
-    dt = checks.positive("dt", dt)
-    threshold = threshold if threshold == np.inf else checks.positive("threshold", threshold)
-    smallest = checks.count("smallest", smallest, least=2)
-    largest = checks.count("largest", largest, least=smallest)
-    fall = largest if fall is None else checks.count("fall", fall)
+    dt, *window = line_window(dt, threshold, smallest, largest, fall, last)
     if len(z) < smallest:
         checks.refuse("z", f"at least {smallest} places, as smallest says", len(z))
     one = z.ndim == 2
-    tracked = _adapt(z[:, 0] if not one else z, dt, threshold, smallest, largest, fall, last)
+    tracked = _adapt(z[:, 0] if not one else z, dt, *window)
     return Tracked(tracked.x[..., 0], tracked.n[..., 0]) if one else tracked
+
+
+def line_window(dt, threshold, smallest, largest, fall=None, last=fitted_place):
+    """Return what follows z in `adaptive_line`, checked, as a tuple: an absent `fall` is `largest`.
+
+    >>> line_window(0.5, np.inf, 2, 100)[:5]
+    (0.5, inf, 2, 100, 100)
+    """
+    dt = checks.positive("dt", dt)
+    endless = isinstance(threshold, float) and threshold == np.inf
+    threshold = threshold if endless else checks.positive("threshold", threshold)
+    smallest = checks.count("smallest", smallest, least=2)
+    largest = checks.count("largest", largest, least=smallest)
+    fall = largest if fall is None else checks.count("fall", fall)
+    return dt, threshold, smallest, largest, fall, checks.function("last", last, "a function such as fitted_place")
 
 
 def _adapt(z, dt, threshold, smallest, largest, fall, last):

@@ -2,15 +2,19 @@
 
 import json
 import linecache
+import re
 import sys
 import tomllib
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from importlib.resources import files
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
+
+import numpy as np
 
 from . import checks
 from .tables import Table
@@ -40,20 +44,22 @@ class Item:
                 checks.refuse(f"{name} of {self.id!r}", "a text", repr(value))
         if self.kind not in KINDS:
             checks.refuse(f"kind of {self.id!r}", " or ".join(KINDS), repr(self.kind))
-        if self.kind == "number" and self.printed != LOST:
-            try:
-                float(self.printed)
-            except ValueError:
-                checks.refuse(f"printed of {self.id!r}", "a number as printed", repr(self.printed))
+        digits = self.kind != "number" or re.fullmatch(r"[+-]?\d+(\.\d+)?", self.printed, re.ASCII)
+        if not digits and self.printed != LOST:
+            checks.refuse(f"printed of {self.id!r}", "a number as printed", repr(self.printed))
 
     def agrees(self, value):
         """Say whether a number rounds to the printed digits.
 
-        A tie may have been rounded either way, and a tie in decimals may be a little off as a double.
+        A tie may have been rounded either way, and a tie in decimals may be a little off as a double. Raises ValueError
+        or TypeError for an item or a value that is no number.
 
         >>> Item("t", "Table 4", "number", "1.316").agrees(670 / 509)
         True
         """
+        value = checks.number("value", value)
+        if self.kind != "number" or self.printed == LOST:
+            checks.refuse("item", "a legible number", f"{self.id!r}, {self.printed!r}")
         decimals = len(self.printed.partition(".")[2])
         return abs(value - float(self.printed)) <= 0.5 * 10**-decimals * (1 + 1e-9)
 
@@ -91,7 +97,9 @@ class Verdicts(Sequence):
     COLUMNS = ("id", "where", "printed", "computed", "verdict", "reason")
 
     def __init__(self, verdicts):
-        self._verdicts = tuple(verdicts)
+        self._verdicts = checks.several("verdicts", verdicts, "Verdicts", least=0)
+        for each in self._verdicts:
+            checks.instance("verdicts", each, Verdict)
 
     def __getitem__(self, i):
         return self._verdicts[i]
@@ -128,7 +136,9 @@ class Paper:
     """The published values of one paper and the verdicts given so far; made by `published`."""
 
     def __init__(self, key, items):
-        self.key = key
+        self.key = checks.instance("key", key, str)
+        for each in (items := checks.several("items", items, "Items", least=0)):
+            checks.instance("items", each, Item)
         self.items = MappingProxyType({item.id: item for item in items})
         self._verdicts = {}
 
@@ -149,6 +159,9 @@ class Paper:
         if band is None:
             verdict = REPRODUCED if item.agrees(value) else DIFFERS
         else:
+            band = checks.several("band", band, "(low, high)")
+            if len(band) != 2:
+                checks.refuse("band", "(low, high)", checks.brief(band))
             low, high = (checks.number("band", edge) for edge in band)
             if low > high:
                 checks.refuse("band", "(low, high) with low <= high", f"({low:.6g}, {high:.6g})")
@@ -164,8 +177,8 @@ class Paper:
         `check` does.
         """
         item = self._item(id, "formula", "claim", "figure")
-        if holds not in (True, False):
-            checks.refuse("holds", "True or False", repr(holds))
+        if not isinstance(holds, (bool, np.bool_)):
+            checks.refuse("holds", "True or False", checks.brief(holds))
         checks.instance("evidence", evidence, str)
         return self._give(item, evidence, REPRODUCED if holds else DIFFERS, against, reason)
 
@@ -176,7 +189,13 @@ class Paper:
         return self._record(item, "-", CANNOT_BE_CHECKED, missing)
 
     def given(self, *prefixes):
-        """Return a table of the verdicts on the items whose id starts with one of these prefixes."""
+        """Return a table of the verdicts on the items whose id starts with one of these prefixes.
+
+        Raises ValueError or TypeError for none, and for one with which no id starts.
+        """
+        for prefix in checks.several("prefixes", prefixes, "at least one beginning of an id"):
+            if not any(id.startswith(checks.instance("prefixes", prefix, str)) for id in self.items):
+                checks.refuse("prefixes", f"the beginning of an id of {self.key}", repr(prefix))
         columns = ("where", "printed", "computed", "verdict", "reason")
         verdicts = [each for each in self.verdicts() if each.id.startswith(prefixes)]
         return Table(columns, [[getattr(each, name) for name in columns] for each in verdicts])
@@ -186,9 +205,18 @@ class Paper:
 
         Entry "{grid}.{i}.{j}" is printed as value i over value j. known maps some of the indices, as text, to their
         values; the result maps each other index to the whole numbers up to `limit` that agree with every legible
-        ratio to a known value.
+        ratio to a known value. Raises ValueError or TypeError for an unknown grid or index, a known value that is not
+        positive and a limit that is no count.
         """
+        checks.instance("grid", grid, str)
+        checks.count("limit", limit)
         cells = {tuple(id.split(".")[1:]): item for id, item in self.items.items() if id.startswith(f"{grid}.")}
+        if not cells:
+            checks.refuse("grid", f"a grid of {self.key}", repr(grid))
+        for index, value in checks.instance("known", known, Mapping).items():
+            if not any(index in place for place in cells):
+                checks.refuse("known", f"indices of the grid {grid}", repr(index))
+            checks.positive(f"known[{index!r}]", value)
         legible = {place: item for place, item in cells.items() if item.printed != LOST}
         unknown = dict.fromkeys(i for place in legible for i in place if i not in known)
         for index in unknown:
@@ -211,7 +239,7 @@ class Paper:
         return Verdicts((none | self._verdicts).values())
 
     def _item(self, id, *kinds, lost_too=False):
-        if id not in self.items:
+        if checks.instance("id", id, str) not in self.items:
             near = get_close_matches(str(id), self.items, n=3, cutoff=0) or ["none"]
             checks.refuse("id", f"an item of {self.key}", f"{id!r}; the nearest are {', '.join(near)}")
         item = self.items[id]
@@ -224,8 +252,9 @@ class Paper:
         return item
 
     def _give(self, item, computed, verdict, against, reason):
-        for id in against:
-            if id not in self._verdicts or self._verdicts[id].verdict != REPRODUCED:
+        checks.instance("reason", reason, str)
+        for id in checks.several("against", against, "a list of ids", least=0):
+            if checks.instance("against", id, str) not in self._verdicts or self._verdicts[id].verdict != REPRODUCED:
                 checks.refuse("against", "items of the paper that were reproduced before", repr(id))
         if verdict != DIFFERS:
             return self._record(item, computed, verdict, "")
@@ -262,7 +291,7 @@ def published(key):
     >>> paper.check("speedup.kf-lf-a", 670 / 509)
     Section 6, after Table 4 (i): printed 1.316; computed 1.31631: reproduced
     """
-    if key not in keys():
+    if checks.instance("key", key, str) not in keys():
         checks.refuse("key", f"one of {', '.join(keys())}", repr(key))
     return Paper(key, read_items(key, _folder().joinpath(f"{key}.toml").read_text(encoding="utf-8")))
 
@@ -271,14 +300,17 @@ def read_items(key, text):
     """Read the items from the text of a TOML file: `items`, one table each, and `grids` of numbers.
 
     A grid gives one item for each row and column, with id "{id}.{row}.{column}" and a place such as "Table 4, row
-    {row}, column {column}"; an empty cell is none, and "?" is one that our copy of the paper has lost.
+    {row}, column {column}"; an empty cell is none, and "?" is one that our copy of the paper has lost. Raises
+    ValueError, naming the file, for a text that does not say what it must.
     """
+    checks.instance("key", key, str)
+    checks.instance("text", text, str)
     try:
         content = tomllib.loads(text)
         items = [Item(**item) for item in content.pop("items")]
         for grid in content.pop("grids", []):
             items += _grid_items(**grid)
-    except (tomllib.TOMLDecodeError, TypeError, KeyError, ValueError) as error:
+    except (TypeError, LookupError, AttributeError, ValueError) as error:
         raise ValueError(f"{key}.toml: {error}") from error
     if content:
         checks.refuse(f"{key}.toml", "only items and grids", ", ".join(content))
@@ -302,14 +334,14 @@ def stored_verdicts(notebook):
 
     Raises ValueError when the file is not a notebook or stores none.
     """
-    path = Path(notebook)
+    path = Path(checks.instance("notebook", notebook, (str, PathLike)))
     try:
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         stored = [out["data"][MIME] for cell in cells for out in cell.get("outputs", []) if MIME in out.get("data", {})]
         ids = {_mark("".join(cell["source"])): cell["id"] for cell in cells if cell.get("execution_count")}
         verdicts = [Verdict(**record) for record in stored[-1]]
         return Verdicts(replace(each, cell=ids.get(each.cell)) for each in verdicts)
-    except (OSError, json.JSONDecodeError, KeyError, TypeError, IndexError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise ValueError(f"{path}: needs an executed notebook that ends with its verdicts ({error!r})") from error
 
 
@@ -321,7 +353,8 @@ def counts_by_paper(verdicts):
     p         1      1           0            0        0        0
     all       1      1           0            0        0        0
     """
-    papers = dict.fromkeys(each.paper for each in verdicts)
+    verdicts = checks.several("verdicts", verdicts, "Verdicts", least=0)
+    papers = dict.fromkeys(checks.instance("verdicts", each, Verdict).paper for each in verdicts)
     given = {paper: [each.verdict for each in verdicts if each.paper == paper] for paper in papers}
     given["all"] = [each.verdict for each in verdicts]
     rows = [[paper, len(own), *(own.count(verdict) for verdict in VERDICTS)] for paper, own in given.items()]

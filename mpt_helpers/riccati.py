@@ -34,11 +34,14 @@ class LainiotisMatrices(NamedTuple):
 def lainiotis_matrices(model):
     """Return F_n (n×n), K_n, K_m (n×m), P_n, O_n (n×n) of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3).
 
+    Raises TypeError for anything but a model.
+
     >>> from mpt_helpers.model import gsm_axis
     >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
     array([[ 0.9388,  0.8776],
            [-0.1224,  0.7551]])
     """
+    checks.instance("model", model, LinearModel)
     F, H, Q, R = model.F, model.H, model.Q, model.R
     A = np.linalg.inv(H @ Q @ H.T + R)
     Kn = Q @ H.T @ A
@@ -49,9 +52,16 @@ def lainiotis_matrices(model):
 def lainiotis_gain(P, Fn, On):
     """Return F_n [I + P O_n]⁻¹ (n×n), the transition of the Lainiotis filter (2014 Eqs. 5, 13).
 
+    Raises ValueError or TypeError for anything but square matrices of one size.
+
     >>> lainiotis_gain(np.eye(1), Fn=np.eye(1), On=np.eye(1))
     array([[0.5]])
     """
+    n = len(checks.matrix("P", P, "a square matrix"))
+    return _gain(*(checks.array(name, each, (n, n)) for name, each in {"P": P, "Fn": Fn, "On": On}.items()))
+
+
+def _gain(P, Fn, On):
     return np.linalg.solve((np.eye(len(P)) + P @ On).T, Fn.T).T
 
 
@@ -100,7 +110,7 @@ def relf(model):
     Fn, _, _, Pn, On = lainiotis_matrices(model)
     identity = np.eye(model.n)
     for _ in range(DOUBLINGS):
-        W = lainiotis_gain(Pn, Fn, On)
+        W = _gain(Pn, Fn, On)
         step = W @ Pn @ Fn.T
         On = On + Fn.T @ On @ np.linalg.solve(identity + Pn @ On, Fn)
         Pn = (Pn + step + (Pn + step).T) / 2

@@ -1,6 +1,7 @@
 """Monte Carlo studies: many runs from one seed, the same numbers whatever the tile size and the number of workers."""
 
 import threading
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -12,6 +13,7 @@ from . import checks
 
 # So many runs share a stream of random numbers and are filtered together: it is part of what a seed means.
 BLOCK = 200
+NEED = f"a result of M = {BLOCK} columns, (..., M)"
 KEPT = 2**25 - 2**16  # below the most that glibc keeps; else it returns each run's arrays to the kernel and asks anew
 
 
@@ -32,18 +34,22 @@ def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
     >>> study(lambda rng, M: rng.standard_normal((100, M)).mean(axis=0), runs=1000, seed=1).std().round(2)
     np.float64(0.1)
     """
-    if not callable(experiment):
-        checks.refuse("experiment", "a callable of (rng, M)", type(experiment).__name__, TypeError)
+    checks.function("experiment", experiment, "a callable of (rng, M)")
     runs, tile, seed = checks.count("runs", runs), checks.count("tile", tile), checks.count("seed", seed, least=0)
     streams = np.random.SeedSequence(seed).spawn(-(-runs // BLOCK))
     blocks = -(-tile // BLOCK)
     tasks = [streams[i : i + blocks] for i in range(0, len(streams), blocks)]
     with _mapper(workers) as (mapper, stop), tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
         parts = []
-        for part in mapper(partial(_tile, experiment, stop), tasks):
+        results = mapper(partial(_tile, experiment, stop), tasks)
+        for part in results if isinstance(results, Iterable) else [results]:
+            if not isinstance(part, np.ndarray):
+                checks.refuse("workers", "a callable like map", f"one that gives {checks.brief(part)}", TypeError)
             parts.append(part)
             bar.update(part.shape[-1])
-    return np.concatenate(parts, axis=-1)[..., :runs]
+    if len(parts) != len(tasks):
+        checks.refuse("workers", "a callable like map", f"one that gives {len(parts)} results of {len(tasks)} tasks")
+    return _side_by_side(parts)[..., :runs]
 
 
 def _tile(experiment, stop, streams):
@@ -52,11 +58,19 @@ def _tile(experiment, stop, streams):
     for stream in streams:
         if stop is not None and stop.is_set():
             break
-        part = np.asarray(experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK))
+        part = experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK)
+        if getattr(part, "dtype", None) != np.dtype(bool):
+            part = checks.numbers("experiment", part, NEED)
         if not part.ndim or part.shape[-1] != BLOCK:
-            checks.refuse("experiment", f"a result of M = {BLOCK} columns, (..., M)", f"shape {part.shape}")
+            checks.refuse("experiment", NEED, f"shape {part.shape}")
         parts.append(part)
-    return np.concatenate(parts, axis=-1) if parts else None
+    return _side_by_side(parts) if parts else None
+
+
+def _side_by_side(parts):
+    if len(shapes := {part.shape[:-1] for part in parts}) > 1:
+        checks.refuse("experiment", "results of one shape", " and ".join(f"{(*shape, BLOCK)}" for shape in shapes))
+    return np.concatenate(parts, axis=-1)
 
 
 @contextmanager

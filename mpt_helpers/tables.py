@@ -20,9 +20,12 @@ def cell_text(value):
 def gap_text(gap, floor=1e-12):
     """Return a gap as text, and one at rounding level as "below 1e-12": its digits differ between processors.
 
+    Raises ValueError or TypeError for anything but a finite gap that is not negative and a positive floor.
+
     >>> gap_text(3e-16), gap_text(0.0123)
     ('below 1e-12', '1.2e-02')
     """
+    gap, floor = checks.not_negative("gap", gap), checks.positive("floor", floor)
     return f"below {floor:.0e}" if gap < floor else f"{gap:.1e}"
 
 
@@ -30,7 +33,7 @@ def gap_text(gap, floor=1e-12):
 class Table:
     """A header and rows of cells.
 
-    Raises ValueError for a row whose length is not that of the header.
+    Raises ValueError for a row whose length is not that of the header, TypeError for what has no cells, as a text.
 
     >>> Table(["filter", "burden"], [["KF", 509], ["LF", 670]])
     filter  burden
@@ -42,8 +45,9 @@ class Table:
     rows: tuple
 
     def __post_init__(self):
-        header = tuple(map(cell_text, self.header))
-        rows = tuple(tuple(map(cell_text, row)) for row in self.rows)
+        header = tuple(map(cell_text, checks.several("header", self.header, "cells")))
+        rows = checks.several("rows", self.rows, "rows of cells", least=0)
+        rows = tuple(tuple(map(cell_text, checks.several(f"rows[{i}]", row, "cells"))) for i, row in enumerate(rows))
         for i, row in enumerate(rows):
             if len(row) != len(header):
                 checks.refuse(f"rows[{i}]", f"{len(header)} cells", len(row))

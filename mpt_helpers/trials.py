@@ -24,10 +24,14 @@ def random_sky(rng, channels=24):
     The place is uniform on the sphere, the time uniform over a sidereal day, D' is zero. A sky of fewer than four
     satellites is drawn again. A receiver of few channels takes so many of the satellites, at random.
 
+    Raises ValueError or TypeError for anything but a Generator and at least four channels.
+
     >>> satellites, X = random_sky(np.random.default_rng(0))
     >>> len(satellites) >= 4, round(float(np.linalg.norm(X)))
     (True, 6371000)
     """
+    _generator(rng)
+    checks.count("channels", channels, least=4)
     direction = rng.standard_normal(3)
     x = positioning.EARTH_RADIUS * direction / np.linalg.norm(direction)
     satellites = positioning.sky(x, rng.uniform(0, positioning.SIDEREAL_DAY))
@@ -43,10 +47,13 @@ def rough_errors(start_error, sigma, steps, channels, rng, M):
     that is off by start_error, [x y z D']. The first two rows are GDOP and PDOP, the others the distance to the true
     place at the start and after each step; NaN after a step that meets a degenerate geometry.
 
+    Raises ValueError or TypeError for bad arguments.
+
     >>> rough_errors(np.array([3e5, 0, 0, 5e3]), 1.0, 3, 24, np.random.default_rng(0), 2)[2]
     array([300000., 300000.])
     """
-    result = np.full((steps + 3, M), np.nan)
+    start_error, sigma = checks.array("start_error", start_error, (4,)), checks.not_negative("sigma", sigma)
+    result = np.full((checks.count("steps", steps, least=0) + 3, checks.count("M", M)), np.nan)
     for run_ in range(M):
         satellites, X = random_sky(rng, channels)
         ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal(len(satellites))
@@ -63,7 +70,7 @@ def rough_errors(start_error, sigma, steps, channels, rng, M):
 
 
 def rms_text(errors):
-    """Return the `rms_band` of errors as text.
+    """Return the `rms_band` of errors as text. Raises as that does.
 
     >>> rms_text(np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]]))
     '1 [1, 1]'
@@ -74,10 +81,13 @@ def rms_text(errors):
 def rms_band(errors):
     """Return the root mean square of errors (..., M), and the 95 % band of it, from the spread over the M runs.
 
+    Raises ValueError or TypeError for anything but an array of finite numbers.
+
     >>> rms_band(np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]]))
     (1.0, 1.0, 1.0)
     """
-    squares = np.square(errors).reshape(-1, np.shape(errors)[-1]).mean(axis=0)
+    squares = np.square(_errors(errors))
+    squares = squares.reshape(-1, squares.shape[-1]).mean(axis=0)
     mean, half = squares.mean(), 1.96 * squares.std() / np.sqrt(len(squares))
     return tuple(float(np.sqrt(max(value, 0))) for value in (mean, mean - half, mean + half))
 
@@ -85,10 +95,13 @@ def rms_band(errors):
 def median_band(errors):
     """Return the median of errors (N, M) over the M runs and its 95 % band, (3, N), by the order of the runs.
 
+    Raises ValueError or TypeError for anything but an array of finite numbers.
+
     >>> median_band(np.arange(101.0)[None])[:, 0]
     array([50., 40., 60.])
     """
-    M = np.shape(errors)[-1]
+    errors = checks.finite("errors", errors, ("N", "M"))
+    M = errors.shape[-1]
     half = 1.96 * np.sqrt(M) / 2
     ordered = np.sort(errors, axis=-1)
     low, high = int(np.floor((M - 1) / 2 - half)), int(np.ceil((M - 1) / 2 + half))
@@ -104,7 +117,8 @@ def rough_kalman_errors(start_error, P0, Q, sigma, epochs, rng, M, *, linearisat
     >>> rough_kalman_errors(np.zeros(4), np.eye(4), np.zeros((4, 4)), 1.0, 3, np.random.default_rng(0), 2).shape
     (3, 2)
     """
-    result = np.empty((epochs, M))
+    start_error, sigma = checks.array("start_error", start_error, (4,)), checks.positive("sigma", sigma)
+    result = np.empty((checks.count("epochs", epochs), checks.count("M", M)))
     for run_ in range(M):
         satellites, X = random_sky(rng)
         ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal((epochs, len(satellites)))
@@ -122,7 +136,9 @@ def fix_kalman_errors(start_error, Q, sigma, epochs, rng, M):
     >>> fix_kalman_errors(np.zeros(4), np.zeros((4, 4)), 1.0, 3, np.random.default_rng(0), 2).shape
     (3, 2)
     """
-    result = np.empty((epochs, M))
+    start_error, sigma = checks.array("start_error", start_error, (4,)), checks.positive("sigma", sigma)
+    Q = checks.covariance("Q", Q, 4)
+    result = np.empty((checks.count("epochs", epochs, least=2), checks.count("M", M)))
     for run_ in range(M):
         satellites, X = random_sky(rng)
         ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal((epochs, len(satellites)))
@@ -143,7 +159,9 @@ def line_errors(n, dt, sigma, rng, M):
     >>> line_errors(100, 1.0, 1.0, np.random.default_rng(0), 5).shape
     (103, 5)
     """
-    line = positioning.line_fit(sigma * rng.standard_normal((n, M)), dt)
+    checks.count("n", n, least=2)
+    sigma = checks.not_negative("sigma", sigma)
+    line = positioning.line_fit(sigma * _generator(rng).standard_normal((n, checks.count("M", M))), dt)
     return np.vstack([line.start + np.arange(n + 2)[:, None] * dt * line.velocity, line.velocity])
 
 
@@ -156,14 +174,19 @@ def gps_ins_track(velocity, dt, sigmas, bias, rng, M, *, phase=0.0):
         x(k+1) = x(k) + dt ((1 - phase) v(k) + phase v(k+1)),
 
     so that with phase 0 the track moves as Φ says, even where v changes. Returns the true positions and velocities
-    (N, 2) and the measurements (N, 2, M). Raises ValueError for a phase outside [0, 1].
+    (N, 2) and the measurements (N, 2, M). Raises ValueError or TypeError for bad arguments, as a phase outside [0, 1].
 
     >>> gps_ins_track(np.full(3, 0.2), 1.0, (0.0, 0.0), 1.0, np.random.default_rng(0), 1)[1][..., 0].round(1)
     array([[0. , 1.2],
            [0.2, 1.2],
            [0.4, 1.2]])
     """
-    velocity = np.asarray(velocity, float)
+    velocity, dt = checks.finite("velocity", velocity, ("N",)), checks.positive("dt", dt)
+    sigmas, bias = checks.array("sigmas", sigmas, (2,)), checks.number("bias", bias)
+    if (sigmas < 0).any():
+        checks.refuse("sigmas", "numbers that are not negative", sigmas)
+    _generator(rng)
+    M = checks.count("M", M)
     phase = checks.number("phase", phase, "a number in [0, 1]", lambda phase: 0 <= phase <= 1)
     x = dt * (velocity.cumsum() - velocity + phase * (velocity - velocity[0]))
     truth = np.column_stack([x, velocity])
@@ -175,42 +198,60 @@ def tracking_errors(trackers, velocity, dt, sigmas, bias, rng, M, *, phase=0.0):
     """Return the errors of position and velocity of some trackers on the same tracks, (trackers, N, 2, M).
 
     The tracks are those of `gps_ins_track`. A tracker is a function of its measurements (N, 2, M); the result, (N, 2,
-    M) or (N, 3, M), starts with position and velocity.
+    M) or (N, 3, M), starts with position and velocity. Raises ValueError or TypeError as `gps_ins_track` does, and for
+    trackers that give something else.
 
     >>> tracking_errors([lambda z: z], np.zeros(5), 1.0, (1.0, 0.01), 1.0, np.random.default_rng(0), 3).shape
     (1, 5, 2, 3)
     """
+    for i, tracker in enumerate(trackers := checks.several("trackers", trackers, "at least one function")):
+        checks.function(f"trackers[{i}]", tracker, "a function of measurements")
     truth, z = gps_ins_track(velocity, dt, sigmas, bias, rng, M, phase=phase)
-    return np.array([tracker(z)[:, :2] - truth[..., None] for tracker in trackers])
+    tracked = [np.asarray(tracker(z)) for tracker in trackers]
+    for i, each in enumerate(tracked):
+        if each.dtype.kind != "f" or each.shape not in {(len(z), n, M) for n in (2, 3)}:
+            need, got = f"a result of shape ({len(z)}, 2 or 3, {M})", f"{each.dtype} of shape {each.shape}"
+            checks.refuse(f"trackers[{i}]", need, got)
+    return np.array([each[:, :2] - truth[..., None] for each in tracked])
 
 
 def line_tracker(dt, *window):
     """Return a tracker that is the `adaptive_line` of the places: window is what follows dt there, from the threshold.
 
+    Raises ValueError or TypeError as that does.
+
     >>> line_tracker(1.0, np.inf, 2, 100)(np.zeros((5, 2, 3))).shape
     (5, 2, 3)
     """
+    positioning.line_window(dt, *window)
     return lambda z: positioning.adaptive_line(z[:, :1], dt, *window).x
 
 
 def filter_tracker(model):
     """Return a tracker that is the Kalman filter of a model of GPS alone (m = 1) or of GPS and INS (m = 2).
 
+    Raises TypeError or ValueError for anything else.
+
     >>> from mpt_helpers.model import gps_ins
     >>> filter_tracker(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4)))(np.zeros((5, 2, 3))).shape
     (5, 3, 3)
     """
+    if checks.instance("model", model, LinearModel).m > 2:
+        checks.refuse("model", "a model of one or two measurements", f"m = {model.m}")
     return lambda z: KalmanFilter(model).filter(z[:, : model.m])
 
 
 def gps_ins_errors(model, velocity, dt, sigmas, bias, rng, M):
     """Return the errors of a GPS/INS filter on the tracks of `gps_ins_track`, (N, 3, M): place, velocity, bias.
 
+    Raises ValueError or TypeError as that does, and for another model.
+
     >>> from mpt_helpers.model import gps_ins
     >>> model = gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4))
     >>> gps_ins_errors(model, np.zeros(5), 1.0, (1.0, 0.01), 1.0, np.random.default_rng(0), 3).shape
     (5, 3, 3)
     """
+    _gps_ins(model, 2)
     truth, z = gps_ins_track(velocity, dt, sigmas, bias, rng, M)
     return KalmanFilter(model).filter(z) - np.column_stack([truth, np.full(len(truth), bias)])[..., None]
 
@@ -218,11 +259,14 @@ def gps_ins_errors(model, velocity, dt, sigmas, bias, rng, M):
 def third_row_start(model):
     """Return the model as it is one step later: its x0 and P0 are those of x(1).
 
+    Raises TypeError for anything but a model.
+
     >>> from mpt_helpers.model import constant_velocity
     >>> third_row_start(constant_velocity(dt=1.0, q=3.0, r=1.0)).P0
     array([[1. , 1.5],
            [1.5, 3. ]])
     """
+    checks.instance("model", model, LinearModel)
     return replace(model, x0=model.F @ model.x0, P0=predicted_covariance(model, model.P0, 1))
 
 
@@ -234,11 +278,15 @@ def third_row_errors(model, N, rng, M):
     estimate of one step before; the difference of this step's GPS place and INS displacement. The filter always runs
     from `third_row_start(model)` and takes the third row as independent, with the variance R_33.
 
+    Raises ValueError or TypeError for bad arguments.
+
     >>> from mpt_helpers.model import gps_ins
     >>> third_row_errors(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4, 1.0)), N=4, rng=np.random.default_rng(0), M=2).shape
     (5, 4, 3, 2)
     """
-    start = third_row_start(model)
+    start, N = third_row_start(_gps_ins(model, 3)), checks.count("N", N)
+    _generator(rng)
+    M = checks.count("M", M)
     kf, two = KalmanFilter(start), KalmanFilter(without_third_row(start))
     x, z = simulate(without_third_row(model), N + 1, rng, M)
     receiver = x[:-1, :1] + np.sqrt(model.R[2, 2]) * rng.standard_normal((N, 1, M))
@@ -251,11 +299,14 @@ def third_row_errors(model, N, rng, M):
 def without_third_row(model):
     """Return a GPS/INS model of three rows without the third.
 
+    Raises TypeError or ValueError for anything else.
+
     >>> from mpt_helpers.model import gps_ins
     >>> three, two = (gps_ins(dt=1.0, q=0.01, r=r) for r in ((1.0, 1e-4, 1.0), (1.0, 1e-4)))
     >>> without_third_row(three) == two
     True
     """
+    _gps_ins(model, 3)
     return replace(model, H=model.H[:2], R=model.R[:2, :2])
 
 
@@ -264,7 +315,7 @@ def with_last_gps(model):
 
     The state is [x v b n y]: n is the noise of GPS, y what it measured one step before, so that the third measurement
     is y itself. What must have a variance and has none gets a millionth of that of GPS; of the GPS place before the
-    first step nothing is known.
+    first step nothing is known. Raises TypeError or ValueError for another model.
 
     >>> from mpt_helpers.model import gps_ins
     >>> with_last_gps(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4))).H
@@ -272,7 +323,7 @@ def with_last_gps(model):
            [0., 1., 1., 0., 0.],
            [0., 0., 0., 0., 1.]])
     """
-    gps, ins = np.diag(model.R)
+    gps, ins = np.diag(_gps_ins(model, 2).R)
     F, H = np.zeros((5, 5)), np.zeros((3, 5))
     F[:3, :3], F[4, [0, 3]] = model.F, 1
     H[:2, :3], H[0, 3], H[2, 4] = model.H, 1, 1
@@ -299,7 +350,7 @@ def repeated_row_covariances(model, rho, N):
         e(k+1) = (I - K H) (F e(k) + w) - K v
         v_3(k+1) = rho v_1(k) + sqrt(1 - rho²) n - h_3 w,   h_3 = [1 -dt 0]
 
-    Raises ValueError for a rho outside [0, 1].
+    Raises ValueError for a rho outside [0, 1], ValueError or TypeError for another model and for no positive count.
 
     >>> from mpt_helpers.model import gps_ins
     >>> model = gps_ins(dt=1.0, q=0.0, r=(1.0, 1e-4, 1.0))
@@ -307,7 +358,7 @@ def repeated_row_covariances(model, rho, N):
     (5, 3, 3)
     """
     rho = checks.number("rho", rho, "a number in [0, 1]", lambda rho: 0 <= rho <= 1)
-    start = third_row_start(model)
+    start = third_row_start(_gps_ins(model, 3))
     F, H, Q, R = start.F, start.H, start.Q, start.R
     K = KalmanFilter(start).coefficients(N).B
     # The joint covariance of e(k) and v_1(k), which enters the next step through the third row.
@@ -323,3 +374,21 @@ def repeated_row_covariances(model, rho, N):
         cross = -K[k][:, :1] * R[0, 0]
         P[k] = e
     return P
+
+
+def _generator(rng):
+    return checks.instance("rng", rng, np.random.Generator)
+
+
+def _errors(errors):
+    errors = checks.finite("errors", errors)
+    if not errors.ndim:
+        checks.refuse("errors", "an (..., M) array", "a scalar")
+    return errors
+
+
+def _gps_ins(model, rows):
+    n, m = checks.instance("model", model, LinearModel).n, model.m
+    if (n, m) != (3, rows):
+        checks.refuse("model", f"a gps_ins model of {rows} rows", f"n = {n}, m = {m}")
+    return model

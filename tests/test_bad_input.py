@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 import mpt_helpers as mpt
 from mpt_helpers import positioning, trials
+from mpt_helpers.published import Item
 
 GOOD = {"F": np.eye(2), "H": [[1.0, 0.0]], "Q": np.eye(2), "R": [[1.0]]}
 KF, LF = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)
@@ -144,7 +145,7 @@ CASES = [
     ("X: needs a vector of length 4", lambda: positioning.dilution(SKY, PLACE)),
     ("x: needs a place that is not on the axis of the Earth", lambda: positioning.local_axes([0.0, 0.0, 1.0])),
     ("satellites: needs an (m, 3) array, got a scalar", lambda: positioning.elevation(5.0, PLACE)),
-    ("satellites: needs a 2×3 matrix, got shape (2, 2)", lambda: positioning.elevation(np.ones((2, 2)), PLACE)),
+    ("satellites: needs an (m, 3) array, got shape (2, 2)", lambda: positioning.elevation(np.ones((2, 2)), PLACE)),
     (
         "P0: needs a symmetric positive definite",
         lambda: positioning.position_kalman(SKY, [RANGES], START, ZERO, EYE, 1),
@@ -191,6 +192,9 @@ CASES = [
     # burden, metrics, tables, figures
     ("n: needs an integer of at least 1, got 0", lambda: mpt.burden.kalman(0, 1)),
     ("M: needs an integer of at least 1, got 0", lambda: mpt.burden.fir(2, 1, M=0)),
+    ("M: needs a variable of", lambda: mpt.burden.kalman(2, 1, M=3)),
+    ("item: needs a legible number, got 't', '?'", lambda: Item("t", "Table 1", "number", "?").agrees(1)),
+    ("item: needs a legible number", lambda: Item("t", "Table 1", "claim", "A equals B").agrees(1)),
     ("text: needs a formula", lambda: mpt.burden.Polynomial.parse("2n +")),
     ("a: needs the shape of b", lambda: mpt.metrics.relative_gap([1.0], [1.0, 2.0])),
     ("a: needs the shape of b, which is not all zero", lambda: mpt.metrics.relative_gap([1.0], [0.0])),
@@ -296,6 +300,9 @@ WRONG_TYPES = [
     ("steady: needs a SteadyStateFilter", lambda: mpt.FIRFilter.from_steady_state(KF)),
     ("first: needs a filter", lambda: mpt.JoinFilter(AXIS, KF)),
     ("second: needs a filter", lambda: mpt.JoinFilter(KF, None)),
+    ("filters[0]: needs a filter that states its covariances, got FIR", lambda: mpt.Separate(FIR, FIR).covariances(3)),
+    ("first: needs a filter that states its covariances, got FIR", lambda: mpt.JoinFilter(FIR, FIR).covariances(3)),
+    ("filters[0]: needs a filter that states its", lambda: METRICS.nis(mpt.Separate(FIR, KF), [[1.0, 1.0]])),
     ("filters[1]: needs a filter", lambda: mpt.Separate(KF, AXIS)),
     ("tol: needs a number in (0, 1], got '1'", lambda: mpt.FIRFilter.from_steady_state(STEADY, tol="1")),
     ("n: needs an integer of at least 1, got 2.0", lambda: mpt.burden.kalman(2.0, 1)),

@@ -18,6 +18,8 @@ from mpt_helpers.metrics import (
 class Shifted:
     """The Kalman filter of one axis, off by a constant in one component of x and in one of P."""
 
+    model = AXIS
+
     def __init__(self, x=0.0, P=0.0, P_sv=0.0):
         self.kf, self.x, self.P = mpt.KalmanFilter(AXIS), np.array([0, x]), np.array([[0, P_sv], [P_sv, P]])
 

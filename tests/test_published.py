@@ -158,6 +158,15 @@ def test_the_numbers_behind_a_grid_of_ratios_are_found():
         ("", "test.toml: 'items'"),
         ('items = [{ id = "a" }]', "test.toml: .*missing"),
         (ITEMS.replace('kind = "claim"', 'kind = "rumour"'), "test.toml: kind of 'equal': needs number or formula"),
+        ("items = 5", "test.toml: "),
+        ("items = [5]", "test.toml: "),
+        (ITEMS.replace('kind = "claim"', 'kind = "claim", extra = "x"'), "test.toml: .*extra"),
+        (ITEMS.replace('"1.290"', '"nan"'), "test.toml: printed of 'ratio': needs a number as printed, got 'nan'"),
+        (GRID.replace("{column}", "{0}"), "test.toml: "),
+        (GRID.replace("{column}", "{colum}"), "test.toml: 'colum'"),
+        (GRID.replace("1 = [", "1 = 5 # ["), "test.toml: "),
+        (GRID.replace("[grids.rows]", "rows = 5"), "test.toml: "),
+        (GRID.replace('where = "Table 5, row {row}, column {column}"', "where = 5"), "test.toml: "),
         (ITEMS.replace('"1.290"', '"1,290"'), "test.toml: printed of 'ratio': needs a number as printed, got '1,290'"),
         (ITEMS.replace('"1.290"', "1.290"), "test.toml: printed of 'ratio': needs a text, got 1.29"),
         (ITEMS.replace('id = "ratio"', 'id = "count"'), "test.toml: needs each id once, got count"),
@@ -178,7 +187,18 @@ def test_an_unknown_paper_lists_the_known_ones():
         mpt.published("2013")
 
 
-@pytest.mark.parametrize("content", ["", "{}", "[]", '{"cells": []}', '{"cells": [{"outputs": [{}]}]}'])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "{}",
+        "[]",
+        '{"cells": []}',
+        '{"cells": [5]}',
+        '{"cells": [{"outputs": [{"data": null}]}]}',
+        '{"cells": [{"outputs": [{}]}]}',
+    ],
+)
 def test_what_stores_no_verdicts_is_refused_by_name(tmp_path, content):
     path = tmp_path / "n.ipynb"
     path.write_text(content)

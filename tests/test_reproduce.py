@@ -1,12 +1,15 @@
 """The command line, on a copy of the project."""
 
 import csv
+import errno
 import io
 import json
+import os
 import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from conftest import NOTEBOOKS, ROOT
@@ -91,10 +94,139 @@ def test_an_interrupt_leaves_everything_as_it_was(project):
             assert running.poll() is None
         running.send_signal(signal.SIGINT)
         _, err = running.communicate(timeout=30)
-    assert running.returncode != 0
-    assert err.splitlines()[-1].startswith("error: ")
+    assert running.returncode == 130
+    assert err.splitlines()[-1] == "error: interrupted"
     assert "Traceback" not in err
     assert files(project) == before
+    assert sorted(path.name for path in project.iterdir()) == ["figures", "notebooks"]
+
+
+# What a cell does to a paper that the package does not have: it is read from the folder of the notebook.
+PAPER = """\
+import pathlib, sys
+import mpt_helpers as mpt
+sys.modules["mpt_helpers.published"]._folder = pathlib.Path
+paper = mpt.published("small")
+paper.check("count", 17), paper.check("ratio", 1.29, band=(1.28, 1.3))"""
+TOML = """
+items = [
+  { id = "count", where = "Table 1", kind = "number", printed = "17" },
+  { id = "ratio", where = "Table 2", kind = "number", printed = "1.290" },
+]
+"""
+
+
+@pytest.mark.parametrize(
+    ("toml", "old", "new", "message"),
+    [
+        (TOML + "items = [", "", "", "cell cell-1 failed: ValueError: small.toml: "),
+        (
+            TOML,
+            '"ratio"',
+            '"count"',
+            "cell cell-1 failed: ValueError: id: needs an item without a verdict, got 'count'",
+        ),
+    ],
+)
+def test_what_a_paper_refuses_is_said_and_nothing_is_touched(project, capsys, toml, old, new, message):
+    (project / "notebooks" / "small.toml").write_text(toml)
+    write_notebook(project / "notebooks" / "small.ipynb", MAKES_FIGURE, PAPER.replace(old, new))
+    before = files(project)
+    assert main(["reproduce"]) == 1
+    shown = capsys.readouterr()
+    assert shown.err.startswith(f"error: small: {message}")
+    assert "Traceback" not in shown.err
+    assert files(project) == before
+
+
+@pytest.fixture
+def finished(project, monkeypatch):
+    """A project with committed files, whose notebook makes two of its three figures anew in no time."""
+    for name in ("a", "b", "c"):
+        (project / "figures" / f"{name}.png").write_bytes(b"old")
+
+    def execute(key, folder):
+        for name in ("a", "b"):
+            (folder.parent / "figures" / f"{name}.png").write_bytes(b"new")
+        return "new"
+
+    monkeypatch.setattr("mpt_helpers.__main__._execute", execute)
+    return project
+
+
+def test_what_a_notebook_makes_is_moved_into_place(finished):
+    before = files(finished)
+    assert main(["reproduce"]) == 0
+    new = {"figures/a.png": b"new", "figures/b.png": b"new", "notebooks/small.ipynb": b"new"}
+    assert files(finished) == before | new
+
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    ("stop", "code", "message"), [(FULL, 1, "No space left"), (KeyboardInterrupt(), 130, "interr")]
+)
+@pytest.mark.parametrize("call", [(Path, "write_bytes"), (os, "replace")], ids=["write", "move"])
+@pytest.mark.parametrize("at", [1, 2, 3])
+def test_a_full_disk_or_an_interrupt_leaves_every_file_whole(
+    finished, monkeypatch, capsys, call, at, stop, code, message
+):
+    before, real, calls = files(finished), getattr(*call), []
+
+    def stops(path, *args):
+        if Path(path).suffix == ".part":
+            calls.append(path)
+            if len(calls) == at:
+                if call[1] == "write_bytes":
+                    real(path, b"n")  # the part that still fits
+                raise stop
+        return real(path, *args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(*call, stops)
+        assert main(["reproduce"]) == code
+    shown = capsys.readouterr().err
+    assert shown.startswith("error: ")
+    assert message in shown
+    moved = 0 if call[1] == "write_bytes" else at - 1
+    new = ["figures/a.png", "figures/b.png", "notebooks/small.ipynb"][:moved]
+    assert files(finished) == before | dict.fromkeys(new, b"new")  # the notebook last
+    assert sorted(path.name for path in finished.iterdir()) == ["figures", "notebooks"]
+
+
+def test_a_folder_in_the_place_of_a_figure_is_refused_before_any_file_is_moved(finished, capsys):
+    (finished / "figures" / "b.png").unlink()
+    (finished / "figures" / "b.png").mkdir()
+    before = files(finished)
+    assert main(["reproduce"]) == 1
+    assert "error: a folder is in the place of the file figures" in capsys.readouterr().err
+    assert files(finished) == before
+
+
+def test_figures_that_are_a_file_or_read_only_are_refused_before_anything_runs(project, monkeypatch, capsys):
+    monkeypatch.setattr("mpt_helpers.__main__._execute", None)
+    with monkeypatch.context() as patch:
+        patch.setattr("os.access", lambda path, mode: path != Path("figures"))
+        assert main(["reproduce"]) == 1
+    (project / "figures").rmdir()
+    (project / "figures").write_text("mine")
+    before = files(project)
+    assert main(["reproduce"]) == 1
+    assert capsys.readouterr().err == 2 * "error: figures: needs a folder that can be written to\n"
+    assert files(project) == before
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"cells": 5, "nbformat": 4}', "\udcff"])
+def test_what_is_no_notebook_is_named(project, capsys, content):
+    path = project / "notebooks" / "small.ipynb"
+    path.write_bytes(content.encode(errors="surrogateescape"))
+    before = files(project)
+    assert main(["reproduce"]) == 1
+    assert capsys.readouterr().err.startswith("error: small: needs a notebook (")
+    assert files(project) == before
+    assert main(["verdicts"]) == 1
+    assert "small.ipynb: needs an executed notebook" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["reproduce", "verdicts"])

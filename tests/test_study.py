@@ -108,7 +108,8 @@ def test_a_terminal_shows_progress():
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_interrupt_ends_the_study_with_the_blocks_at_work(workers):
     code = (
-        "import time, mpt_helpers as mpt\n"
+        "import signal, time, mpt_helpers as mpt\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background ignores it
         "def slow(rng, M):\n    time.sleep(0.05)\n    return rng.random(M)\n"
         f"print('ready', flush=True)\nmpt.study(slow, 1_000_000, 1, tile=200_000, workers={workers})"
     )
