@@ -81,7 +81,8 @@ def numbers(name, value, need):
 
 def real(name, value, need):
     """Return a new float array of real numbers (NaN allowed), or raise; `need` says what is needed, in words."""
-    array = numbers(name, value, need).astype(float)  # a copy: what the caller does to his array later is his affair
+    # A copy: what the caller does to his array later is his affair. In C order: products round by the memory layout.
+    array = numbers(name, value, need).astype(float, order="C")
     if np.isinf(array).any():
         refuse(name, f"{need} of finite numbers", "an infinite value")
     return array
