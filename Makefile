@@ -1,24 +1,43 @@
-# The two commands of the README: `make reproduce` and `make test`. Both set up .venv first, once.
+# The commands of the README. Each sets up what it needs first, once.
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
 BENCH := .venv-bench
 
-.PHONY: reproduce test bench
+.PHONY: reproduce test site site-test bench mutants test-all lock
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
+	$(PY) -m mpt_helpers readme
 
 # A part of it: .venv/bin/python -m pytest tests/test_filters.py -k lainiotis
 test: $(VENV)/.ok
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(PY) -m pytest
-	$(PY) -m pytest --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+	$(PY) -m pytest -n auto --dist loadfile
+	$(PY) -m pytest -n auto --dist loadscope --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+
+site: $(VENV)/.site
+	$(PY) docs/pages.py
+	$(PY) -m sphinx --fail-on-warning --keep-going --quiet -c docs docs/_build/source docs/_build/html
+	@echo "the site: docs/_build/html/index.html"
+
+site-test: site
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq install chromium; } \
+		|| { echo "error: site-test needs Chromium: sudo apt-get install chromium" >&2; exit 1; }
+	$(PY) -m pytest docs/test_site.py
+
+$(VENV)/.site: $(VENV)/.ok docs/environment.txt
+	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt -r docs/environment.txt
+	@touch $@
 
 # The package beside its peers: some minutes, on a machine that does nothing else. Then `make reproduce`.
 bench: $(VENV)/.ok $(BENCH)/.ok
 	$(BENCH)/bin/python benchmarks/bench.py
+
+# Break a copy of the project in each of some fifty ways: the tests must see it.
+mutants: $(VENV)/.ok
+	$(PY) tests/mutants.py
 
 $(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
 	$(PYTHON) -m venv --clear $(BENCH)
@@ -26,9 +45,18 @@ $(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
 	$(BENCH)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	@touch $@
 
-$(VENV)/.ok: environment.txt pyproject.toml
+# The tests on every Python, BLAS core type and set of versions that is promised: most of an hour.
+test-all:
+	$(PYTHON) tests/everywhere.py
+
+# What is installed, to the hash: made from environment.txt.
+lock: $(VENV)/.ok
+	$(PY) -m pip install --quiet --disable-pip-version-check uv==0.13.8
+	$(VENV)/bin/uv pip compile --quiet --universal --generate-hashes --python-version 3.11 environment.txt -o environment.lock
+
+$(VENV)/.ok: environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, this is {sys.version}: make PYTHON=...")'
 	$(PYTHON) -m venv --clear $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt
-	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 from mpt_helpers.files import write_whole
+from mpt_helpers.tables import Table
 
 HERE = Path(__file__).parent
 
@@ -41,21 +42,18 @@ def tables(results):
     described = [f"{k}: {v}" for k, v in (results["machine"] | results["versions"]).items()]
     return {
         "machine": ", ".join(described) + ".",
-        "rows": markdown(head, rows),
-        "growth": markdown(("steps", "tracks", "ns per track and step", "rise", "copy, ns", "rise <= 1.2"), grown),
-        "profile": markdown(("line of `recursion._fill`", "10,000 tracks", "1 track"), lines),
-        "speedups": markdown(("paper", "pair", "one track", "many, own covariance", "many, shared"), clock),
+        "rows": Table(head, rows).markdown(),
+        "growth": Table(
+            ("steps", "tracks", "ns per track and step", "rise", "copy, ns", "rise <= 1.2"), grown
+        ).markdown(),
+        "profile": Table(("line of `recursion._fill`", "10,000 tracks", "1 track"), lines).markdown(),
+        "speedups": Table(("paper", "pair", "one track", "many, own covariance", "many, shared"), clock).markdown(),
     }
 
 
 def number(value):
     """Return a number as text of three digits, and nothing for none."""
     return "" if value is None else f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
-
-
-def markdown(head, rows):
-    """Return a table in Markdown."""
-    return "\n".join("| " + " | ".join(map(str, cells)) + " |" for cells in (head, ["---"] * len(head), *rows))
 
 
 def filled(text, places):

@@ -1,17 +1,22 @@
-"""The command line: `python -m mpt_helpers reproduce [KEY ...]` and `python -m mpt_helpers verdicts [KEY] [--json]`."""
+"""The command line: `python -m mpt_helpers` reproduce [KEY ...], verdicts [KEY] [--json | --csv], and readme."""
 
 import argparse
+import csv
+import io
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from .files import write_whole
-from .published import stored_verdicts
+from .published import Verdicts, counts_by_paper, stored_verdicts
 from .tables import Table
 
 NOTEBOOKS, FIGURES = Path("notebooks"), Path("figures")
+README = Path("README.md")
+BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
 MEASURED = Path("benchmarks") / "results.json"  # what notebooks read of the clock, so that none of them looks at it
 CELL_TIMEOUT = 600  # seconds; the slowest cell takes a few
 
@@ -59,7 +64,7 @@ def _execute(key, folder):
         notebook,
         timeout=CELL_TIMEOUT,
         kernel_name="python3",
-        extra_arguments=["--IPKernelApp.log_level=40"],  # what it warns of is not about the notebook
+        extra_arguments=["--IPKernelApp.log_level=50"],  # what it says below that is not about the notebook
         resources={"metadata": {"path": str(folder)}},
         record_timing=False,
         coalesce_streams=True,
@@ -82,14 +87,45 @@ def _execute(key, folder):
 
 
 def verdicts(keys):
-    """Return the stored verdicts of these notebooks (of all, if none is named) as a list of dictionaries.
+    """Return the stored Verdicts of these notebooks, of all if none is named.
 
     Raises CommandError for an unknown key and for a notebook without verdicts.
     """
     try:
-        return [each for key in known(keys) for each in stored_verdicts(NOTEBOOKS / f"{key}.ipynb").records()]
+        return Verdicts(each for key in known(keys) for each in stored_verdicts(NOTEBOOKS / f"{key}.ipynb"))
     except ValueError as error:
         raise CommandError(str(error)) from error
+
+
+def as_json(verdicts):
+    """Return Verdicts as JSON text."""
+    return json.dumps(verdicts.records(), indent=1, ensure_ascii=False)
+
+
+def as_csv(verdicts):
+    """Return Verdicts as CSV text."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, verdicts.records()[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(verdicts.records())
+    return text.getvalue()
+
+
+def readme():
+    """Return the README with the table of verdicts as the notebooks have it.
+
+    Raises CommandError when there is no README with a place for the table.
+    """
+    rows = counts_by_paper(verdicts([]))
+    linked = [[f"[{key}]({NOTEBOOKS.name}/{key}.ipynb)", *counts] for key, *counts in rows.rows[:-1]]
+    table = Table(rows.header, [*linked, rows.rows[-1]]).markdown()
+    try:
+        text, places = BLOCK.subn(lambda old: f"{old[1]}\n{table}\n\n{old[2]}", README.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CommandError(f"{README}: {error.strerror}") from error
+    if places != 1:
+        raise CommandError(f"{README}: needs one place for the table of verdicts, got {places}")
+    return text
 
 
 def known(keys):
@@ -111,18 +147,22 @@ def main(arguments=None):
     run.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
     show = commands.add_parser("verdicts", help="print the verdicts of the notebooks, without running them")
     show.add_argument("keys", metavar="KEY", nargs="?", help="a notebook's name without .ipynb (default: all)")
-    show.add_argument("--json", action="store_true", help="print them as JSON")
+    form = show.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_const", dest="form", const=as_json, help="print them as JSON")
+    form.add_argument("--csv", action="store_const", dest="form", const=as_csv, help="print them as CSV")
+    commands.add_parser("readme", help="write the table of verdicts into the README")
     options = parser.parse_args(arguments)
     try:
         if options.command == "reproduce":
             reproduce(options.keys)
             return 0
-        records = verdicts([options.keys] if options.keys else [])
-        if options.json:
-            print(json.dumps(records, indent=1, ensure_ascii=False))
-        else:
-            columns = ("paper", "id", "where", "kind", "printed", "computed", "verdict", "reason")
-            print(Table(columns, [[record[column] for column in columns] for record in records]))
+        if options.command == "readme":
+            write_whole(README, readme().encode())
+            return 0
+        given = verdicts([options.keys] if options.keys else [])
+        columns = ("paper", "id", "where", "kind", "printed", "computed", "verdict", "reason")
+        table = Table(columns, [[getattr(each, column) for column in columns] for each in given])
+        print(options.form(given).rstrip() if options.form else table)
         return 0
     except CommandError as failure:
         print(f"error: {failure}", file=sys.stderr)

@@ -12,6 +12,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
@@ -67,6 +68,7 @@ def tracking(x, z, estimates, P, gaps):
             title = f"{row}, {letter} axis"
             _draw_component(ax[title], *components)
             ax[title].set_title(title, loc="left")
+        ax[title].set_xlabel("step k")
     draw_gaps(ax["gap"], gaps)
     legend = ax[f"position (m), {letters[0]} axis"].get_legend_handles_labels()
     fig.legend(*legend, loc="outside upper center", ncols=5)
@@ -150,6 +152,8 @@ def effects(values, results, labels, xlabel):
         for curve, label, style in zip(np.transpose(result), labels, ("o-", "s--", "^:"), strict=False):
             ax[f"{row}, {column}"].loglog(values, curve, style, ms=4, label=label)
         finish(ax[f"{row}, {column}"], xlabel, f"{row}, {column}")
+        ax[f"{row}, {column}"].get_legend().remove()
+    fig.legend(*fig.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(labels))
     return fig
 
 
@@ -176,7 +180,7 @@ def coordinate(t, truth, measured, estimates, sigma):
     for name, each in ax.items():
         each.set_title(name, loc="left")
         each.set_xlabel("time (s)")
-    fig.legend(*ax["position (m)"].get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    fig.legend(*ax["position (m)"].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return fig
 
 
@@ -208,7 +212,7 @@ def draw_gaps(ax, gaps):
         ax.semilogy(k, visible_gap(largest), ls=styles[i % len(styles)], label=label)
     ax.axhspan(FLOOR / 100, FLOOR, color="0.9", lw=0)
     ax.set_ylim(FLOOR / 100, None)
-    ax.text(0.99, FLOOR / 50, "below 1e-12: rounding", transform=ax.get_yaxis_transform(), ha="right", fontsize=8)
+    ax.text(0.99, FLOOR / 50, "below 1e-12: rounding", transform=ax.get_yaxis_transform(), ha="right", fontsize=9)
     finish(ax, "step k", "largest gap in the state (m, m/s)")
 
 
@@ -242,20 +246,22 @@ def visible_gap(gap):
 
 @dataclass(frozen=True)
 class SavedFigure:
-    """A figure that was saved: notebooks show the picture, tests compare the description."""
+    """A figure that was saved: notebooks show the picture and its alt text, tests compare the description."""
 
     png: bytes
     description: str
+    alt: str = ""
 
     def __repr__(self):
         return self.description
 
     def _repr_mimebundle_(self, include=None, exclude=None):
-        return {"image/png": b64encode(self.png).decode(), "text/plain": self.description}
+        data = {"image/png": b64encode(self.png).decode(), "text/plain": self.description}
+        return data, {"image/png": {"alt": self.alt}}
 
 
 def save_figure(fig, name, folder="../figures"):
-    """Save a figure as {folder}/{name}.png, the same bytes on every run, and return it for display.
+    """Save a figure as {folder}/{name}.png and .svg, the same bytes on every run, and return it for display.
 
     Raises TypeError for anything but a matplotlib Figure, ValueError for a name that is not a plain file name or a
     folder that does not exist.
@@ -265,10 +271,50 @@ def save_figure(fig, name, folder="../figures"):
         checks.refuse("name", "letters, digits and underscores", repr(name))
     if not Path(folder).is_dir():
         checks.refuse("folder", "a folder that exists", repr(str(folder)))
-    buffer = BytesIO()
-    fig.savefig(buffer, format="png", metadata={"Software": None})
-    write_whole(Path(folder) / f"{name}.png", buffer.getvalue())
-    return SavedFigure(buffer.getvalue(), f"{name}.png\n{describe(fig)}")
+    png, svg = BytesIO(), BytesIO()
+    fig.savefig(png, format="png", metadata={"Software": None})
+    with rc_context({"svg.hashsalt": name}):
+        fig.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+    write_whole(Path(folder) / f"{name}.png", png.getvalue())
+    write_whole(Path(folder) / f"{name}.svg", round_svg(svg.getvalue().decode()).encode())
+    return SavedFigure(png.getvalue(), f"{name}.png\n{describe(fig)}", alt_text(fig))
+
+
+def round_svg(text):
+    """Round the coordinates in an SVG to a hundredth of a point: their last digits differ between processors.
+
+    >>> round_svg('<path d="M 1.23456 7 L 2.5 -0.000001" stroke-width="0.123456" transform="scale(0.015625)"/>')
+    '<path d="M 1.23 7 L 2.5 0" stroke-width="0.123456" transform="scale(0.015625)"/>'
+    """
+    return re.sub(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)', lambda place: _round_all(place[0]), text)
+
+
+def _round_all(text):
+    return re.sub(r"-?\d+\.\d{3,}", lambda number: f"{round(float(number[0]), 2) + 0.0:g}", text)
+
+
+def alt_text(fig):
+    """Say in words what a figure plots, for readers who do not see it: its panels and their curves.
+
+    >>> fig, ax = panels([["s", "v"]])
+    >>> for name in ax:
+    ...     _ = ax[name].semilogy([1, 2], label="KF")
+    ...     finish(ax[name], "step k", f"σ of {name}")
+    >>> alt_text(fig)
+    '2 panels. σ of s (log scale); σ of v (log scale), over step k. Curves: KF.'
+    """
+    alike = {}
+    for ax in fig.axes:
+        drawn = [*ax.lines, *ax.collections, *ax.patches, *ax.images]
+        labels = dict.fromkeys(str(each.get_label()) for each in drawn)
+        curves = "; ".join(label for label in labels if label and not label.startswith("_"))
+        log = " (log scale)" if ax.get_yscale() == "log" else ""
+        alike.setdefault((ax.get_xlabel(), curves), []).append(_title(ax) + log)
+    count = f"{len(fig.axes)} panels. " if len(fig.axes) > 1 else ""
+    return count + " ".join(
+        "; ".join(titles) + (f", over {xlabel}" if xlabel else "") + (f". Curves: {curves}." if curves else ".")
+        for (xlabel, curves), titles in alike.items()
+    )
 
 
 def describe(fig):
@@ -289,12 +335,16 @@ def describe(fig):
             f"{side} {axis.get_label_text()!r} {axis.get_scale()} {_digits(axis.get_view_interval(), '..')}"
             for side, axis in (("x", ax.xaxis), ("y", ax.yaxis))
         ]
-        title = ax.get_title(loc="left") or ax.get_title()
+        title = _title(ax)
         lines.append(f"axes {i}: " + (f"{title!r} " if title else "") + "; ".join(sides))
         drawn = [*ax.lines, *ax.collections, *ax.patches, *ax.images, *ax.texts]
         lines += [f"  {_describe_artist(artist)}" for artist in drawn]
         lines += [f"  {_describe_legend(ax.get_legend())}"] if ax.get_legend() else []
     return "\n".join(lines + [_describe_legend(legend) for legend in fig.legends])
+
+
+def _title(ax):
+    return ax.get_title(loc="left") or ax.get_title()
 
 
 def _describe_legend(legend):

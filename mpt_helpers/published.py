@@ -1,9 +1,12 @@
 """What the papers printed, and the verdict on each: computed, never typed."""
 
 import json
+import linecache
+import sys
 import tomllib
+import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -15,6 +18,7 @@ from .tables import Table
 KINDS = ("number", "formula", "claim", "figure")
 REPRODUCED, WITHIN_BAND, DIFFERS = "reproduced", "within band", "differs"
 ERRATUM, CANNOT_BE_CHECKED, NONE_YET = "erratum", "cannot be checked", "no verdict"
+VERDICTS = (REPRODUCED, WITHIN_BAND, DIFFERS, ERRATUM, CANNOT_BE_CHECKED)
 # What a notebook stores for machines beside the table that it shows: `python -m mpt_helpers verdicts` reads it.
 MIME = "application/vnd.mpt-helpers.verdicts+json"
 # A cell that the paper prints and our copy of it has lost.
@@ -56,7 +60,10 @@ class Item:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on one item, with both values and, where they differ, the reason."""
+    """The verdict on one item, with both values and, where they differ, the reason.
+
+    cell is the notebook cell that gave it: a checksum of its source while it runs, its id once it is stored.
+    """
 
     paper: str
     id: str
@@ -66,6 +73,7 @@ class Verdict:
     computed: str
     verdict: str
     reason: str
+    cell: str | None = None
 
     def __repr__(self):
         reason = f" ({self.reason})" if self.reason else ""
@@ -98,8 +106,7 @@ class Verdicts(Sequence):
     def counts(self):
         """Return how many there are of each verdict, as a table."""
         given = [each.verdict for each in self]
-        order = (REPRODUCED, WITHIN_BAND, DIFFERS, ERRATUM, CANNOT_BE_CHECKED, NONE_YET)
-        rows = [[verdict, given.count(verdict)] for verdict in order if verdict in given]
+        rows = [[verdict, given.count(verdict)] for verdict in (*VERDICTS, NONE_YET) if verdict in given]
         return Table(["verdict", "items"], [*rows, ["all", len(given)]])
 
     def look_at(self):
@@ -232,7 +239,7 @@ class Paper:
         return self._record(item, computed, verdict, reason)
 
     def _record(self, item, computed, verdict, reason):
-        given = Verdict(self.key, **vars(item), computed=computed, verdict=verdict, reason=reason)
+        given = Verdict(self.key, **vars(item), computed=computed, verdict=verdict, reason=reason, cell=_cell())
         self._verdicts[item.id] = given
         return given
 
@@ -299,9 +306,39 @@ def stored_verdicts(notebook):
     try:
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         stored = [out["data"][MIME] for cell in cells for out in cell.get("outputs", []) if MIME in out.get("data", {})]
-        return Verdicts(Verdict(**record) for record in stored[-1])
+        ids = {_mark("".join(cell["source"])): cell["id"] for cell in cells if cell.get("execution_count")}
+        verdicts = [Verdict(**record) for record in stored[-1]]
+        return Verdicts(replace(each, cell=ids.get(each.cell)) for each in verdicts)
     except (OSError, json.JSONDecodeError, KeyError, TypeError, IndexError) as error:
         raise ValueError(f"{path}: needs an executed notebook that ends with its verdicts ({error!r})") from error
+
+
+def counts_by_paper(verdicts):
+    """Return how many there are of each verdict as a table: a row for each paper, and their sum.
+
+    >>> counts_by_paper([Verdict("p", "t1", "Table 1", "number", "2", "2", "reproduced", "")])
+    notebook  items  reproduced  within band  differs  erratum  cannot be checked
+    p         1      1           0            0        0        0
+    all       1      1           0            0        0        0
+    """
+    papers = dict.fromkeys(each.paper for each in verdicts)
+    given = {paper: [each.verdict for each in verdicts if each.paper == paper] for paper in papers}
+    given["all"] = [each.verdict for each in verdicts]
+    rows = [[paper, len(own), *(own.count(verdict) for verdict in VERDICTS)] for paper, own in given.items()]
+    return Table(["notebook", "items", *VERDICTS], rows)
+
+
+def _cell():
+    # The running cell is known by its source: nbval, for one, runs cells without a number.
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    frame = sys._getframe() if shell else None
+    while frame and frame.f_globals is not shell.user_ns:
+        frame = frame.f_back
+    return _mark("".join(linecache.getlines(frame.f_code.co_filename))) if frame else None
+
+
+def _mark(source):
+    return f"{zlib.crc32(source.strip().encode()):08x}"
 
 
 def _folder():

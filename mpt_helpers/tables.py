@@ -55,6 +55,19 @@ class Table:
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
 
+    def markdown(self):
+        r"""Return the table in Markdown.
+
+        >>> print(Table(["filter", "burden"], [["a|b", 509]]).markdown())
+        | filter | burden |
+        |---|---|
+        | a\|b | 509 |
+        """
+        lines = [
+            "| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in (self.header, *self.rows)
+        ]
+        return "\n".join([lines[0], "|" + "---|" * len(self.header), *lines[1:]])
+
     def _repr_html_(self):
         def line(cells, tag):
             return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"

@@ -1,10 +1,15 @@
 """A figure's description must notice what a reader would, and nothing that only a processor would."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from conftest import ROOT
+from matplotlib import rc_params_from_file
+from matplotlib.colors import to_rgb
 
 import mpt_helpers as mpt
-from mpt_helpers.figures import coordinate, describe, draw_gaps, panels, visible_gap
+from mpt_helpers.figures import alt_text, coordinate, describe, draw_gaps, finish, panels, visible_gap
 
 
 def line(ax, y):
@@ -99,8 +104,62 @@ def test_a_figure_is_the_same_bytes_every_time(tmp_path):
         line(ax["a"], np.arange(5.0))
         saved.append(mpt.save_figure(fig, name, folder=tmp_path))
         assert (tmp_path / f"{name}.png").read_bytes() == saved[-1].png
+        svg = (tmp_path / f"{name}.svg").read_bytes()
+        mpt.save_figure(fig, name, folder=tmp_path)
+        assert (tmp_path / f"{name}.svg").read_bytes() == svg
     assert saved[0].png == saved[1].png
-    assert set(saved[0]._repr_mimebundle_()) == {"image/png", "text/plain"}
+    data, metadata = saved[0]._repr_mimebundle_()
+    assert set(data) == {"image/png", "text/plain"}
+    assert metadata == {"image/png": {"alt": saved[0].alt}}
+
+
+def test_an_svg_does_not_change_with_the_last_digits(tmp_path):
+    saved, rounding = [], np.sin(np.arange(50))
+    for size in (0, 1e-7):
+        fig, ax = panels([["a"]])
+        line(ax["a"], np.arange(50) / 7 + size * rounding)
+        ax["a"].set_ylim(0, 7)
+        mpt.save_figure(fig, "a", folder=tmp_path)
+        saved.append((tmp_path / "a.svg").read_bytes())
+    assert saved[0] == saved[1]
+    assert b"dc:date" not in saved[0]
+
+
+def test_an_alt_text_names_every_panel_and_curve():
+    fig, ax = panels([["a", "b"]])
+    for name, curve in (("a", "KF"), ("b", "LF")):
+        ax[name].semilogy([1, 2], label=curve)
+        finish(ax[name], "step k", f"gain {name}")
+    assert alt_text(fig) == (
+        "2 panels. gain a (log scale), over step k. Curves: KF. gain b (log scale), over step k. Curves: LF."
+    )
+
+
+# How dichromats see linear RGB: Machado, Oliveira and Fernandes 2009, severity 1.
+SEEN = {
+    "by all": np.eye(3),
+    "without red": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "without green": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]],
+    "without blue": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]],
+}
+
+
+def lab(linear):
+    """CIE L*a*b* of linear RGB."""
+    rgb_to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    x, y, z = np.cbrt(rgb_to_xyz @ np.clip(linear, 0, 1) / [0.9505, 1, 1.089])
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def test_the_colours_differ_for_colour_blind_readers_and_the_first_four_in_grey():
+    colours = rc_params_from_file(ROOT / "notebooks" / "matplotlibrc", use_default_template=False)["axes.prop_cycle"]
+    rgb = np.array([to_rgb(each["color"]) for each in colours])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    for eyes in SEEN.values():
+        seen = [lab(eyes @ each) for each in linear]
+        assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) > 12  # some 2 can just be seen
+    lightness = sorted(lab(each)[0] for each in linear[:4])
+    assert np.diff(lightness).min() > 6
 
 
 def test_a_figure_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):

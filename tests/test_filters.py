@@ -1,5 +1,6 @@
 """The papers' claims as theorems, and every filter against oracles that share no code with it."""
 
+import pickle
 import tracemalloc
 from dataclasses import replace
 
@@ -311,3 +312,12 @@ def test_filters_of_different_kinds_join(model, z):
     np.testing.assert_allclose(joint, (kf.filter(z) + fir.filter(z)) / 4 + steady.filter(z) / 2, **SAME)
     apart = mpt.Separate(mpt.JoinFilter(kf, fir), steady).filter(np.concatenate([z, z], axis=1))
     np.testing.assert_allclose(apart, np.hstack([(kf.filter(z) + fir.filter(z)) / 2, steady.filter(z)]), **SAME)
+
+
+def test_filters_that_ran_can_be_sent_to_another_process(model, z):
+    filters = mpt.six_filters(model)
+    steady = filters["SSKF"]
+    filters |= {"FIR": mpt.FIRFilter.from_steady_state(steady), "ahead": mpt.SteadyStatePredictor(steady, 2)}
+    filters["B"] = mpt.Separate(filters["KF"])
+    for each in filters.values():
+        np.testing.assert_array_equal(pickle.loads(pickle.dumps([each.filter(z), each]))[1].filter(z), each.filter(z))

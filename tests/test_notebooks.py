@@ -10,8 +10,8 @@ import pytest
 from conftest import COUNTED, NOTEBOOKS, ROOT
 
 import mpt_helpers as mpt
-from mpt_helpers.figures import QUANTUM, SavedFigure, describe
-from mpt_helpers.published import MIME
+from mpt_helpers.figures import QUANTUM, SavedFigure, alt_text, describe
+from mpt_helpers.published import MIME, stored_verdicts
 
 FIGURES = ROOT / "figures"
 
@@ -75,11 +75,12 @@ def test_every_figure_in_a_notebook_is_saved_and_committed(notebook):
 
 def test_every_committed_figure_is_made_by_a_notebook():
     made = {name for path in NOTEBOOKS for name in figure_names(json.loads(path.read_text(encoding="utf-8"))["cells"])}
-    assert made == {path.stem for path in FIGURES.glob("*.png")}
+    files = {f"{name}.{kind}" for name in made for kind in ("png", "svg")}
+    assert files == {path.name for path in FIGURES.iterdir()}
     if not (ROOT / ".git").exists():
         pytest.skip("not a git checkout: what is committed is not known")
     tracked = subprocess.run(["git", "ls-files", "figures"], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert {f"figures/{name}.png" for name in made} == set(tracked.stdout.split())
+    assert {f"figures/{name}" for name in files} == set(tracked.stdout.split())
 
 
 def test_the_numbers_of_the_first_screen_are_computed_below(notebook):
@@ -160,4 +161,22 @@ def test_a_change_of_one_percent_in_anything_plotted_is_seen(figures):
 
 
 def test_a_saved_figure_shows_its_description_to_nbval():
-    assert SavedFigure(b"", "words")._repr_mimebundle_()["text/plain"] == "words"
+    assert SavedFigure(b"", "words")._repr_mimebundle_()[0]["text/plain"] == "words"
+
+
+def test_the_committed_alt_texts_are_those_of_the_figures(figures):
+    pictures = [out for path in NOTEBOOKS for out in outputs(json.loads(path.read_text(encoding="utf-8"))["cells"])]
+    stored = {
+        "".join(out["data"]["text/plain"]).partition(".png\n")[0]: out["metadata"]["image/png"]["alt"]
+        for out in pictures
+        if "image/png" in out.get("data", {})
+    }
+    assert stored == {name: alt_text(fig) for name, fig in figures.items()}
+
+
+def test_every_verdict_comes_from_a_cell_that_hands_results_in(notebook):
+    key, cells = notebook
+    sources = {cell["id"]: source(cell) for cell in code(cells)}
+    for each in stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb"):
+        assert re.search(r"paper\.(check|claim|cannot_check)\(", sources[each.cell]), each
+        assert f'"{each.id}"' in sources[each.cell] or re.search(r"\bfor\b", sources[each.cell]), each

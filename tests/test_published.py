@@ -2,6 +2,7 @@ import json
 
 import pytest
 from conftest import NOTEBOOKS
+from IPython.core.interactiveshell import InteractiveShell
 
 import mpt_helpers as mpt
 from mpt_helpers.published import MIME, NONE_YET, Item, Paper, keys, read_items, stored_verdicts
@@ -192,8 +193,39 @@ def test_stored_verdicts_are_those_displayed(tmp_path, paper):
     early = {MIME: Paper("test", read_items("test", ITEMS)).verdicts().records()}
     path.write_text(json.dumps({"cells": [{"outputs": [{"data": early}]}, {"outputs": [{"data": data}]}]}))
     assert list(stored_verdicts(path)) == list(paper.verdicts())
+    assert {each.cell for each in paper.verdicts()} == {None}  # no notebook runs here
     assert "<td>count</td>" in data["text/html"]
     assert len(data[MIME]) == len(paper.items)
+
+
+HANDS_IN = """\
+import json
+import mpt_helpers as mpt
+from mpt_helpers.published import Paper, read_items
+paper = Paper("test", read_items("test", ITEMS))
+for _ in [paper.check("count", 17)]:
+    pass"""
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_a_stored_verdict_names_the_cell_that_gave_it(tmp_path, numbered):
+    """Also for a runner that does not number its cells, such as nbval."""
+    shell = InteractiveShell.instance()
+    shell.user_ns["ITEMS"] = ITEMS
+    try:
+        for cell in ("other = 1", HANDS_IN, "verdicts = paper.verdicts()"):
+            shell.run_cell(cell, store_history=numbered).raise_error()
+    finally:
+        InteractiveShell.clear_instance()
+    outputs = [{"data": {MIME: shell.user_ns["verdicts"].records()}}]
+    cells = [
+        {"id": "text", "source": "words"},
+        {"id": "other", "execution_count": 1, "source": "other = 1"},
+        {"id": "computes", "execution_count": 2, "source": HANDS_IN.splitlines(keepends=True)},
+        {"id": "last", "execution_count": 3, "source": "paper.verdicts()", "outputs": outputs},
+    ]
+    (tmp_path / "n.ipynb").write_text(json.dumps({"cells": cells}))
+    assert {each.id: each.cell for each in stored_verdicts(tmp_path / "n.ipynb") if each.cell} == {"count": "computes"}
 
 
 def test_every_paper_has_a_notebook_and_every_notebook_a_paper():

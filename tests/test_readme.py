@@ -1,11 +1,12 @@
 """The README says what the notebooks say, and its snippet runs."""
 
+import json
 import re
 
 import numpy as np
-from conftest import COUNTED, NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT
 
-from mpt_helpers.published import stored_verdicts
+from mpt_helpers.__main__ import readme
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -33,13 +34,20 @@ def test_the_snippet_runs_and_does_what_its_comments_say():
     np.testing.assert_allclose(np.sqrt((error**2).mean()), np.sqrt((sigma**2).mean()), rtol=0.05)
 
 
-def test_the_table_counts_the_verdicts_of_every_notebook():
-    rows = dict(re.findall(r"(?m)^\| \[(\w+)\]\(notebooks/\w+\.ipynb\).*?(\d+ items: [^.]*)\.", README))
-    assert sorted(rows) == [path.stem for path in NOTEBOOKS]
+def test_the_table_of_verdicts_is_that_of_the_notebooks(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    assert readme() == README, "stale: python -m mpt_helpers readme"
+
+
+def test_the_numbers_of_what_was_found_are_computed():
+    """A number of two digits or more stands on the first screen of its notebook, which computes it."""
+    found = dict(re.findall(r"(?m)^- \[(\w+)\]\(notebooks/\w+\.ipynb\): (.*)", README))
+    assert sorted(found) == [path.stem for path in NOTEBOOKS]
     for path in NOTEBOOKS:
-        given = [each.verdict for each in stored_verdicts(path)]
-        counts = ", ".join(f"{given.count(name)} {word}" for word, name in COUNTED.items() if name in given)
-        assert rows[path.stem] == f"{len(given)} items: {counts}"
+        text = re.split(r"(?:Figures?|Tables) [\d-]+\. ", found[path.stem], maxsplit=1)[1]
+        first = "".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"])
+        for number in re.findall(r"\d{2,}", text):
+            assert re.search(rf"\b{number}\b", first), f"{path.stem}: {number}"
 
 
 def test_links_and_pictures_exist():

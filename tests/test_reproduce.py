@@ -1,5 +1,7 @@
 """The command line, on a copy of the project."""
 
+import csv
+import io
 import json
 import shutil
 import signal
@@ -50,7 +52,8 @@ def test_reproduce_executes_in_place_with_progress(project, capfd):
     shown = capfd.readouterr()
     assert shown.out.splitlines() == ["small: cell 1 of 2, cell-0", "small: cell 2 of 2, cell-1"]
     assert shown.err == ""
-    assert sorted(files(project)) == ["figures/small_fig1.png", "notebooks/matplotlibrc", "notebooks/small.ipynb"]
+    made = ["figures/small_fig1.png", "figures/small_fig1.svg"]
+    assert sorted(files(project)) == [*made, "notebooks/matplotlibrc", "notebooks/small.ipynb"]
     cells = json.loads((project / "notebooks/small.ipynb").read_text())["cells"]
     assert [cell["execution_count"] for cell in cells] == [1, 2]
     assert not [cell["metadata"] for cell in cells if cell["metadata"]]
@@ -128,17 +131,38 @@ def test_verdicts_are_printed_without_running_a_notebook(monkeypatch, capsys):
     assert main(["verdicts", "--json"]) == 0
     records = json.loads(capsys.readouterr().out)
     assert records == [each for path in NOTEBOOKS for each in stored_verdicts(path).records()]
-    assert list(records[0]) == ["paper", "id", "where", "kind", "printed", "computed", "verdict", "reason"]
+    assert list(records[0]) == ["paper", "id", "where", "kind", "printed", "computed", "verdict", "reason", "cell"]
+    assert main(["verdicts", "--csv"]) == 0
+    assert list(csv.DictReader(io.StringIO(capsys.readouterr().out))) == records
     assert main(["verdicts", KEYS[0]]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1 + sum(record["paper"] == KEYS[0] for record in records)
 
 
+def test_the_readme_gets_the_table_of_the_notebooks(tmp_path, monkeypatch, capsys):
+    shutil.copytree(ROOT / "notebooks", tmp_path / "notebooks")
+    monkeypatch.chdir(tmp_path)
+    assert main(["readme"]) == 1
+    assert "README.md: No such file" in capsys.readouterr().err
+    readme = tmp_path / "README.md"
+    readme.write_text("words\n")
+    assert main(["readme"]) == 1
+    assert "README.md: needs one place for the table of verdicts, got 0" in capsys.readouterr().err
+    assert readme.read_text() == "words\n"
+    readme.write_text("above\n<!-- verdicts: here -->\nold\n<!-- end of verdicts -->\nbelow\n")
+    assert main(["readme"]) == 0
+    lines = readme.read_text().splitlines()
+    assert lines[:2] == ["above", "<!-- verdicts: here -->"]
+    assert lines[-2:] == ["<!-- end of verdicts -->", "below"]
+    assert [f"[{key}](notebooks/{key}.ipynb)" in "\n".join(lines) for key in KEYS] == [True] * len(KEYS)
+    assert "old" not in lines
+
+
 def test_the_committed_notebooks_and_figures_come_out_byte_for_byte(tmp_path):
-    for folder in ("notebooks", "figures"):
+    for folder in ("notebooks", "figures", "benchmarks"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns(".ipynb_checkpoints"))
     before = files(tmp_path)
-    for path in tmp_path.glob("figures/*.png"):
+    for path in tmp_path.glob("figures/*"):
         path.unlink()
     subprocess.run([sys.executable, "-m", "mpt_helpers", "reproduce"], cwd=tmp_path, check=True)
     after = files(tmp_path)

@@ -1,0 +1,98 @@
+"""Break a copy of the project, one way at a time, and see that the tests go red: `make mutants`."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from tqdm import tqdm
+
+from mpt_helpers.files import write_whole
+
+ROOT = Path(__file__).parent.parent
+LEAST = 0.95  # of the mutants must be caught
+# What `make test` runs, the fast part first: a mutant is caught by the first test that fails.
+SLOW = ("tests/test_notebooks.py", "tests/test_reproduce.py")
+STAGES = (
+    ["-m", "pytest", "-x", *(f"--ignore={path}" for path in (*SLOW, "tests/test_mutants.py"))],  # it reads the source
+    ["-m", "pytest", "-x", "--nbval", "--nbval-current-env", "--nbval-cell-timeout=600", "notebooks"],
+    ["-m", "pytest", "-x", *SLOW],
+)
+
+
+class Mutant(NamedTuple):
+    """A change of one place in one file."""
+
+    file: str
+    old: str
+    new: str
+    what: str
+
+
+def mutants():
+    """Return all Mutants."""
+    return [Mutant(*each) for each in tomllib.loads(Path(__file__).with_suffix(".toml").read_text())["mutants"]]
+
+
+def mutated(mutant, text):
+    """Return the text with the change; raises ValueError unless what is changed stands there once."""
+    if text.count(mutant.old) != 1:
+        raise ValueError(f"{mutant.file}: needs {mutant.old!r} once, got it {text.count(mutant.old)} times")
+    return text.replace(mutant.old, mutant.new)
+
+
+def caught_by(mutant):
+    """Return the first test that sees the mutant, or None."""
+    with TemporaryDirectory() as place:
+        copy = Path(place) / "project"
+        tracked = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        for name in filter(None, tracked.split("\0")):
+            copy.joinpath(name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, copy / name)
+        path = copy / mutant.file
+        path.write_text(mutated(mutant, path.read_text(encoding="utf-8")), encoding="utf-8")
+        here = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}  # before the installed package
+        for stage in STAGES:
+            arguments = [sys.executable, *stage, "-q", "-p", "no:cacheprovider"]
+            run = subprocess.run(arguments, cwd=copy, env=here, capture_output=True, text=True)
+            if run.returncode:
+                found = re.findall(r"(?m)^(?:FAILED|ERROR) (\S+)", run.stdout)
+                return found[0] if found else "the tests do not start"
+    return None
+
+
+def table(caught):
+    """Return the table of README.md."""
+    rows = [
+        f"| {i} | {mutant.what} | `{mutant.file}` | {f'`{test}`' if test else '**no test**'} |"
+        for i, (mutant, test) in enumerate(caught, 1)
+    ]
+    return "\n".join(["| | what is broken | where | seen first by |", "|---|---|---|---|", *rows])
+
+
+def main():
+    """Run all mutants, write the table, and return 1 when too few are caught."""
+    every = mutants()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = list(tqdm(pool.map(caught_by, every), total=len(every), desc="mutants"))
+    caught = list(zip(every, found, strict=True))
+    share = sum(test is not None for test in found) / len(found)
+    summary = f"{sum(test is not None for test in found)} of {len(found)} are seen."
+    readme = Path(__file__).with_name("README.md")
+    head = readme.read_text().partition("<!-- mutants -->")[0]
+    write_whole(readme, f"{head}<!-- mutants -->\n{summary}\n\n{table(caught)}\n".encode())
+    for mutant, test in caught:
+        if test is None:
+            print(f"no test sees: {mutant.what} ({mutant.file})", file=sys.stderr)
+    print(summary)
+    return int(share < LEAST)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,19 @@
+"""The list of mutants: that each can be made, and that the table names them all. `make mutants` runs them."""
+
+import pytest
+from conftest import ROOT
+from mutants import mutants, mutated
+
+
+@pytest.mark.parametrize("mutant", mutants(), ids=lambda each: each.what)
+def test_each_mutant_changes_one_place(mutant):
+    text = (ROOT / mutant.file).read_text(encoding="utf-8")
+    assert mutated(mutant, text) != text
+
+
+def test_the_table_is_of_these_mutants():
+    table = (ROOT / "tests" / "README.md").read_text(encoding="utf-8").partition("<!-- mutants -->")[2]
+    rows = [line.split(" | ")[1:3] for line in table.splitlines() if line.startswith("| ") and line[2].isdigit()]
+    assert rows == [[each.what, f"`{each.file}`"] for each in mutants()]
+    assert len(rows) >= 40
+    assert table.count("**no test**") <= 0.05 * len(rows)
