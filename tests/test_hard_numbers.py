@@ -36,6 +36,12 @@ def uncertain(make, variance):
     return replace(model, P0=variance * np.eye(model.n))
 
 
+def in_units(model, *units):
+    """The model with its states in other units, of which so many make one."""
+    d = np.array(units)
+    return mpt.LinearModel(F=model.F * d[:, None] / d, H=model.H / d, Q=model.Q * d[:, None] * d, R=model.R)
+
+
 def dense(ratio):
     """Six states, three measurements, no zeros."""
     rng = np.random.default_rng(6)
@@ -48,6 +54,7 @@ MODELS = {
     **{f"{name}, dt = {dt:g}": make(dt, 1.0, 1.0) for dt in (1e-4, 1e-2, 1e2, 1e4) for name, make in AXES.items()},
     **{f"{name}, P0 = {p:g} I": uncertain(make, p) for p in (1.0, 1e6, 1e12) for name, make in AXES.items()},
     **{f"6 states, R/Q = {ratio:g}": dense(ratio) for ratio in (1e-12, 1.0, 1e12)},
+    "ca, in nm, km/s and m/s²": in_units(mpt.constant_acceleration(1.0, 1.0, 1.0), 1e9, 1e-3, 1.0),
     "R = diag(1, 1e-12)": mpt.LinearModel(**BOTH_SEEN, R=np.diag([1, 1e-12])),
     "R of correlation 1 - 1e-6": mpt.LinearModel(**BOTH_SEEN, R=[[1, 1 - 1e-6], [1 - 1e-6, 1]]),
     "two axes, R/Q = 1e-12 and 1e12": mpt.stack(mpt.constant_velocity(1, 1, 1e-12), mpt.constant_velocity(1, 1, 1e12)),
