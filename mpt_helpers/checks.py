@@ -140,8 +140,9 @@ def numbers(name, value, need):
 
 def real(name, value, need):
     """Return a new float array of real numbers (NaN allowed), or raise; `need` says what is needed, in words."""
+    # A copy: what the caller does to his array later is his affair. In C order: products round by the memory layout.
     with np.errstate(over="ignore"):  # of what is longer than a double: it is infinite here
-        array = numbers(name, value, need).astype(float)  # a copy: what the caller does to his later is his affair
+        array = numbers(name, value, need).astype(float, order="C")
     if np.isinf(array).any():
         refuse(name, f"{need} of finite numbers", "an infinite value")
     return array

@@ -30,9 +30,9 @@ def measurements(z, m):
 
     z is (N, m) for one track or (N, m, M) for M tracks. A row that is all NaN is a missed epoch.
 
-    Returns z as floats with its missed rows set to zero (z itself where nothing is missed: not to be written to), and
-    the boolean `missed`, (N,) or (N, M). Raises ValueError for another shape, an empty or infinite z or a row that is
-    only partly NaN, TypeError for data that are not real numbers.
+    Returns z as floats in C order with its missed rows set to zero (z itself where it is that: not to be written to),
+    and the boolean `missed`, (N,) or (N, M). Raises ValueError for another shape, an empty or infinite z or a row that
+    is only partly NaN, TypeError for data that are not real numbers.
 
     >>> measurements([[1.0], [np.nan]], m=1)
     (array([[1.],
@@ -42,10 +42,10 @@ def measurements(z, m):
     with np.errstate(all="ignore"):
         complete = np.isfinite(z.sum())  # no mask as large as z
     if complete:
-        return z.astype(float, copy=False), np.broadcast_to(False, (z.shape[0], *z.shape[2:]))
+        return z.astype(float, order="C", copy=False), np.broadcast_to(False, (z.shape[0], *z.shape[2:]))
     _require_finite(z)
     missed = _missed(z)
-    return np.where(np.expand_dims(missed, 1), 0.0, z), missed
+    return np.where(np.expand_dims(missed, 1), 0.0, z).astype(float, order="C", copy=False), missed
 
 
 def shaped(z, m):

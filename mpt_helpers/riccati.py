@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from . import checks
-from .model import LinearModel, square_root
+from .model import LinearModel, predicted_covariance, square_root
 
 # How far (relative to the matrix) a mode may be from undetectable or unstabilizable and still count as that: the
 # rounding of an eigenvalue of F, with room for n up to some hundreds.
@@ -15,8 +15,9 @@ MODE_ROUNDING = 1e-12
 RING = 1e-4
 # A double eigenvalue on the unit circle is computed to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
-# A solution that misses its own equation by more than this is none; rounding misses it by some 1e-12 at the worst.
-RESIDUAL = 1e-8
+# What the first and the second step of Newton's method may change, at unit variances: more in the first, and what it
+# began from was no solution; more in the second, and fewer than six digits hold.
+NEWTON = 1e-3, 1e-6
 # Doubling 64 times covers more steps than a double can count.
 DOUBLINGS = 64
 
@@ -34,7 +35,8 @@ class LainiotisMatrices(NamedTuple):
 def lainiotis_matrices(model):
     """Return F_n (n×n), K_n, K_m (n×m), P_n, O_n (n×n) of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3).
 
-    Raises TypeError for anything but a model.
+    P_n is Q - K_n H Q in the form of Joseph, which keeps its digits where R is much smaller than Q. Raises TypeError
+    for anything but a model.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
@@ -46,7 +48,9 @@ def lainiotis_matrices(model):
     A = np.linalg.inv(H @ Q @ H.T + R)
     Kn = Q @ H.T @ A
     Km = F.T @ H.T @ A
-    return LainiotisMatrices(Fn=F - Kn @ H @ F, Kn=Kn, Km=Km, Pn=Q - Kn @ H @ Q, On=Km @ H @ F)
+    update = np.eye(model.n) - Kn @ H
+    Pn = update @ Q @ update.T + Kn @ R @ Kn.T
+    return LainiotisMatrices(Fn=F - Kn @ H @ F, Kn=Kn, Km=Km, Pn=Pn, On=Km @ H @ F)
 
 
 def lainiotis_gain(P, Fn, On):
@@ -66,7 +70,9 @@ def _gain(P, Fn, On):
 
 
 def rekf(model):
-    """Return P_p (n×n), the steady-state prediction error covariance (2014 Eq. 11, 2015 Eq. 9), solved by scipy.
+    """Return P_p (n×n), the steady-state prediction error covariance (2014 Eq. 11, 2015 Eq. 9).
+
+    Solved by scipy, then refined by two steps of Newton's method.
 
         P_p = Q + F P_p Fᵀ - F P_p Hᵀ [H P_p Hᵀ + R]⁻¹ H P_p Fᵀ
 
@@ -78,18 +84,42 @@ def rekf(model):
            [0.0257, 0.0227]])
     """
     _require_steady_state(model)
-    # scipy is silently wrong where R is very small or large: it gets measurements of unit variance.
-    F, Q, identity = model.F, model.Q, np.eye(model.m)
-    H = np.linalg.solve(np.linalg.cholesky(model.R), model.H)
+    # scipy is silently wrong where R is very small or large, and fails where the variances of the states differ much:
+    # it gets states and measurements of unit variance. Near the unit circle it loses more digits than the equation.
+    unit = _units(model)
+    F, Q = model.F * unit / unit[:, None], model.Q / unit[:, None] / unit
+    H = np.linalg.solve(np.linalg.cholesky(model.R), model.H * unit)
     try:
-        P = solve_discrete_are(F.T, H.T, Q, identity)
+        P = solve_discrete_are(F.T, H.T, Q, np.eye(model.m))
+        for most in NEWTON:
+            step = _newton_step(P, F, H, Q)
+            P = P + (step + step.T) / 2
+            sigma = np.sqrt(np.maximum(np.diag(P), 1))
+            if not (np.abs(step) <= most * np.outer(sigma, sigma)).all():
+                _refuse_unsolved(model)
     except np.linalg.LinAlgError:
         _refuse_unsolved(model)
-    P = (P + P.T) / 2
-    following = Q + F @ (P - P @ H.T @ np.linalg.solve(H @ P @ H.T + identity, H @ P)) @ F.T
-    if not np.abs(following - P).max() <= RESIDUAL * np.abs(P).max():
-        _refuse_unsolved(model)
-    return P
+    return (P + P.T) / 2 * unit[:, None] * unit
+
+
+def _newton_step(P, F, H, Q):
+    """Return what Newton's method adds to a solution P of the REKF with R = I: Σ Aⁱ D Aᵀⁱ where P misses it by D."""
+    K = np.linalg.solve(H @ P @ H.T + np.eye(len(H)), H @ P).T
+    update = np.eye(len(P)) - K @ H
+    A, step = F @ update, F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
+    with np.errstate(over="ignore", invalid="ignore"):  # of an A that is not stable: its sum has no end
+        for _ in range(DOUBLINGS):
+            A, step = A @ A, step + A @ step @ A.T
+    return step
+
+
+def _units(model):
+    """Return how far the noise of n steps moves each state, to a power of two: in these units entries compare."""
+    variance = np.diag(predicted_covariance(model, model.Q, model.n - 1))
+    moved = variance > 0
+    exponent = np.log2(variance, out=np.zeros(model.n), where=moved) / 2
+    usual = exponent[moved].mean() if moved.any() else 0.0
+    return np.exp2(np.round(np.where(moved, exponent, usual)))
 
 
 def relf(model):
@@ -122,8 +152,9 @@ def relf(model):
 
 def _modes(model):
     """Yield (margin, condition, mode) for each mode of F on or outside the unit circle, by the PBH rank test."""
-    F = model.F
-    H, G = _scaled(model.H, F), _scaled(square_root(model.Q), F)
+    unit = _units(model)
+    F = model.F * unit / unit[:, None]
+    H, G = _scaled(model.H * unit, F), _scaled(square_root(model.Q) / unit[:, None], F)
     modes = np.linalg.eigvals(F)
     # A multiple eigenvalue is computed as a ring around it, whose mean is as good as a simple one.
     means = [modes[np.abs(modes - mode) <= RING * abs(mode)].mean() for mode in modes]

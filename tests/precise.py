@@ -1,0 +1,69 @@
+"""The Kalman filter and its steady state in 60 digits, to measure doubles against; shares no code with the package."""
+
+import mpmath
+import numpy as np
+
+mpmath.mp.dps = 60
+
+
+def _exact(array):
+    """The doubles of an array as numbers of 60 digits."""
+    return np.vectorize(mpmath.mpf, otypes=[object])(np.asarray(array, dtype=float))
+
+
+def _inverse(M):
+    return np.array(mpmath.inverse(mpmath.matrix(M.tolist())).tolist(), dtype=object)
+
+
+def _size(M):
+    return max(map(abs, M.ravel()))
+
+
+def update(P_p, F, H, R):
+    """The coefficients A, B, the covariance P after a measurement, and S of the measurement, from the predicted P_p."""
+    S = H @ P_p @ H.T + R
+    B = P_p @ H.T @ _inverse(S)
+    P = P_p - B @ H @ P_p
+    return F - B @ H @ F, B, (P + P.T) / 2, S
+
+
+def kalman(F, H, Q, R, x0, P0, z):
+    """The estimates x (N, n), and the coefficients A, B, the covariances P, P_p and S of each step."""
+    F, H, Q, R, x, P, z = map(_exact, (F, H, Q, R, x0, P0, z))
+    steps = []
+    for z_k in z:
+        P_p = F @ P @ F.T + Q
+        A, B, P, S = update(P_p, F, H, R)
+        x = A @ x + B @ z_k
+        steps.append((x, A, B, P, P_p, S))
+    return [np.array(each) for each in zip(*steps, strict=True)]
+
+
+def steady(F, H, Q, R):
+    """The limit of A, B, P, P_p and S: the REKF by doubling, and what it leaves in the equation is checked."""
+    F, H, Q, R = map(_exact, (F, H, Q, R))
+    A, G, P_p, identity = F.T, H.T @ _inverse(R) @ H, Q, _exact(np.eye(len(F)))
+    for _ in range(200):
+        W = _inverse(identity + G @ P_p)
+        step = A.T @ P_p @ W @ A
+        A, G, P_p = A @ W @ A, G + A @ W @ G @ A.T, P_p + (step + step.T) / 2
+        if _size(step) <= mpmath.mpf(10) ** -50 * _size(P_p):
+            break
+    A, B, P, S = update(P_p, F, H, R)
+    assert _size(Q + F @ P @ F.T - P_p) < mpmath.mpf(10) ** -30 * _size(P_p)
+    return A, B, P, P_p, S
+
+
+def recursion(A, B, x0, z):
+    """The estimates of given coefficients A (N, n, n), B (N, n, m), each a double."""
+    x, estimates = _exact(x0), []
+    for A_k, B_k, z_k in zip(_exact(A), _exact(B), _exact(z), strict=True):
+        x = A_k @ x + B_k @ z_k
+        estimates.append(x)
+    return np.array(estimates)
+
+
+def digits(ours, exact, unit):
+    """How many decimal digits of an array hold, relative to a unit for each entry: 17 where all bits do."""
+    gap = np.abs((_exact(ours) - exact).astype(float)) / unit
+    return float(min(17.0, -np.log10(max(gap.max(), 1e-300))))

@@ -1,0 +1,228 @@
+"""How many digits hold where: models of extreme numbers against a reference of 60 digits.
+
+docs/accuracy.md states the digits in a table that this file writes (`python tests/test_hard_numbers.py`) and checks.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import precise
+import pytest
+
+import mpt_helpers as mpt
+from mpt_helpers import recursion, riccati
+
+PAGE = Path(__file__).parents[1] / "docs" / "accuracy.md"
+BEGIN, END = "<!-- digits -->\n", "<!-- end of digits -->\n"
+CORES = ["Nehalem", "Haswell", "SkylakeX"]  # whose products round otherwise
+SLACK = 1  # of what these measure, for the next machine
+LUCK = 4  # a few entries may round all in one's favour
+MOST = 14  # a double holds 15.95 digits, and one product of matrices rounds the last ones
+
+AXES = {"gsm": mpt.gsm_axis, "cv": mpt.constant_velocity, "ca": mpt.constant_acceleration}
+WALK = {"F": [[1.0]], "H": [[1.0]], "Q": [[1.0]]}
+UNSTABLE = {"F": [[1.5, 1.0], [0.0, 0.9]], "H": [[1.0, 0.3]], "R": [[1.0]]}
+BOTH_SEEN = {"F": [[1.0, 1.0], [0.0, 1.0]], "H": np.eye(2), "Q": np.eye(2)}
+
+
+def uncertain(make, variance):
+    model = make(dt=0.7, q=0.01, r=0.1)
+    return replace(model, P0=variance * np.eye(model.n))
+
+
+def in_units(model, *units):
+    """The model with its states in other units, of which so many make one."""
+    d = np.array(units)
+    return mpt.LinearModel(F=model.F * d[:, None] / d, H=model.H / d, Q=model.Q * d[:, None] * d, R=model.R)
+
+
+def dense(ratio):
+    """Six states, three measurements, no zeros."""
+    rng = np.random.default_rng(6)
+    F, H, G, W = (rng.standard_normal(shape) for shape in ((6, 6), (3, 6), (6, 6), (3, 3)))
+    return mpt.LinearModel(F=F / 2, H=H, Q=G @ G.T, R=ratio * (W @ W.T + np.eye(3)), P0=np.eye(6))
+
+
+MODELS = {
+    **{f"{name}, R/Q = {r:g}": make(1.0, 1.0, r) for r in (1e-12, 1e-6, 1.0, 1e6, 1e12) for name, make in AXES.items()},
+    **{f"{name}, dt = {dt:g}": make(dt, 1.0, 1.0) for dt in (1e-4, 1e-2, 1e2, 1e4) for name, make in AXES.items()},
+    **{f"{name}, P0 = {p:g} I": uncertain(make, p) for p in (1.0, 1e6, 1e12) for name, make in AXES.items()},
+    **{f"6 states, R/Q = {ratio:g}": dense(ratio) for ratio in (1e-12, 1.0, 1e12)},
+    "ca, in nm, km/s and m/s²": in_units(mpt.constant_acceleration(1.0, 1.0, 1.0), 1e9, 1e-3, 1.0),
+    "R = diag(1, 1e-12)": mpt.LinearModel(**BOTH_SEEN, R=np.diag([1, 1e-12])),
+    "R of correlation 1 - 1e-6": mpt.LinearModel(**BOTH_SEEN, R=[[1, 1 - 1e-6], [1 - 1e-6, 1]]),
+    "two axes, R/Q = 1e-12 and 1e12": mpt.stack(mpt.constant_velocity(1, 1, 1e-12), mpt.constant_velocity(1, 1, 1e12)),
+    "closed loop 1 - 1e-3": mpt.LinearModel(**WALK, R=[[1e6]]),
+    "closed loop 1 - 1e-6": mpt.LinearModel(**WALK, R=[[1e12]]),
+    "closed loop 1 - 1e-8": mpt.LinearModel(**WALK, R=[[1e16]]),
+    "undriven mode 1 - 1e-6": mpt.LinearModel(
+        F=np.diag([1 - 1e-6, 0.5]), H=[[1, 1]], Q=np.diag([0, 1]), R=[[1]], P0=np.eye(2)
+    ),
+    "F of 1.5, Q = I": mpt.LinearModel(**UNSTABLE, Q=np.eye(2)),
+    "F of 1.5, Q singular": mpt.LinearModel(**UNSTABLE, Q=np.diag([1.0, 0.0]), P0=np.eye(2)),
+    "cv, Q = 0, P0 = I": replace(mpt.constant_velocity(1.0, 1.0, 1.0), Q=np.zeros((2, 2)), P0=np.eye(2)),
+}
+NO_STEADY_STATE = {"cv, Q = 0, P0 = I"}
+COLUMNS = [
+    *[f"{name}: {what}" for name in ("Kalman", "Lainiotis") for what in ("x", "A B", "P")],
+    *["REKF: P_p", "REKF: A B", "REKF: P", "RELF: A B", "RELF: P"],
+]
+
+
+def deviations(P):
+    variance = np.einsum("...ii->...i", P).astype(float)
+    return np.sqrt(np.where(variance > 0, variance, 1))
+
+
+class Digits:
+    """Counts digits relative to standard deviations, so that they depend on no unit.
+
+    P by the deviations of both its components, B by those of the component and the innovation (no entry can be larger),
+    A by the largest entry of F when states are measured in their predicted deviations.
+    """
+
+    def __init__(self, F, A, B, P, P_p, S):
+        self.A, self.B, self.P, self.P_p = A, B, P, P_p
+        p, s, self.s = deviations(P_p), deviations(S), deviations(P)
+        self.unit_B = p[..., :, None] / s[..., None, :]
+        ratio = p[..., :, None] / p[..., None, :]
+        self.unit_A = ratio * (np.abs(F) / ratio).max(axis=(-1, -2), keepdims=True)
+        self.p = p
+
+    def of_coefficients(self, A, B):
+        return min(precise.digits(A, self.A, self.unit_A), precise.digits(B, self.B, self.unit_B))
+
+    def of_covariance(self, P):
+        return precise.digits(P, self.P, self.s[..., :, None] * self.s[..., None, :])
+
+    def of_prediction(self, P_p):
+        return precise.digits(P_p, self.P_p, self.p[..., :, None] * self.p[..., None, :])
+
+
+def of_recursions(model, N=40):
+    """x is counted relative to the largest estimate of each component."""
+    z = mpt.simulate(model, N, np.random.default_rng(1))[1]
+    x, *coefficients = precise.kalman(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
+    exact, largest = Digits(model.F, *coefficients), np.abs(x.astype(float)).max(axis=0)
+    for make in (mpt.KalmanFilter, mpt.LainiotisFilter):
+        A, B, P = make(model).coefficients(N)
+        yield precise.digits(make(model).filter(z), x, largest)
+        yield exact.of_coefficients(A, B)
+        yield exact.of_covariance(P)
+
+
+def of_steady_states(model):
+    exact = Digits(model.F, *precise.steady(model.F, model.H, model.Q, model.R))
+    yield exact.of_prediction(riccati.rekf(model))
+    for solved in (mpt.SteadyStateFilter.from_kalman(model), mpt.SteadyStateFilter.from_lainiotis(model)):
+        yield exact.of_coefficients(solved.A, solved.B)
+        yield exact.of_covariance(solved.P)
+
+
+@lru_cache
+def measured(name):
+    """The digits of each column, as far as the model has it."""
+    steady = [] if name in NO_STEADY_STATE else of_steady_states(MODELS[name])
+    return [*of_recursions(MODELS[name]), *steady]
+
+
+def stated():
+    """The digits that the page states, by the names of the models."""
+    table = PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0].strip().splitlines()[2:]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+    return {name: [int(cell) for cell in cells if cell != "-"] for name, *cells in rows}
+
+
+def test_the_page_states_every_model():
+    assert list(stated()) == list(MODELS)
+    assert [len(row) for row in stated().values()] == [6 if name in NO_STEADY_STATE else 11 for name in MODELS]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_as_many_digits_hold_as_stated(name):
+    for column, digits, least in zip(COLUMNS, measured(name), stated()[name], strict=False):
+        assert least == 0 or digits >= least, f"{column}: {digits:.1f} digits, {least} stated"
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_no_more_digits_hold_than_stated(name):
+    """The statement is stale when many more do: beside the slack, what one machine may gain by luck."""
+    for column, digits, least in zip(COLUMNS, measured(name), stated()[name], strict=False):
+        assert least == MOST or digits < least + SLACK + LUCK, f"{column}: {digits:.1f} digits, {least} stated"
+
+
+REFUSED = {
+    "undriven drift": (MODELS["cv, Q = 0, P0 = I"], "not stabilizable at the mode 1 of F"),
+    "undriven mode 1 - 1e-10": (
+        mpt.LinearModel(F=np.diag([1 - 1e-10, 0.5]), H=[[1, 1]], Q=np.diag([0, 1]), R=[[1]]),
+        "not stabilizable at the mode 1 of F",
+    ),
+    "unseen constant": (mpt.gps_ins(1.0, 0.01, (1.0, 1e-4)), "not stabilizable at the mode 1 of F"),
+    "closed loop 1 - 1e-12": (mpt.LinearModel(**WALK, R=[[1e24]]), "that double precision can resolve"),
+}
+
+
+@pytest.mark.parametrize(("model", "reason"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_solved_is_refused(model, reason):
+    with pytest.raises(ValueError, match=f"model: needs a steady state.*{reason}"):
+        mpt.SteadyStateFilter.from_kalman(model)
+
+
+LIFTED = {
+    name: MODELS[name]
+    for name in MODELS
+    if name.startswith(("F of", "closed", "undriven", "two axes", "6 states", "ca, dt"))
+}
+
+
+@pytest.mark.parametrize("missed", [False, True], ids=["all", "gaps"])
+@pytest.mark.parametrize("name", LIFTED)
+def test_several_steps_in_one_product_lose_no_digits(name, missed):
+    """Against step by step: unstable F over gaps, closed loops near the unit circle, steps of very different entries.
+
+    One product of L steps rounds powers of A where L products round the estimates: the same sums in another order.
+    """
+    model = replace(LIFTED[name], x0=np.ones(LIFTED[name].n))
+    z = mpt.simulate(model, 96, np.random.default_rng(2))[1]
+    lost = np.zeros(96, bool)
+    lost[20:60] = missed
+    system = mpt.KalmanFilter(model)._system(lost)
+    z[lost] = 0
+    exact = precise.recursion(system.A[system.of], system.B[system.of], model.x0, z)
+    largest = np.abs(exact.astype(float)).max(axis=0)
+
+    def digits(L):
+        blocks = recursion.lift(system, L, model.n)
+        x = recursion.advance(blocks, z[..., None], lost, model.x0[:, None], model.n)
+        return precise.digits(x[..., 0], exact, largest)
+
+    one = digits(1)
+    for L in (2, 8, 32):
+        assert digits(L) >= one - SLACK
+
+
+def write_page():
+    """Write the table: what the worst of several kinds of processor reaches, less the slack."""
+    here = str(Path(__file__).resolve())
+    command = [sys.executable, here, "measure"]
+    every = [json.loads(subprocess.check_output(command, env=os.environ | {"OPENBLAS_CORETYPE": c})) for c in CORES]
+    lines = ["| model | " + " | ".join(COLUMNS) + " |", "|---|" + "---:|" * len(COLUMNS)]
+    for name in MODELS:
+        worst = np.min([each[name] for each in every], axis=0)
+        cells = [str(int(np.clip(np.floor(digits - SLACK), 0, MOST))) for digits in worst]
+        lines.append("| " + " | ".join([name, *cells, *["-"] * (len(COLUMNS) - len(cells))]) + " |")
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    PAGE.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + rest.split(END)[1], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["measure"]:
+        print(json.dumps({name: measured(name) for name in MODELS}))
+    else:
+        write_page()
