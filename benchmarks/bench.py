@@ -29,7 +29,7 @@ from mpt_helpers.files import write_whole
 HERE = Path(__file__).parent
 AGREE = 1e-8  # the estimates of all libraries, relative to the largest: single steps of some round differently
 SHORTEST = 0.02  # seconds a sample lasts at least: what takes less runs several times
-ROUNDS = 3
+ROUNDS = 9
 AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
 PLANE = mpt.stack(AXIS, AXIS)
 N, M = 1000, 10_000
