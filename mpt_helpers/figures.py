@@ -348,6 +348,7 @@ def save_figure(fig, name, folder="../figures"):
         checks.refuse("folder", "a folder that exists", repr(str(folder)))
     png, svg = BytesIO(), BytesIO()
     fig.savefig(png, format="png", metadata={"Software": None})
+    fig.set_layout_engine("none")  # the layout stands: making it takes longer than writing the file
     with rc_context({"svg.hashsalt": name}):
         fig.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
     rounded = round_svg(svg.getvalue().decode()).encode()

@@ -4,6 +4,7 @@ Places are in metres, in coordinates that turn with the Earth; a state X is [x y
 clock shift as a length. The Earth is a sphere.
 """
 
+from itertools import accumulate, islice, repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -179,11 +180,22 @@ def position_steps(satellites, ranges, start, steps):
     >>> [f"{gap:.0e}" if gap > 1e-6 else "below 1e-06" for gap in np.linalg.norm(path - X, axis=1)[:4]]
     ['3e+05', '2e+03', '5e-02', 'below 1e-06']
     """
+    steps = checks.count("steps", steps, least=0)
+    return np.array(list(islice(iterates(satellites, ranges, start), steps + 1)))
+
+
+def iterates(satellites, ranges, start):
+    """Return an iterator over the iterates of the rough position (2007 Eq. 7), without end; the first is the start.
+
+    Raises ValueError or TypeError as `position_steps` does; DegenerateGeometryError comes with the step that meets it.
+
+    >>> X = np.array([*place(56.95, 24.1), 5e3])
+    >>> satellites = sky(X[:3], t=0.0)
+    >>> len(next(iterates(satellites, pseudoranges(satellites, X), X)))
+    4
+    """
     satellites, ranges, start = _checked(satellites, ranges, start)
-    path = [start]
-    for _ in range(checks.count("steps", steps, least=0)):
-        path.append(_corrected(satellites, ranges, path[-1]))
-    return np.array(path)
+    return accumulate(repeat(ranges), lambda X, ranges: _corrected(satellites, ranges, X), initial=start)
 
 
 def position(satellites, ranges, start):

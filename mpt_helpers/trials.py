@@ -4,7 +4,9 @@ Each function that ends in (rng, M) is an experiment for `study`, once the argum
 are in metres, velocities in m/s, and M is the number of runs.
 """
 
+from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -59,13 +61,9 @@ def rough_errors(start_error, sigma, steps, channels, rng, M):
         ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal(len(satellites))
         dop = positioning.dilution(satellites, X)
         result[:2, run_] = np.linalg.norm(dop), np.linalg.norm(dop[:3])
-        here = X + start_error
-        try:
-            for step in range(steps + 1):
+        with suppress(positioning.DegenerateGeometryError):
+            for step, here in enumerate(islice(positioning.iterates(satellites, ranges, X + start_error), steps + 1)):
                 result[step + 2, run_] = np.linalg.norm((here - X)[:3])
-                here = positioning.corrected(satellites, ranges, here)
-        except positioning.DegenerateGeometryError:
-            continue
     return result
 
 

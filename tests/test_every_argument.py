@@ -516,6 +516,14 @@ TABLE = [
         )
     ),
     (
+        positioning.iterates,  # a geometry is met by its steps only
+        {
+            "satellites": (SKY, PLACES + values(SKY[:3])),
+            "ranges": (RANGES, array(RANGES, RANGES[1:], RANGES[None])),
+            "start": (STATE, FOUR + values(AT_SKY)),
+        },
+    ),
+    (
         positioning.dilution,
         {"satellites": (SKY, PLACES + values(SKY[:3], np.tile(SKY[:2], (4, 1)))), "X": (STATE, FOUR + values(AT_SKY))},
     ),
