@@ -208,9 +208,10 @@ def covariance(name, value, size, definite=False, rounding=ROUNDING):
     """
     need = f"a symmetric positive {'definite' if definite else 'semidefinite'} {size}×{size} matrix"
     result = array(name, value, (size, size))
-    if (np.diag(result) < 0).any():
-        refuse(name, need, f"a variance of {np.diag(result).min():.6g}")
-    scale = np.sqrt(np.diag(result))
+    variance = np.diag(result)
+    if variance.min() < -(rounding**2) * variance.max() or variance.max() < 0:  # rounding is that of a sigma
+        refuse(name, need, f"a variance of {variance.min():.6g}")
+    scale = np.sqrt(np.maximum(variance, 0))
     scale = np.where(scale > 0, scale, 1)
     with np.errstate(over="ignore"):
         scaled = result / scale[:, None] / scale

@@ -210,7 +210,7 @@ def square_root(C):
            [0., 0.]])
     """
     C = checks.covariance("C", C, len(checks.matrix("C", C, "a square matrix")), rounding=checks.COMPUTED)
-    scale = np.sqrt(np.diag(C))
+    scale = np.sqrt(np.maximum(np.diag(C), 0))
     unit = np.where(scale > 0, scale, 1)
     w, V = np.linalg.eigh(C / unit[:, None] / unit)
     w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # what is smaller is the rounding of a zero
