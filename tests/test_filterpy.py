@@ -98,7 +98,7 @@ def update_is_in_joseph_form():
 def asks_for_no_python():
     from importlib.metadata import metadata
 
-    return metadata("filterpy")["Requires-Python"] is None
+    return metadata("filterpy").get("Requires-Python") is None
 
 
 # What upstream has mended when the canary fails, and what can go then.
