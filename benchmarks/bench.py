@@ -229,7 +229,8 @@ def growth():
     """Return the nanoseconds per track and step as tracks and steps grow, and the largest rise from one to the next."""
     rng, kf = np.random.default_rng(0), mpt.KalmanFilter(AXIS)
     sizes = {"tracks": [(N, tracks) for tracks in (100, 1000, 10_000, 100_000)]}
-    sizes["steps"] = [(steps, 100) for steps in (100, 1000, 10_000, 100_000)]
+    for tracks in (1, 100, 1000):
+        sizes[f"steps of {tracks}"] = [(steps, tracks) for steps in (100, 1000, 10_000, 100_000)]
     result = []
     for kind, pairs in sizes.items():
         data = {pair: rng.standard_normal((pair[0], 1, pair[1])) for pair in pairs}

@@ -265,7 +265,7 @@ def simulate(model, N, rng, tracks=None):
     M = 1 if tracks is None else checks.count("tracks", tracks)
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
     x = _states(model, rng.standard_normal((N, model.n, M)), x0)
-    z = square_root(model.R) @ rng.standard_normal((N, model.m, M))
+    z = np.einsum("ij,kjM->kiM", square_root(model.R), rng.standard_normal((N, model.m, M)))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)
 
