@@ -699,7 +699,7 @@ def public():
             yield each
             if inspect.isclass(each):
                 methods = [member for name, member in inspect.getmembers(each, inspect.isroutine) if name[0] != "_"]
-                functions = [getattr(member, "__func__", member) for member in methods]
+                functions = [getattr(member, "__func__", member) for member in methods if callable(member)]
                 yield from (function for function in functions if PACKAGE.name in getattr(function, "__module__", ""))
 
 
