@@ -10,12 +10,12 @@ reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
 	$(PY) -m mpt_helpers readme
 
-# A part of it: .venv/bin/python -m pytest tests/test_filters.py -k lainiotis
 test: $(VENV)/.ok
+	@echo "all of the tests; a part of them: $(PY) -m pytest tests/test_filters.py -k lainiotis"
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m pytest -n auto --dist loadfile
-	$(PY) -m pytest -n auto --dist loadscope --nbval --nbval-current-env --nbval-cell-timeout=600 notebooks
+	$(PY) -m pytest -n auto --dist loadscope --nbval notebooks
 
 site: $(VENV)/.site
 	$(PY) docs/pages.py

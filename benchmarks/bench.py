@@ -163,12 +163,17 @@ def fewer_tracks(z):
 
 def missed_epochs(z):
     """Rows for missed epochs: the same for all tracks, and two patterns in a random order of tracks."""
-    shared, apart, kf = z.copy(), z.copy(), mpt.KalmanFilter(AXIS)
-    shared[50::100] = np.nan
-    apart[500, :, np.random.default_rng(0).random(M) < 0.5] = np.nan
-    names = "Kalman", "ten missed epochs, shared", "two patterns of missed epochs"
-    samples = measure({name: partial(kf.filter, each) for name, each in zip(names, (z, shared, apart), strict=True)})
-    return [row(samples, name, "Kalman", goal) | {"tracks": M} for name, goal in zip(names[1:], (1.1, 2), strict=True)]
+    kf, some = mpt.KalmanFilter(AXIS), np.random.default_rng(0).random(M) < 0.5
+    gaps = {
+        "ten missed epochs, shared": (slice(50, None, 100), 1.1),
+        "two patterns of missed epochs, unlike from the middle on": ((500, slice(None), some), 2),
+        "two patterns of missed epochs, unlike from the start on": ((0, slice(None), some), 2),
+    }
+    data = {"Kalman": z} | {name: z.copy() for name in gaps}
+    for name, (gap, _) in gaps.items():
+        data[name][gap] = np.nan
+    samples = measure({name: partial(kf.filter, each) for name, each in data.items()}, title="missed epochs")
+    return [row(samples, name, "Kalman", goal) | {"tracks": M} for name, (_, goal) in gaps.items()]
 
 
 def squares(kf, steps, rng, runs):

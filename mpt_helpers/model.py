@@ -210,6 +210,10 @@ def square_root(C):
            [0., 0.]])
     """
     C = checks.covariance("C", C, len(checks.matrix("C", C, "a square matrix")), rounding=checks.COMPUTED)
+    return _root(C)
+
+
+def _root(C):
     scale = np.sqrt(np.maximum(np.diag(C), 0))
     unit = np.where(scale > 0, scale, 1)
     w, V = np.linalg.eigh(C / unit[:, None] / unit)
@@ -263,9 +267,9 @@ def simulate(model, N, rng, tracks=None):
     N = checks.count("N", N)
     checks.instance("rng", rng, np.random.Generator)
     M = 1 if tracks is None else checks.count("tracks", tracks)
-    x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
+    x0 = model.x0[:, None] + _root(model.P0) @ rng.standard_normal((model.n, M))
     x = _states(model, rng.standard_normal((N, model.n, M)), x0)
-    z = np.einsum("ij,kjM->kiM", square_root(model.R), rng.standard_normal((N, model.m, M)))
+    z = np.einsum("ij,kjM->kiM", _root(model.R), rng.standard_normal((N, model.m, M)))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)
 
@@ -273,5 +277,5 @@ def simulate(model, N, rng, tracks=None):
 def _states(model, noise, x0):
     """Return x(k+1) = F x(k) + G noise(k+1), G Gᵀ = Q: the recursion that filters run, with other coefficients."""
     N, n, M = noise.shape
-    F, G, none = model.F[None], square_root(model.Q)[None], np.zeros(N, int)
+    F, G, none = model.F[None], _root(model.Q)[None], np.zeros(N, int)
     return advance(lift(System(F, G, none), steps_at_once(n, M), n), noise, none.astype(bool), x0, n)

@@ -7,6 +7,7 @@ No A_k, B_k depends on the measurements, so several steps in a row are one matri
 and W is the same for all tracks, and for all blocks of steps with the same coefficients.
 """
 
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from . import checks
 
 TILE = 16_384  # tracks at a time: a block of them stays in the cache, so that a track costs the same however many
-CHUNK = 500  # tracks at a time when missed epochs are looked for: the masks stay small
+CHUNK = 500_000  # so many measurements, or eight rows, are looked at together for missed epochs: the masks stay small
 
 
 class System(NamedTuple):
@@ -68,12 +69,12 @@ def _need(m):
 
 
 def _missed(z, first=0):
-    """Return which rows are all NaN; raise for one that is partly NaN, `first` being the number of the first track."""
+    """Return which rows are all NaN; raise for one that is partly NaN, `first` being the number of the first row."""
     lost = np.isnan(z)
     missed = lost[:, 0] if z.shape[1] == 1 else lost.all(axis=1)
     if z.shape[1] > 1 and len(partly := np.argwhere(lost.any(axis=1) & ~missed)):
         row, *track = partly[0]
-        place = f"row {row}" + "".join(f" of track {first + t}" for t in track)
+        place = f"row {first + row}" + "".join(f" of track {t}" for t in track if z.shape[2:] != (1,))
         checks.refuse("z", "rows that are all numbers or all NaN (a missed epoch)", f"{place} partly NaN")
     return missed
 
@@ -110,24 +111,31 @@ def run(blocks, z, start, n):
         alike &= np.isnan(z[k]).all(axis=0)
     others = np.flatnonzero(~alike)
     if len(others):
-        for pattern, which in _patterns(z, others, one):
+        for missed, which in _patterns(z, others):
+            same = np.argmax(np.append(missed != pattern, True)) if len(start) == n else 0  # steps that are right
             for tracks in np.array_split(others[which], -(-which.sum() // TILE)):
                 with np.errstate(invalid="ignore"):  # of estimates that overflow
-                    _fill(x, tracks, blocks(pattern, steps_at_once(n, len(tracks))), z, pattern, start)
+                    _fill(x, tracks, blocks(missed, steps_at_once(n, len(tracks))), z, missed, start, same)
         if not np.isfinite(x[-1]).all():
             _require_finite(z)
     return x[..., 0] if one else x
 
 
-def _patterns(z, tracks, one):
+def _patterns(z, tracks):
     """Give each pattern of missed epochs (N,) of these tracks and the boolean of those that have it."""
     N, _, M = z.shape
-    missed = [_missed(z[..., 0])[:, None]] if one else (_missed(z[..., i : i + CHUNK], i) for i in range(0, M, CHUNK))
-    packed = np.concatenate([np.packbits(np.ascontiguousarray(each.T), axis=1) for each in missed])[tracks]
-    strings = packed.view(f"V{packed.shape[1]}")  # a short string of bytes for each track sorts fast
+    rows = 8 * -(-CHUNK // (8 * M))
+    packed = np.concatenate([_eight_to_a_byte(_missed(z[k : k + rows], k)) for k in range(0, N, rows)])[:, tracks]
+    strings = np.ascontiguousarray(packed.T).view(f"V{len(packed)}")  # of bytes, one for each track: it sorts fast
     _, first, pattern_of = np.unique(strings, return_index=True, return_inverse=True)
     for i, track in enumerate(first):
-        yield np.unpackbits(packed[track], count=N).astype(bool), pattern_of.ravel() == i
+        yield np.unpackbits(packed[:, track], count=N).astype(bool), pattern_of.ravel() == i
+
+
+def _eight_to_a_byte(missed):
+    """Return what np.packbits does along the first axis, where it is slow."""
+    padded = np.pad(missed, ((0, -len(missed) % 8), (0, 0))).view(np.uint8)
+    return np.einsum("i,kij->kj", 1 << np.arange(7, -1, -1, dtype=np.uint8), padded.reshape(-1, 8, missed.shape[1]))
 
 
 def steps_at_once(n, M):
@@ -190,16 +198,18 @@ def advance(blocks, z, missed, start, n):
     return x
 
 
-def _fill(x, tracks, blocks, z, missed, start):
-    """Write the estimates of some tracks, a slice or their numbers, to x."""
+def _fill(x, tracks, blocks, z, missed, start, same=0):
+    """Write the estimates of some tracks, a slice or their numbers, to x, where so many steps are the same already."""
     (N, m, M), n, p = z.shape, x.shape[1], len(start)
     L = (blocks.W.shape[2] - p) // m
     gaps = np.logical_or.reduceat(missed, np.arange(0, N, L)).tolist()
-    start = np.broadcast_to(start, (p, M))[:, tracks]
+    begin = same // L
+    start = np.broadcast_to(x[begin * L - 1] if begin else start, (p, M))[:, tracks]
     inputs = np.concatenate([start, np.zeros((L * m, start.shape[1]))])
     state, ahead = inputs[:n], inputs[p:].reshape(L, m, -1)
     flat, together = x.reshape(N * n, M), isinstance(tracks, slice)
-    for k, i, gap in zip(range(0, N, L), blocks.of, gaps, strict=True):
+    steps = zip(range(0, N, L), blocks.of, gaps, strict=True)
+    for k, i, gap in islice(steps, begin, None):
         rows, out = z[k : k + L], slice(k * n, (k + L) * n)
         rows = rows[..., tracks] if together else rows.take(tracks, axis=2)  # faster than by index
         ahead[: len(rows)] = rows

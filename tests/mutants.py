@@ -14,6 +14,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from mpt_helpers.files import write_whole
+from mpt_helpers.tables import Table
 
 ROOT = Path(__file__).parent.parent
 LEAST = 0.95  # of the mutants must be caught
@@ -21,7 +22,7 @@ LEAST = 0.95  # of the mutants must be caught
 SLOW = ("tests/test_notebooks.py", "tests/test_reproduce.py")
 STAGES = (
     ["-m", "pytest", "-x", *(f"--ignore={path}" for path in (*SLOW, "tests/test_mutants.py"))],  # it reads the source
-    ["-m", "pytest", "-x", "--nbval", "--nbval-current-env", "--nbval-cell-timeout=600", "notebooks"],
+    ["-m", "pytest", "-x", "--nbval", "notebooks"],
     ["-m", "pytest", "-x", *SLOW],
 )
 
@@ -70,10 +71,10 @@ def caught_by(mutant):
 def table(caught):
     """Return the table of README.md."""
     rows = [
-        f"| {i} | {mutant.what} | `{mutant.file}` | {f'`{test}`' if test else '**no test**'} |"
+        (i, mutant.what, f"`{mutant.file}`", f"`{test}`" if test else "**no test**")
         for i, (mutant, test) in enumerate(caught, 1)
     ]
-    return "\n".join(["| | what is broken | where | seen first by |", "|---|---|---|---|", *rows])
+    return Table(("", "what is broken", "where", "seen first by"), rows).markdown()
 
 
 def main():

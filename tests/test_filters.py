@@ -18,6 +18,10 @@ FILTERS = [mpt.KalmanFilter, mpt.LainiotisFilter]
 SOLVED = [mpt.SteadyStateFilter.from_kalman, mpt.SteadyStateFilter.from_lainiotis]
 
 
+def joint(model):
+    return mpt.JoinFilter(mpt.KalmanFilter(model), mpt.LainiotisFilter(model))
+
+
 def missing(z, *rows):
     z = z.copy()
     z[list(rows)] = np.nan
@@ -174,7 +178,7 @@ def test_fir_treats_missed_epochs_like_the_steady_state_filter(model, z):
         *FILTERS,
         *SOLVED,
         lambda model: mpt.FIRFilter.from_steady_state(mpt.SteadyStateFilter.from_kalman(model)),
-        lambda model: mpt.JoinFilter(mpt.KalmanFilter(model), mpt.LainiotisFilter(model)),
+        joint,
         lambda model: mpt.Separate(mpt.KalmanFilter(model)),
     ],
     ids=["KF", "LF", "SSKF", "SSLF", "FIR", "join", "separate"],
@@ -234,12 +238,21 @@ def test_nothing_that_is_passed_in_is_changed(model, z):
 
 
 @pytest.mark.parametrize("late", [7, 8, 30, 39])
-def test_tracks_that_differ_in_one_missed_epoch_are_told_apart(late):
+@pytest.mark.parametrize("make", [*FILTERS, *SOLVED, joint])
+def test_tracks_that_differ_in_one_missed_epoch_are_told_apart(make, late):
     _, z = mpt.simulate(AXIS, 40, np.random.default_rng(1), tracks=3)
     z[late, :, 1] = np.nan
-    many = mpt.KalmanFilter(AXIS).filter(z)
+    many = make(AXIS).filter(z)
     for i in range(3):
-        np.testing.assert_allclose(many[..., i], mpt.KalmanFilter(AXIS).filter(z[..., i]), **SAME)
+        np.testing.assert_allclose(many[..., i], make(AXIS).filter(z[..., i]), **SAME)
+
+
+def test_a_row_that_is_partly_missed_is_named_wherever_it_stands(monkeypatch):
+    monkeypatch.setattr(recursion, "CHUNK", 1)  # rows are looked at eight at a time
+    z = np.zeros((40, 2, 3))
+    z[21, 1, 2] = np.nan
+    with pytest.raises(ValueError, match="row 21 of track 2 partly NaN"):
+        mpt.KalmanFilter(mpt.stack(AXIS, AXIS)).filter(z)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +280,7 @@ def test_missed_epochs_that_all_tracks_share_take_no_pass_of_their_own(monkeypat
     assert len(passes) == 1
 
 
-@pytest.mark.parametrize("make", [*FILTERS, *SOLVED, lambda model: mpt.JoinFilter(*(make(model) for make in FILTERS))])
+@pytest.mark.parametrize("make", [*FILTERS, *SOLVED, joint])
 def test_no_memory_is_taken_beside_the_estimates(make):
     z = np.random.default_rng(0).standard_normal((500, 1, 2000))
     each = make(AXIS)
