@@ -6,6 +6,8 @@ import sys
 import pytest
 from conftest import ROOT
 
+import mpt_helpers as mpt
+
 BENCHMARKS = ROOT / "benchmarks"
 RESULTS = json.loads((BENCHMARKS / "results.json").read_text())
 
@@ -47,3 +49,18 @@ def test_the_notebooks_show_the_stored_speedups():
         for values in pairs.values():
             for value in values.values():
                 assert f"{value:.3g}" in shown
+
+
+def test_what_the_notebooks_say_of_the_clock_holds():
+    """The words of their captions: another machine may need others."""
+    for key, pairs in RESULTS["speedups"].items():
+        items = mpt.published(key).items
+        for pair, clock in pairs.items():
+            counted = float(items[f"speedup.{pair}"].printed)
+            assert counted / 2 < clock["own"] < counted * 2
+            if pair.startswith("kf-lf"):
+                assert clock["one"] < 1
+                assert clock["shared"] == pytest.approx(1, abs=0.05)  # rounds differ by so much
+            else:
+                assert clock["one"] < counted / 2
+                assert clock["shared"] < 1
