@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import filterpy.kalman
 import numpy as np
+from scipy.linalg import block_diag
 
 from . import checks, riccati
 from .model import LinearModel, predicted_covariance, square_root, stack
@@ -74,6 +75,11 @@ class _Recursive(_Linear):
 
     def __post_init__(self):
         checks.instance("model", self.model, LinearModel)
+
+    @property
+    def P_0(self):
+        """P(0/0), the covariance that the recursion starts from: P0 of the model."""
+        return self.model.P0
 
     def coefficients(self, N):
         """Return the coefficients A, B and the covariance P of steps 1 to N, with no epoch missed."""
@@ -188,6 +194,11 @@ class _Constant(_Recursive):
         object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
         object.__setattr__(self, "P", checks.covariance("P", self.P, n, rounding=checks.COMPUTED))
 
+    @property
+    def P_0(self):
+        """P(0/0), which is that of the steady state."""
+        return self.P
+
     def _steps(self, missed):
         both = np.array([self.A, self.model.F]), np.array([self.B, np.zeros_like(self.B)]), np.array([self.P, self.P])
         return Coefficients(*both), missed.astype(int)
@@ -297,6 +308,11 @@ class JoinFilter(_Linear):
         """The model of both filters."""
         return self.first.model
 
+    @property
+    def P_0(self):
+        """The mean of both P(0/0)."""
+        return (self.first.P_0 + self.second.P_0) / 2
+
     def covariances(self, N):
         """Return the mean of both covariances, (N, n, n)."""
         for name in ("first", "second"):
@@ -347,6 +363,11 @@ class Separate(_Linear):
     def model(self):
         """The stacked model: model A."""
         return stack(*(each.model for each in self.filters))
+
+    @property
+    def P_0(self):
+        """The block diagonal P(0/0)."""
+        return block_diag(*(each.P_0 for each in self.filters))
 
     def covariances(self, N):
         """Return the block diagonal covariances, (N, n, n)."""

@@ -103,8 +103,8 @@ class Innovations(NamedTuple):
 def innovations(each, z):
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N, of a filter over measurements z.
 
-    `each` is a filter with a model and covariances, z is (N, m) or (N, m, M). P(0/0) is the model's P0, and P for a
-    steady-state filter. Raises ValueError or TypeError for measurements of another shape or with missed epochs, and for
+    `each` is a filter with a model and covariances, z is (N, m) or (N, m, M). P(0/0) is the model's P0, and that of the
+    steady state for steady-state filters. Raises ValueError or TypeError for measurements of another shape or with missed epochs, and for
     a filter without covariances or a predictor.
 
     >>> from mpt_helpers.model import constant_velocity
@@ -120,10 +120,9 @@ def innovations(each, z):
     if missed.any():
         checks.refuse("z", "no missed epochs", "rows of NaN")
     x, P = each.filter(z), each.covariances(len(z))
-    P_0 = each.P if isinstance(each, SteadyStateFilter) else model.P0
     x_0 = model.x0 if x.ndim == 2 else model.x0[:, None]
     x_before = np.concatenate([np.broadcast_to(x_0, x[:1].shape), x[:-1]])
-    P_before = np.concatenate([P_0[None], P[:-1]])
+    P_before = np.concatenate([each.P_0[None], P[:-1]])
     expected = np.tensordot(model.H @ model.F, x_before, (1, 1)).swapaxes(0, 1)
     return Innovations(z - expected, model.H @ predicted_covariance(model, P_before, 1) @ model.H.T + model.R)
 

@@ -168,7 +168,7 @@ def _modes(model):
 def _margin(pencil):
     """Return how far a matrix is from losing rank, relative to its size."""
     singular = np.linalg.svd(pencil, compute_uv=False)
-    return singular[-1] / singular[0]
+    return singular[-1] / singular[0] if singular[0] else 0.0
 
 
 def _scaled(matrix, F):

@@ -62,5 +62,5 @@ def test_what_the_notebooks_say_of_the_clock_holds():
                 assert clock["one"] < 1
                 assert clock["shared"] == pytest.approx(1, abs=0.05)  # rounds differ by so much
             else:
-                assert clock["one"] < counted / 2
-                assert clock["shared"] < 1
+                assert clock["one"] < counted / 5
+                assert clock["shared"] < 1 / 2

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from conftest import AXIS, MODELS_2016, dense_model
+from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
 from mpt_helpers.metrics import (
@@ -111,3 +112,14 @@ def test_the_expected_absolute_value_is_that_of_drawn_numbers():
     mean, variance = np.array([0.0, 0.5, -2.0, 10.0]), np.array([1.0, 4.0, 1.0, 0.0])
     drawn = np.abs(mean + np.sqrt(variance) * rng.standard_normal((200_000, 4)))
     np.testing.assert_allclose(expected_absolute(mean, variance), drawn.mean(axis=0), atol=5 * 2 / np.sqrt(200_000))
+
+
+def test_innovations_of_steady_filters_joined_or_side_by_side_are_those_of_the_steady_filter():
+    model = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
+    steady = mpt.SteadyStateFilter.from_kalman(model)
+    z = mpt.simulate(model, 20, np.random.default_rng(1))[1]
+    for each in (mpt.JoinFilter(steady, steady), mpt.Separate(steady)):
+        np.testing.assert_allclose(nis(each, z), nis(steady, z), rtol=1e-12)  # some ten products
+        np.testing.assert_allclose(innovations(each, z).S[0], innovations(each, z).S[-1], rtol=1e-12)
+    both = mpt.Separate(steady, mpt.KalmanFilter(model))
+    np.testing.assert_array_equal(both.P_0, block_diag(steady.P, model.P0))

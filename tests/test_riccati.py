@@ -56,8 +56,19 @@ def test_relf_does_not_go_through_rekf(monkeypatch):
         ({"F": [[0, -2], [2, 0]], "H": [[1, 0]], "Q": np.zeros((2, 2))}, r"not stabilizable at the mode 0[+-]2j"),
         ({"F": [[1, 1], [0, 1]], "H": [[0, 1]], "Q": np.eye(2)}, "not detectable at the mode 1 of F"),
         ({"F": [[1, 1], [0, 1]], "H": [[1, 0]], "Q": np.diag([1.0, 0.0])}, "not stabilizable at the mode 1 of F"),
+        ({"F": [[1]], "H": [[1]], "Q": [[0]]}, "not stabilizable at the mode 1 of F"),
+        ({"F": [[1.5]], "H": [[1]], "Q": [[0]]}, "not stabilizable at the mode 1.5 of F"),
+        ({"F": [[1.5]], "H": [[0]], "Q": [[1]]}, "not detectable at the mode 1.5 of F"),
     ],
-    ids=["unseen", "unseen-minus-one", "undriven", "undriven-pair", "unseen-position", "undriven-velocity"],
+    ids=[
+        "unseen",
+        "unseen-minus-one",
+        "undriven",
+        "undriven-pair",
+        "unseen-position",
+        "undriven-velocity",
+        *("no noise", "growth without noise", "no sight"),
+    ],
 )
 def test_no_steady_state_says_which_condition_fails_and_where(solve, model, message):
     with pytest.raises(ValueError, match=message):
