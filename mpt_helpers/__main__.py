@@ -19,7 +19,7 @@ NOTEBOOKS, FIGURES = Path("notebooks"), Path("figures")
 README = Path("README.md")
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
 MEASURED = Path("benchmarks") / "results.json"  # what notebooks read of the clock, so that none of them looks at it
-CELL_TIMEOUT = 600  # seconds; the slowest cell takes a few
+CELL_TIMEOUT = 600  # seconds; the slowest cell takes some ten
 
 
 class CommandError(Exception):
@@ -27,7 +27,7 @@ class CommandError(Exception):
 
 
 def reproduce(keys):
-    """Execute notebooks in place and write their figures; nothing is touched when a cell fails.
+    """Execute notebooks in place, one after the other, and write their figures; nothing of one that fails is touched.
 
     Raises CommandError for an unknown key, for a folder that cannot be written to and for a notebook that fails, naming
     the notebook, the cell and the error.

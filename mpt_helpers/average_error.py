@@ -44,7 +44,7 @@ def expected_relative_errors(steady, truth, L, steps):
 
     truth is an `exact_motion`. The error at each k is Gaussian, with the moments of `metrics.error_moments`, so that
     this is a closed form; its mean over k is the expectation of `mean_relative_errors`. Raises as that does, and for
-    a motion with noise.
+    a motion with noise or a random start.
 
     >>> from mpt_helpers.model import constant_velocity, exact_motion
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -53,8 +53,8 @@ def expected_relative_errors(steady, truth, L, steps):
     array([0.0112, 0.0142])
     """
     require_same(steady, truth)
-    if truth.Q.any():
-        checks.refuse("truth", "an exact_motion", "a model with process noise")
+    if truth.Q.any() or truth.P0.any():
+        checks.refuse("truth", "an exact_motion", "a model with process noise or a random start")
     s = _track(steady, truth, L, steps)
     mean, P = error_moments(steady, truth, L)
     result = np.empty((steps + 1, L))

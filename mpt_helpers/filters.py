@@ -20,6 +20,9 @@ from . import checks, riccati
 from .model import LinearModel, predicted_covariance, square_root, stack
 from .recursion import System, lift, measurements, run, shaped, tiles
 
+# What F⁻ᴺ may cost A_N, at unit variances: runs of several steps in one product lose up to some thousand times as much.
+INVERSE_LOSES = 1e-9
+
 
 class Coefficients(NamedTuple):
     """A (N, n, n), B (N, n, m) and the error covariance P (N, n, n) of steps 1 to N."""
@@ -172,7 +175,7 @@ class LainiotisFilter(_Recursive):
         def step(P, lost):
             if lost:
                 return F, np.zeros_like(Kn), F @ P @ F.T + Q
-            A = riccati.lainiotis_gain(P, Fn, On)
+            A = riccati._gain(P, Fn, On)  # P may be infinite: that of a track which misses very much
             following = Pn + A @ P @ Fn.T
             return A, Kn + A @ P @ Km, (following + following.T) / 2
 
@@ -250,7 +253,7 @@ class SteadyStatePredictor(_Constant):
     covariance of the prediction's error: P(k+N/k) = F P(k+N-1/k) Fᵀ + Q, from the P of the filter.
 
     Raises TypeError or ValueError for anything but a steady-state filter and a whole number that is not negative, and
-    ValueError for a model whose F has no inverse.
+    ValueError for a model whose F has no inverse and for so many steps that F⁻ᴺ leaves fewer than six digits.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -266,9 +269,16 @@ class SteadyStatePredictor(_Constant):
         unit = np.where(sigma > 0, sigma, 1)  # in these units the entries of F can be compared
         if np.linalg.matrix_rank(model.F * unit / unit[:, None]) < model.n:
             checks.refuse("steady", "a model whose F has an inverse", "a singular F")
-        F_N = np.linalg.matrix_power(model.F, steps)
-        P = predicted_covariance(model, steady.P, steps)
-        A_N = np.linalg.solve(F_N.T, (F_N @ steady.A).T).T
+        with np.errstate(over="ignore", invalid="ignore"):  # of too many steps
+            F_N = np.linalg.matrix_power(model.F, steps)
+            P = predicted_covariance(model, steady.P, steps)
+        try:
+            A_N = np.linalg.solve(F_N.T, (F_N @ steady.A).T).T
+            lost = (np.linalg.solve(F_N, A_N @ F_N) - steady.A) * unit / unit[:, None]
+        except np.linalg.LinAlgError:
+            lost = np.inf
+        if not np.abs(lost).max() <= INVERSE_LOSES:
+            checks.refuse("steps", "so few that the inverse of F to that power keeps six digits", steps)
         super().__init__(replace(model, x0=F_N @ model.x0), A=A_N, B=F_N @ steady.B, P=(P + P.T) / 2)
         object.__setattr__(self, "steps", steps)
 
@@ -394,10 +404,9 @@ class Separate(_Linear):
 
 def _together(systems):
     """Return the A's and the B's of several systems for each combination of their steps, and which each epoch takes."""
-    code = np.zeros(len(systems[0].of), int)
-    for each in systems:
-        code = code * len(each.A) + each.of
-    _, first, of = np.unique(code, return_index=True, return_inverse=True)
+    of = np.zeros(len(systems[0].of), int)
+    for each in systems:  # numbered anew each time: the product of all their steps may be more than an integer holds
+        _, first, of = np.unique(of * len(each.A) + each.of, return_index=True, return_inverse=True)
     return zip(*((each.A[each.of[first]], each.B[each.of[first]]) for each in systems), strict=True), of
 
 
@@ -413,8 +422,8 @@ def _diagonal(blocks):
 def fir_order(A, tol, norm=2):
     """Return the FIR order M: ‖Aᴹ‖ < tol and ‖Aᴹ⁻¹‖ >= tol for the first time (2014 Section 7).
 
-    A is n×n, tol is the paper's ε, norm is what `numpy.linalg.norm` takes: 2 is the spectral norm. Raises ValueError
-    for tol outside (0, 1] (‖A⁰‖ >= tol must hold), an A that does not decay or what is no norm.
+    A is n×n, tol is the paper's ε, norm is 1, 2 (the spectral norm), inf, "fro" or "nuc", as in `numpy.linalg.norm`.
+    Raises ValueError for tol outside (0, 1] (‖A⁰‖ >= tol must hold), an A that does not decay or what is no norm.
 
     >>> fir_order([[0.5]], tol=0.1)
     4

@@ -83,7 +83,7 @@ def nees(errors, P):
     errors = checks.finite("errors", errors, ("N", "n"), ("N", "n", "M"))
     N, n = errors.shape[:2]
     P = checks.finite("P", P, (n, n), (N, n, n))
-    if np.abs(P - P.swapaxes(-1, -2)).max() > checks.COMPUTED * np.abs(P).max():
+    if (np.abs(P - P.swapaxes(-1, -2)) > checks.COMPUTED * np.abs(P).max(axis=(-2, -1), keepdims=True)).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
     try:
         root = np.linalg.cholesky(P)
@@ -104,8 +104,8 @@ def innovations(each, z):
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N, of a filter over measurements z.
 
     `each` is a filter with a model and covariances, z is (N, m) or (N, m, M). P(0/0) is the model's P0, and that of the
-    steady state for steady-state filters. Raises ValueError or TypeError for measurements of another shape or with missed epochs, and for
-    a filter without covariances or a predictor.
+    steady state for steady-state filters. Raises ValueError or TypeError for measurements of another shape or with
+    missed epochs, and for a filter without covariances or a predictor.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -122,7 +122,7 @@ def innovations(each, z):
     x, P = each.filter(z), each.covariances(len(z))
     x_0 = model.x0 if x.ndim == 2 else model.x0[:, None]
     x_before = np.concatenate([np.broadcast_to(x_0, x[:1].shape), x[:-1]])
-    P_before = np.concatenate([each.P_0[None], P[:-1]])
+    P_before = np.concatenate([getattr(each, "P_0", model.P0)[None], P[:-1]])
     expected = np.tensordot(model.H @ model.F, x_before, (1, 1)).swapaxes(0, 1)
     return Innovations(z - expected, model.H @ predicted_covariance(model, P_before, 1) @ model.H.T + model.R)
 

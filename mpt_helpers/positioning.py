@@ -65,7 +65,7 @@ def local_axes(x):
            [1., 0., 0.]])
     """
     x = checks.array("x", x, (3,))
-    if not x[:2].any():
+    if np.hypot(x[0], x[1]) <= 1e-9 * np.abs(x[2]):  # east would be of rounding
         checks.refuse("x", "a place that is not on the axis of the Earth", x)
     up = x / np.linalg.norm(x)
     east = np.array([-up[1], up[0], 0.0]) / np.hypot(up[0], up[1])
@@ -241,7 +241,7 @@ def position_kalman(satellites, ranges, start, P0, Q, R, *, linearisations=1):
     satellites is (m, 3), ranges (N, m); start and P0 are the mean (4,) and covariance (4, 4) before the first epoch, Q
     (4, 4) is added between epochs, R is the variance of a pseudorange (m²). H is linearised at the prediction; more
     linearisations of an epoch are at its estimates so far (the iterated filter). Raises ValueError as `position_steps`
-    does, and for a P0 that is not definite.
+    does, but for no geometry (P0 gives a place to each), and for a P0 that is not definite.
 
     >>> X = np.array([*place(56.95, 24.1), 0.0])
     >>> satellites = sky(X[:3], t=0.0)

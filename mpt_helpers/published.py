@@ -151,7 +151,8 @@ class Paper:
         reproduced: then the paper contradicts itself.
 
         Returns the Verdict. Raises ValueError for an unknown id, an id checked twice, an item that is not a number, a
-        value or band that is not one, a band upside down, and an item of `against` that was not reproduced.
+        band upside down, and an item of `against` that was not reproduced; ValueError or TypeError for a value or band
+        that is not one.
         """
         item = self._item(id, "number")
         value = checks.number("value", value)

@@ -59,6 +59,9 @@ def shaped(z, m):
     """
     need = _need(m)
     z = checks.numbers("z", z, need)
+    if z.dtype.itemsize > np.dtype(float).itemsize:
+        with np.errstate(over="ignore"):  # of what is longer than a double: it is infinite here
+            z = z.astype(float)
     if z.ndim not in (2, 3) or z.shape[1] != m or 0 in z.shape:
         checks.refuse("z", need, f"shape {z.shape}" if z.ndim else "a scalar")
     return z

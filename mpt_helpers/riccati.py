@@ -16,7 +16,7 @@ RING = 1e-4
 # A double eigenvalue on the unit circle is computed to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
 # What the first and the second step of Newton's method may change, at unit variances: more in the first, and what it
-# began from was no solution; more in the second, and fewer than six digits hold.
+# began from was no solution; more in the second, and six digits are not sure.
 NEWTON = 1e-3, 1e-6
 # Doubling 64 times covers more steps than a double can count.
 DOUBLINGS = 64
@@ -141,12 +141,12 @@ def relf(model):
     identity = np.eye(model.n)
     for _ in range(DOUBLINGS):
         W = _gain(Pn, Fn, On)
-        step = W @ Pn @ Fn.T
-        On = On + Fn.T @ On @ np.linalg.solve(identity + Pn @ On, Fn)
-        Pn = (Pn + step + (Pn + step).T) / 2
-        Fn = W @ Fn
-        if np.abs(step).max() <= np.finfo(float).eps * np.abs(Pn).max():
+        following = Pn + W @ Pn @ Fn.T
+        following = (following + following.T) / 2
+        if np.array_equal(following, Pn):  # no entry moves: one of a small variance may settle last
             return Pn
+        On = On + Fn.T @ On @ np.linalg.solve(identity + Pn @ On, Fn)
+        Pn, Fn = following, W @ Fn
     _refuse_unsolved(model)
 
 

@@ -63,7 +63,7 @@ def _tile(experiment, stop, streams):
             part = checks.numbers("experiment", part, NEED)
         if not part.ndim or part.shape[-1] != BLOCK:
             checks.refuse("experiment", NEED, f"shape {part.shape}")
-        parts.append(part)
+        parts.append(np.array(part))  # a copy: an experiment may return the same buffer again
     return _side_by_side(parts) if parts else None
 
 

@@ -242,7 +242,7 @@ def filter_tracker(model):
 def gps_ins_errors(model, velocity, dt, sigmas, bias, rng, M):
     """Return the errors of a GPS/INS filter on the tracks of `gps_ins_track`, (N, 3, M): place, velocity, bias.
 
-    Raises ValueError or TypeError as that does, and for another model.
+    Raises ValueError or TypeError as that does, and for a model of other than 3 states and 2 measurements.
 
     >>> from mpt_helpers.model import gps_ins
     >>> model = gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4))
@@ -297,7 +297,7 @@ def third_row_errors(model, N, rng, M):
 def without_third_row(model):
     """Return a GPS/INS model of three rows without the third.
 
-    Raises TypeError or ValueError for anything else.
+    Raises TypeError or ValueError for anything but a model of 3 states and 3 measurements.
 
     >>> from mpt_helpers.model import gps_ins
     >>> three, two = (gps_ins(dt=1.0, q=0.01, r=r) for r in ((1.0, 1e-4, 1.0), (1.0, 1e-4)))
@@ -313,7 +313,7 @@ def with_last_gps(model):
 
     The state is [x v b n y]: n is the noise of GPS, y what it measured one step before, so that the third measurement
     is y itself. What must have a variance and has none gets a millionth of that of GPS; of the GPS place before the
-    first step nothing is known. Raises TypeError or ValueError for another model.
+    first step nothing is known. Raises TypeError or ValueError for anything but a model of 3 states and 2 measurements.
 
     >>> from mpt_helpers.model import gps_ins
     >>> with_last_gps(gps_ins(dt=1.0, q=0.01, r=(1.0, 1e-4))).H
@@ -348,7 +348,8 @@ def repeated_row_covariances(model, rho, N):
         e(k+1) = (I - K H) (F e(k) + w) - K v
         v_3(k+1) = rho v_1(k) + sqrt(1 - rho²) n - h_3 w,   h_3 = [1 -dt 0]
 
-    Raises ValueError for a rho outside [0, 1], ValueError or TypeError for another model and for no positive count.
+    Raises ValueError for a rho outside [0, 1], ValueError or TypeError for a model of other
+    than 3 states and 3 measurements and for no positive count.
 
     >>> from mpt_helpers.model import gps_ins
     >>> model = gps_ins(dt=1.0, q=0.0, r=(1.0, 1e-4, 1.0))

@@ -144,6 +144,7 @@ CASES = [
     ("satellites: needs a geometry that determines", lambda: positioning.dilution(np.tile(SKY[:2], (4, 1)), START)),
     ("X: needs a vector of length 4", lambda: positioning.dilution(SKY, PLACE)),
     ("x: needs a place that is not on the axis of the Earth", lambda: positioning.local_axes([0.0, 0.0, 1.0])),
+    ("place that is not on the axis", lambda: positioning.local_axes(positioning.place(90.0, 0.0))),
     ("satellites: needs an (m, 3) array, got a scalar", lambda: positioning.elevation(5.0, PLACE)),
     ("satellites: needs an (m, 3) array, got shape (2, 2)", lambda: positioning.elevation(np.ones((2, 2)), PLACE)),
     (
@@ -243,6 +244,7 @@ CASES = [
         "truth: needs an exact_motion, got a model with process noise",
         lambda: AVERAGE.expected_relative_errors(STEADY, AXIS, 3, 1),
     ),
+    ("or a random start", lambda: AVERAGE.expected_relative_errors(STEADY_CV, replace(MOVING, P0=np.eye(2)), 3, 1)),
     ("L: needs an integer of at least 1, got 0", lambda: AVERAGE.expected_relative_errors(STEADY_CV, MOVING, 0, 1)),
     (
         "steps: needs an integer of at least 0, got -1",

@@ -334,3 +334,26 @@ def test_filters_that_ran_can_be_sent_to_another_process(model, z):
     filters["B"] = mpt.Separate(filters["KF"])
     for each in filters.values():
         np.testing.assert_array_equal(pickle.loads(pickle.dumps([each.filter(z), each]))[1].filter(z), each.filter(z))
+
+
+def test_side_by_side_any_number_of_filters_keeps_its_coefficients():
+    kf, steady = mpt.KalmanFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS)
+    x = mpt.Separate(kf, *[steady] * 64).filter(np.ones((20, 65)))
+    np.testing.assert_allclose(x[:, :2], kf.filter(np.ones((20, 1))), **SAME)
+    np.testing.assert_allclose(x[:, 2:4], steady.filter(np.ones((20, 1))), **SAME)
+
+
+@pytest.mark.parametrize("make", FILTERS)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of the covariance that overflows
+def test_a_track_whose_covariance_overflows_leaves_the_others_alone(make):
+    growing = mpt.LinearModel(F=[[2.0]], H=[[1.0]], Q=[[1.0]], R=[[1.0]])
+    z = np.ones((700, 1, 2))
+    z[:600, 0, 1] = np.nan
+    np.testing.assert_allclose(make(growing).filter(z)[..., 0], make(growing).filter(z[..., 0]), **SAME)
+
+
+@pytest.mark.skipif(np.longdouble("1e400") == np.inf, reason="a long double that is no longer than a double")
+@pytest.mark.parametrize("make", FILTERS)
+def test_a_number_beyond_doubles_is_infinite(make):
+    with pytest.raises(ValueError, match=r"z: .* got an infinite value"):
+        make(AXIS).filter(np.array([[1], [np.longdouble("1e400")], [2]]))

@@ -114,6 +114,11 @@ def test_the_expected_absolute_value_is_that_of_drawn_numbers():
     np.testing.assert_allclose(expected_absolute(mean, variance), drawn.mean(axis=0), atol=5 * 2 / np.sqrt(200_000))
 
 
+def test_each_matrix_must_be_symmetric_by_its_own_size():
+    with pytest.raises(ValueError, match=r"P: .* not symmetric"):
+        nees(np.ones((2, 2)), np.array([1e7 * np.eye(2), [[1, 0.9], [-0.9, 1]]]))
+
+
 def test_innovations_of_steady_filters_joined_or_side_by_side_are_those_of_the_steady_filter():
     model = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
     steady = mpt.SteadyStateFilter.from_kalman(model)

@@ -130,3 +130,20 @@ def test_a_truth_of_another_motion_is_refused():
             error_moments(steady_of(cv), truth, 3)
         with pytest.raises(ValueError, match="truth: needs the F and H of the filter's model"):
             error_covariance(steady_of(cv), truth)
+
+
+@pytest.mark.parametrize("steps", [20, 30, 60, 300, 5000])
+def test_so_many_steps_that_the_inverse_keeps_no_digits_are_refused(steps):
+    T = np.array([[1, 0.3], [0.5, 1]])
+    model = mpt.LinearModel(F=T @ np.diag([1, 0.5]) @ np.linalg.inv(T), H=[[1, 0]], Q=0.01 * np.eye(2), R=[[0.1]])
+    steady = steady_of(model)
+    with pytest.raises(ValueError, match=f"steps: needs so few that .* six digits, got {steps}"):
+        mpt.SteadyStatePredictor(steady, steps)
+
+
+@pytest.mark.parametrize(("name", "steps"), [("cv", 100), ("cv", 1000), ("ca", 30), ("ca", 100)])
+def test_many_steps_keep_six_digits(name, steps):
+    model = MODELS_2016[name]
+    _, z = mpt.simulate(model, 60, np.random.default_rng(3))
+    expected = steady_of(model).filter(z) @ np.linalg.matrix_power(model.F, steps).T
+    assert gap(mpt.SteadyStatePredictor(steady_of(model), steps).filter(z), expected) < 1e-6

@@ -75,6 +75,14 @@ def test_no_steady_state_says_which_condition_fails_and_where(solve, model, mess
         solve(mpt.LinearModel(**model, R=[[1.0]]))
 
 
+@pytest.mark.parametrize("q", [1e-4, 1e-10, 1e-16])
+def test_a_state_of_small_variance_settles_too(q):
+    """Beside one of large variance that settles long before."""
+    large, small = (mpt.LinearModel(F=[[1]], H=[[1]], Q=[[each]], R=[[r]]) for each, r in ((1e4, 1e4), (q, 1e8 * q)))
+    both = riccati.relf(mpt.stack(large, small))
+    np.testing.assert_allclose(np.diag(both), [riccati.relf(each)[0, 0] for each in (large, small)], rtol=1e-9)
+
+
 ROTATION = np.array([[0.6, -0.8], [0.8, 0.6]])
 
 

@@ -135,3 +135,14 @@ def test_an_error_in_an_experiment_is_passed_on():
 def test_a_result_without_a_column_for_each_run_is_refused(result):
     with pytest.raises(ValueError, match="experiment: needs a result of M = 200 columns"):
         mpt.study(lambda rng, M: result, 10, 1)
+
+
+@pytest.mark.parametrize("tile", [200, 400, 1000])
+def test_an_experiment_may_return_the_same_buffer_again(tile):
+    buffer = np.empty(BLOCK)
+
+    def drawn(rng, M):
+        buffer[:] = rng.standard_normal(M)
+        return buffer
+
+    assert len(np.unique(mpt.study(drawn, 1000, 1, tile=tile))) == 1000
