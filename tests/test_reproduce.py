@@ -40,7 +40,6 @@ def project(tmp_path, monkeypatch):
     """A project with one small notebook, to work in."""
     (tmp_path / "notebooks").mkdir()
     (tmp_path / "figures").mkdir()
-    shutil.copy(ROOT / "notebooks" / "matplotlibrc", tmp_path / "notebooks")
     write_notebook(tmp_path / "notebooks" / "small.ipynb", MAKES_FIGURE, "1 + 1")
     monkeypatch.chdir(tmp_path)
     return tmp_path

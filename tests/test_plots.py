@@ -1,15 +1,16 @@
 """A figure's description must notice what a reader would, and nothing that only a processor would."""
 
+import re
+from datetime import date
 from itertools import combinations
 
+import matplotlib
 import numpy as np
 import pytest
-from conftest import ROOT
-from matplotlib import rc_params_from_file
 from matplotlib.colors import to_rgb
 
-import mpt_helpers as mpt
-from mpt_helpers.figures import alt_text, coordinate, describe, draw_gaps, finish, panels, visible_gap
+from mpt_helpers import plots
+from mpt_helpers.plots import alt_text, describe, finish, panels, save_figure, visible_gap
 
 
 def line(ax, y):
@@ -28,8 +29,35 @@ def bars(ax, y):
     ax.bar(np.arange(len(y)), y)
 
 
+def one_dot(ax, y):
+    ax.scatter(*y[:2])
+    ax.set(xlim=(0, 200), ylim=(0, 200))
+
+
+def steps(ax, y):
+    ax.step(np.arange(len(y)), y)
+
+
+def stairs(ax, y):
+    ax.stairs(y)
+
+
 def image(ax, y):
     ax.imshow(np.outer(y, y))
+
+
+def heat_map(ax, y):
+    ax.pcolormesh(np.outer(y, y))
+
+
+def contours(ax, y):
+    ax.contourf(np.outer(y, y))
+
+
+def in_space(ax, y):
+    fig = ax.figure
+    ax.remove()
+    fig.add_subplot(projection="3d").plot(y, y**2, y[::-1])
 
 
 def words(change):
@@ -39,7 +67,10 @@ def words(change):
     return describe(fig)
 
 
-@pytest.mark.parametrize("draw", [line, band, scatter, bars, image])
+DRAWN = [line, band, scatter, bars, steps, stairs, image, heat_map, contours, in_space]
+
+
+@pytest.mark.parametrize("draw", DRAWN)
 def test_a_change_of_one_percent_in_any_point_is_described(draw):
     y = np.random.default_rng(0).uniform(1, 100, 20)
     described = set()
@@ -51,6 +82,97 @@ def test_a_change_of_one_percent_in_any_point_is_described(draw):
         draw(ax["a"], moved)
         described.add(describe(fig))
     assert len(described) == len(y) + 1
+
+
+def test_two_scatters_of_one_point_each_have_another_checksum():
+    described = []
+    for y in ([1.0, 2.0], [1.0, 3.0]):
+        fig, ax = panels([["a"]])
+        one_dot(ax["a"], y)
+        described.append(describe(fig))
+    assert described[0] != described[1]
+
+
+def test_two_heat_maps_with_rows_and_columns_exchanged_are_not_the_same():
+    described = []
+    for values in (np.arange(9.0).reshape(3, 3), np.arange(9.0).reshape(3, 3).T):
+        fig, ax = panels([["a"]])
+        ax["a"].imshow(values)
+        described.append(describe(fig))
+    assert described[0] != described[1]
+
+
+def test_steps_are_not_described_as_a_line():
+    assert words(lambda fig, ax: ax.lines[0].set_drawstyle("steps-post")) != words(lambda fig, ax: None)
+
+
+def test_bars_are_described_in_one_line():
+    fig, ax = panels([["a"]])
+    ax["a"].bar(range(30), range(30), label="counts")
+    assert re.findall(r"\n  (\w+ '\w+'): ", describe(fig)) == ["bars 'counts'"]
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda ax: ax.plot([], []),
+        lambda ax: ax.plot([date(2020, 1, day) for day in (1, 2, 3)], [1, 2, 3]),
+        lambda ax: ax.plot([1, 2], ["low", "high"]),
+        lambda ax: ax.bar(["KF", "LF"], [509, 670]),
+        lambda ax: ax.plot([1, np.nan, 3]),
+        lambda ax: ax.pcolormesh(np.ma.masked_equal(np.eye(3), 0)),
+    ],
+)
+def test_empty_lines_dates_texts_and_gaps_are_saved(tmp_path, draw):
+    fig, ax = panels([["a"]])
+    draw(ax["a"])
+    finish(ax["a"], "x", "title")
+    assert "nan" not in save_figure(fig, "a", tmp_path).description
+
+
+def test_the_figure_that_is_saved_is_not_changed(tmp_path):
+    fig, ax = panels([["a"]])
+    y = np.array([1 / 3, 2 / 3])
+    line(ax["a"], y)
+    area = ax["a"].fill_between([0, 1], y)
+    save_figure(fig, "a", tmp_path)
+    np.testing.assert_array_equal(ax["a"].lines[0].get_ydata(), y)
+    assert 2 / 3 in area.get_paths()[0].vertices
+    assert fig.get_layout_engine() is not None
+    ax["a"].plot([5, 6])  # limits still follow the data
+    assert ax["a"].get_ylim()[1] > 6
+
+
+def test_figures_are_found_from_the_root_and_from_the_notebooks_and_nowhere_else(tmp_path, monkeypatch):
+    project, fig = tmp_path / "project", panels([["a"]])[0]
+    for folder in ("notebooks", "figures", "docs"):
+        (project / folder).mkdir(parents=True)
+    for place in (project, project / "notebooks"):
+        monkeypatch.chdir(place)
+        save_figure(fig, f"from_{place.name}")
+    assert len(list((project / "figures").iterdir())) == 4
+    (tmp_path / "figures").mkdir()
+    for place in (tmp_path, project / "docs"):
+        monkeypatch.chdir(place)
+        with pytest.raises(FileNotFoundError, match="needs the project's root or its notebooks/"):
+            save_figure(fig, "elsewhere")
+    with pytest.raises(ValueError, match="name: needs letters, digits and underscores"):
+        save_figure(fig, "../a", tmp_path)
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(project.glob("figures/from_*"))
+
+
+def test_no_text_is_smaller_than_11_points(tmp_path):
+    with matplotlib.rc_context():
+        plots.use_style()
+        fig, ax = panels([["a", "b"]])
+        for name in ax:
+            ax[name].plot([1, 2], label="KF")
+            finish(ax[name], "step k", "gain")
+        plots.label_ends(ax["a"])
+        save_figure(fig, "a", tmp_path)
+    sizes = re.findall(r"scale\(([\d.]+) -", (tmp_path / "a.svg").read_text(encoding="utf-8"))
+    assert len(sizes) > 10
+    assert min(map(float, sizes)) >= 0.11
 
 
 @pytest.mark.parametrize(
@@ -84,7 +206,7 @@ def test_a_gap_that_leaves_the_level_of_rounding_is_described():
     described = []
     for gap in (1e-16, 2e-12, 9e-10):
         fig, ax = panels([["gap"]])
-        draw_gaps(ax["gap"], {"KF - LF": np.full(9, gap)})
+        ax["gap"].semilogy(visible_gap(np.full(9, gap)))
         described.append(describe(fig))
     assert len(set(described)) == 3
 
@@ -92,9 +214,6 @@ def test_a_gap_that_leaves_the_level_of_rounding_is_described():
 def test_gaps_are_clipped_where_rounding_begins():
     np.testing.assert_array_equal(visible_gap([0, 1e-17, 5e-13]), 1e-12)
     np.testing.assert_allclose(visible_gap([3.33333e-11, 0.123456]), [3e-11, 0.123], rtol=1e-14)
-    _, ax = panels([["gap"]])
-    draw_gaps(ax["gap"], {"a": np.array([[1e-3, 2e-3], [1e-16, 0]])})
-    np.testing.assert_allclose(ax["gap"].lines[0].get_ydata(), [2e-3, 1e-12])
 
 
 def test_a_figure_is_the_same_bytes_every_time(tmp_path):
@@ -102,10 +221,10 @@ def test_a_figure_is_the_same_bytes_every_time(tmp_path):
     for name in ("a", "b"):
         fig, ax = panels([["a"]])
         line(ax["a"], np.arange(5.0))
-        saved.append(mpt.save_figure(fig, name, folder=tmp_path))
+        saved.append(save_figure(fig, name, folder=tmp_path))
         assert (tmp_path / f"{name}.png").read_bytes() == saved[-1].png
         svg = (tmp_path / f"{name}.svg").read_bytes()
-        mpt.save_figure(fig, name, folder=tmp_path)
+        save_figure(fig, name, folder=tmp_path)
         assert (tmp_path / f"{name}.svg").read_bytes() == svg
     assert saved[0].png == saved[1].png
     data, metadata = saved[0]._repr_mimebundle_()
@@ -119,7 +238,7 @@ def test_an_svg_does_not_change_with_the_last_digits(tmp_path):
         fig, ax = panels([["a"]])
         line(ax["a"], np.arange(50) / 7 + size * rounding)
         ax["a"].set_ylim(0, 7)
-        mpt.save_figure(fig, "a", folder=tmp_path)
+        save_figure(fig, "a", folder=tmp_path)
         saved.append((tmp_path / "a.svg").read_bytes())
     assert saved[0] == saved[1]
     assert b"dc:date" not in saved[0]
@@ -152,35 +271,13 @@ def lab(linear):
 
 
 def test_the_colours_differ_for_colour_blind_readers_and_the_first_four_in_grey():
-    colours = rc_params_from_file(ROOT / "notebooks" / "matplotlibrc", use_default_template=False)["axes.prop_cycle"]
-    rgb = np.array([to_rgb(each["color"]) for each in colours])
+    rgb = np.array([to_rgb(each) for each in plots.COLOURS])
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     for eyes in SEEN.values():
         seen = [lab(eyes @ each) for each in linear]
         assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) > 12  # some 2 can just be seen
     lightness = sorted(lab(each)[0] for each in linear[:4])
     assert np.diff(lightness).min() > 6
-
-
-def test_a_figure_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
-    (tmp_path / "a.png").write_bytes(b"old")
-    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
-    with pytest.raises(OSError, match="disk full"):
-        mpt.save_figure(panels([["a"]])[0], "a", folder=tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-    assert (tmp_path / "a.png").read_bytes() == b"old"
-
-
-def test_a_coordinate_is_drawn_where_it_was_estimated():
-    t, truth = np.arange(5.0), np.column_stack([np.arange(5.0), np.ones(5), np.full(5, 2.0)])
-    estimates = {"filter": truth[2:] + 0.5, "line": truth[1:, :2] - 0.25}
-    fig = coordinate(t, truth, t, estimates, sigma=np.ones((3, 3)))
-    drawn = {ax.get_title(loc="left"): {line.get_label(): line.get_xydata() for line in ax.lines} for ax in fig.axes}
-    assert list(drawn) == ["position (m)", "position error (m)", "velocity (m/s)", "constant error of the INS (m/s)"]
-    np.testing.assert_array_equal(drawn["position (m)"]["filter"], np.column_stack([t[2:], t[2:] + 0.5]))
-    np.testing.assert_array_equal(drawn["position error (m)"]["line"], np.column_stack([t[1:], np.full(4, -0.25)]))
-    np.testing.assert_array_equal(drawn["velocity (m/s)"]["line"], np.column_stack([t[1:], np.full(4, 0.75)]))
-    assert set(drawn["constant error of the INS (m/s)"]) == {"true", "filter"}
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
@@ -192,10 +289,11 @@ def test_the_last_bits_of_what_is_drawn_are_not_seen(tmp_path, scale):
         y = 1 - 0.5 * np.exp(-x)
         if seed:
             y = y * (1 + 1e-15 * np.random.default_rng(seed).standard_normal(400))
-        fig, ax = panels([["a", "b"]], height=2.5)
+        fig, ax = panels([["a", "b"], ["c", "d"]], height=2.5)
         ax["a"].plot(x, y), ax["a"].fill_between(x, y - 0.1, y + 0.1)
         ax["b"].plot(y, x, "o")
+        ax["c"].pcolormesh(y.reshape(20, 20)), ax["d"].bar(x[:20], y[:20])
         ax["a"].set_yscale(scale), ax["b"].set_xscale(scale)
-        mpt.save_figure(fig, "bits", folder=tmp_path)
+        save_figure(fig, "bits", folder=tmp_path)
         drawn.append([(tmp_path / f"bits.{kind}").read_bytes() for kind in ("png", "svg")])
     assert drawn[0] == drawn[1] == drawn[2]

@@ -1,0 +1,299 @@
+"""Figures: one style, one saved file each, and a description in words and numbers that a test can compare.
+
+nbval skips pictures. `save_figure` therefore shows, beside the PNG, what the figure plots as plain text: nbval compares
+that exactly, and it changes when the data change by one percent. The files are the same bytes on every processor.
+"""
+
+import copy
+import re
+import sys
+import zlib
+from base64 import b64encode
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from cycler import cycler
+from matplotlib.collections import PathCollection
+from matplotlib.container import BarContainer
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import MaxNLocator
+
+# Gaps between two estimates below this are rounding and differ between processors: they are drawn at this value.
+FLOOR = 1e-12
+# Drawn values below this are described with one digit: the rounding of the tracks plotted here reaches some 1e-14.
+QUANTUM = 1e-9
+# Colours: Okabe and Ito, with blue and green darker, so that the first four differ in grey too.
+COLOURS = ["#0060A0", "#D55E00", "#008060", "#CC79A7", "#56B4E9", "#E69F00"]
+# 11 pt in a figure 5.2 inches wide are 11 pixels on a phone that shows it 380 pixels wide.
+SIZES = ["font.size", "axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize"]
+STYLE = dict.fromkeys(SIZES, 11) | {
+    "savefig.dpi": 130,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.6,
+    "axes.prop_cycle": cycler("color", COLOURS),
+}
+
+
+def use_style():
+    """Give all figures made from now on the style of this project."""
+    matplotlib.rcParams.update(STYLE)
+
+
+def panels(layout, height=2.3, width=5.2):
+    """Return a figure and its axes by name.
+
+    layout is a list of rows of names; a name that stands twice spans both places. height is that of a row and width
+    that of the figure, in inches.
+
+    >>> fig, ax = panels([["s_x", "s_y"], ["gap", "gap"]])
+    >>> sorted(ax)
+    ['gap', 's_x', 's_y']
+    """
+    fig = Figure(figsize=(width, height * len(layout)), layout="constrained")
+    return fig, fig.subplot_mosaic(layout)
+
+
+def finish(ax, xlabel, title):
+    """Label the x axis, say above the axes what they show, and name the curves in a legend if they have labels."""
+    ax.set_xlabel(xlabel)
+    ax.set_title(title, loc="left")
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend()
+    if isinstance(ax.xaxis.get_major_locator(), MaxNLocator) and np.ptp(ax.get_xlim()) > 2:
+        ax.xaxis.get_major_locator().set_params(integer=True)
+
+
+def label_ends(ax):
+    """Write the label of each curve at its last point, in its colour: easier to read than a legend."""
+    beside = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "annotation_clip": False}
+    for line in ax.get_legend_handles_labels()[0]:
+        end = [float(f"{value:.6g}") for value in line.get_xydata()[-1]]
+        ax.annotate(line.get_label(), end, color=line.get_color(), **beside)
+
+
+def visible_gap(gap):
+    """Return gaps as they are drawn: clipped at 1e-12, with one digit below 1e-9 and three above.
+
+    A gap is the difference of numbers of order 10, so its digits beyond some 1e-14 are rounding: drawn, they would move
+    a pixel on another processor.
+
+    >>> visible_gap([0.12345, 1.2345e-10, 1e-17])
+    array([1.23e-01, 1.00e-10, 1.00e-12])
+    """
+    gap = np.maximum(gap, FLOOR)
+    unit = 10.0 ** (np.floor(np.log10(gap)) - np.where(gap < QUANTUM, 0, 2))
+    return np.round(gap / unit) * unit
+
+
+@dataclass(frozen=True)
+class SavedFigure:
+    """A figure that was saved: notebooks show the picture and its alt text, tests compare the description."""
+
+    png: bytes
+    description: str
+    alt: str = ""
+
+    def __repr__(self):
+        return self.description
+
+    def _repr_mimebundle_(self, include=None, exclude=None):
+        data = {"image/png": b64encode(self.png).decode(), "text/plain": self.description}
+        return data, {"image/png": {"alt": self.alt}}
+
+
+def save_figure(fig, name, folder=None):
+    """Save a figure as {folder}/{name}.png and .svg, the same bytes on every run, and return it for display.
+
+    The folder is the project's figures/, found from the working directory: the project's root or its notebooks/. Raises
+    ValueError for a name that is not a plain file name, and FileNotFoundError anywhere else without a folder.
+    """
+    if not re.fullmatch(r"\w+", name, re.ASCII):
+        raise ValueError(f"name: needs letters, digits and underscores, got {name!r}")
+    folder = figures_folder() if folder is None else Path(folder)
+    settled = _settled(fig)
+    png, svg = BytesIO(), BytesIO()
+    settled.savefig(png, format="png", metadata={"Software": None})
+    with matplotlib.rc_context({"svg.hashsalt": name}):
+        settled.savefig(svg, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    (folder / f"{name}.png").write_bytes(png.getvalue())
+    (folder / f"{name}.svg").write_bytes(round_svg(svg.getvalue().decode()).encode())
+    return SavedFigure(png.getvalue(), f"{name}.png\n{describe(settled)}", alt_text(settled))
+
+
+def figures_folder():
+    """Return the project's figures/, seen from its root or from its notebooks/; raises FileNotFoundError elsewhere."""
+    here = Path.cwd()
+    root = here.parent if here.name == "notebooks" else here
+    if not ((root / "notebooks").is_dir() and (root / "figures").is_dir()):
+        raise FileNotFoundError(f"{here}: needs the project's root or its notebooks/, with figures/; or give a folder")
+    return root / "figures"
+
+
+def _settled(fig):
+    """Return a copy whose drawn values and places are rounded: last bits differ between processors and move pixels."""
+    fig = copy.deepcopy(fig)
+    if "matplotlib.pyplot" in sys.modules:  # which would show the copy too
+        sys.modules["matplotlib.pyplot"].close(fig)
+    for ax in _axes(fig):
+        scales = ax.get_xscale(), ax.get_yscale()
+        for line in ax.lines:
+            if not hasattr(line, "get_data_3d"):
+                line.set_data(*map(_nine_digits, line.get_xydata().T, scales))
+        for path in (path for each in ax.collections for path in each.get_paths()):
+            path.vertices = np.column_stack(list(map(_nine_digits, path.vertices.T, scales)))
+        for each in (*ax.collections, *ax.images):
+            if each.get_array() is not None and each.get_array().dtype.kind == "f":
+                each.set_array(_nine_digits(each.get_array(), "linear"))
+        for each in ax.patches:
+            if isinstance(each, Rectangle):
+                bounds = (*each.get_xy(), each.get_width(), each.get_height())
+                each.set_bounds([float(f"{value:.9g}") for value in bounds])
+    if fig.get_layout_engine():
+        fig.get_layout_engine().execute(fig)
+    fig.set_layout_engine("none")  # the layout stands: making it takes longer than writing the file
+    for ax in fig.axes:
+        ax.set_position(np.round(ax.get_position().bounds, 6))
+        ax.set(xlim=_nine_digits(ax.get_xlim(), ax.get_xscale()), ylim=_nine_digits(ax.get_ylim(), ax.get_yscale()))
+    return fig
+
+
+def _axes(fig):
+    """Return the axes of a figure, insets included."""
+    return [ax for outer in fig.axes for ax in (outer, *outer.child_axes)]
+
+
+def _nine_digits(values, scale):
+    """Round to nine digits: of each value on a log scale, of the largest otherwise."""
+    values = _plain(values)
+    size = np.abs(values) if scale == "log" else np.nanmax(np.abs(values), initial=0)
+    unit = 10.0 ** (np.floor(np.log10(np.where(size > 0, size, 1))) - 8)
+    return np.round(values / unit) * unit
+
+
+def _plain(values):
+    """Return numbers, those that are masked as NaN."""
+    return np.ma.filled(np.ma.asarray(values, float), np.nan)
+
+
+def round_svg(text):
+    """Round the coordinates in an SVG to a hundredth of a point: their last digits differ between processors.
+
+    >>> round_svg('<path d="M 1.23456 7 L 2.5 -0.000001" stroke-width="0.123456" transform="scale(0.015625)"/>')
+    '<path d="M 1.23 7 L 2.5 0" stroke-width="0.123456" transform="scale(0.015625)"/>'
+    """
+    return re.sub(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)', lambda place: _round_all(place[0]), text)
+
+
+def _round_all(text):
+    return re.sub(r"-?\d+\.\d{3,}", lambda number: f"{round(float(number[0]), 2) + 0.0:g}", text)
+
+
+def alt_text(fig):
+    """Say in words what a figure plots, for readers who do not see it: its panels and their curves.
+
+    >>> fig, ax = panels([["s", "v"]])
+    >>> for name in ax:
+    ...     _ = ax[name].semilogy([1, 2], label="KF")
+    ...     finish(ax[name], "step k", f"σ of {name}")
+    >>> alt_text(fig)
+    '2 panels. σ of s (log scale); σ of v (log scale), over step k. Curves: KF.'
+    """
+    alike = {}
+    for ax in _axes(fig):
+        drawn = [*ax.lines, *ax.collections, *ax.containers, *ax.patches, *ax.images]
+        labels = dict.fromkeys(str(each.get_label()) for each in drawn)
+        curves = "; ".join(label for label in labels if label and not label.startswith("_"))
+        log = " (log scale)" if ax.get_yscale() == "log" else ""
+        alike.setdefault((ax.get_xlabel(), curves), []).append((_title(ax) or ax.get_ylabel()) + log)
+    count = f"{len(_axes(fig))} panels. " if len(_axes(fig)) > 1 else ""
+    text = count + " ".join(
+        "; ".join(titles) + (f", over {xlabel}" if xlabel else "") + (f". Curves: {curves}." if curves else ".")
+        for (xlabel, curves), titles in alike.items()
+    )
+    return re.sub(r"[$\\{}]", "", " ".join(text.split()))
+
+
+def describe(fig):
+    """Return what a figure plots in words and numbers: texts and scales of all axes; points, extremes and mean of all
+    that is drawn, with a checksum over the points at four digits (one digit below 1e-9, and zero below 1e-12).
+
+    >>> fig, ax = panels([["a"]])
+    >>> line = ax["a"].plot([1, 2, 3], [0.0, 0.5, 1.0], label="a")
+    >>> print(describe(fig))
+    axes 1: x '' linear 0.9..3.1; y '' linear -0.05..1.05
+      line 'a': 3 points, x 1..3 mean 2, y 0..1 mean 0.5, checksum 43970567
+    """
+    lines = [f"text {text.get_text()!r}" for text in fig.texts]
+    for i, ax in enumerate(_axes(fig), 1):
+        sides = [
+            f"{side} {axis.get_label_text()!r} {axis.get_scale()} {_digits(axis.get_view_interval(), '..')}"
+            for side, axis in (("x", ax.xaxis), ("y", ax.yaxis))
+        ]
+        lines.append(f"axes {i}: " + (f"{_title(ax)!r} " if _title(ax) else "") + "; ".join(sides))
+        bars = [each for each in ax.containers if isinstance(each, BarContainer)]
+        alone = [each for each in ax.patches if not any(each in container for container in bars)]
+        lines += [f"  {_describe_drawn(each)}" for each in (*ax.lines, *ax.collections, *bars, *alone, *ax.images)]
+        lines += [f"  text {text.get_text()!r}" for text in ax.texts]
+        lines += [f"  {_describe_legend(ax.get_legend())}"] if ax.get_legend() else []
+    return "\n".join(lines + [_describe_legend(legend) for legend in fig.legends])
+
+
+def _title(ax):
+    return ax.get_title(loc="left") or ax.get_title()
+
+
+def _describe_legend(legend):
+    return f"legend {[text.get_text() for text in legend.get_texts()]}"
+
+
+def _describe_drawn(artist):
+    kind, points, values = _numbers(artist)
+    parts = [f"{kind} {artist.get_label()!r}: {len(points)} points"]
+    for name, column in (*zip("xyz", points.T, strict=False), ("value", np.ravel(values))):
+        finite = column[np.isfinite(column)]
+        if finite.size:
+            parts.append(f"{name} {_digits((finite.min(), finite.max()), '..')} mean {_digits([finite.mean()])}")
+    checksum = zlib.crc32(_digits([*points.ravel(), *np.ravel(values)]).encode())
+    return ", ".join([*parts, f"checksum {checksum:08x}"])
+
+
+def _numbers(artist):
+    """Return what kind of thing is drawn, its points (n, 2) or (n, 3), and its values where colours show some."""
+    if isinstance(artist, Line2D):
+        kind = "line" if artist.get_drawstyle() == "default" else artist.get_drawstyle()
+        points = np.transpose(artist.get_data_3d()) if hasattr(artist, "get_data_3d") else artist.get_xydata()
+        return kind, np.asarray(points, float), []
+    if isinstance(artist, BarContainer):
+        return "bars", np.concatenate([_numbers(each)[1] for each in artist] or [np.empty((0, 2))]), []
+    if isinstance(artist, Patch):
+        return "patch", artist.get_patch_transform().transform(artist.get_path().vertices), []
+    values = _plain([] if artist.get_array() is None else artist.get_array())
+    if isinstance(artist, AxesImage):
+        left, right, bottom, top = artist.get_extent()
+        return f"image {'x'.join(map(str, values.shape))}", np.array([[left, bottom], [right, top]]), values
+    if isinstance(artist, PathCollection) or len(artist.get_offsets()) > 1:
+        return "points", _plain(artist.get_offsets()), values
+    return "area", np.concatenate([path.vertices for path in artist.get_paths()] or [np.empty((0, 2))]), values
+
+
+def _digits(values, separator=","):
+    return separator.join(map(_digit_text, values))
+
+
+def _digit_text(value):
+    if abs(value) < 0.9 * FLOOR:
+        return "0"
+    return f"{value:.4g}" if abs(value) >= QUANTUM else f"{value:.0e}"
