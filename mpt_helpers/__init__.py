@@ -1,20 +1,10 @@
 """Kalman, Lainiotis, joint, steady-state and FIR filters for mobile position tracking, over filterpy."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
-from . import average_error, burden, figures, metrics, positioning, riccati, trials
-from .figures import save_figure
-from .filters import (
-    FIRFilter,
-    JoinFilter,
-    KalmanFilter,
-    LainiotisFilter,
-    Separate,
-    SteadyStateFilter,
-    SteadyStatePredictor,
-    fir_order,
-    six_filters,
-)
+from . import metrics, riccati
+from .combined import JoinFilter, Separate, six_filters
+from .filters import KalmanFilter, LainiotisFilter
 from .model import (
     LinearModel,
     constant_acceleration,
@@ -26,9 +16,8 @@ from .model import (
     simulate,
     stack,
 )
-from .published import published
-from .study import study
-from .tables import Table, gap_text
+from .monte_carlo import study
+from .steady import FIRFilter, SteadyStateFilter, SteadyStatePredictor, fir_order
 
 __all__ = [
     "FIRFilter",
@@ -39,26 +28,17 @@ __all__ = [
     "Separate",
     "SteadyStateFilter",
     "SteadyStatePredictor",
-    "Table",
-    "average_error",
-    "burden",
     "constant_acceleration",
     "constant_velocity",
     "exact_motion",
-    "figures",
     "fir_order",
-    "gap_text",
     "gps_ins",
     "gsm_axis",
     "mean_track",
     "metrics",
-    "positioning",
-    "published",
     "riccati",
-    "save_figure",
     "simulate",
     "six_filters",
     "stack",
     "study",
-    "trials",
 ]

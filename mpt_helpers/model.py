@@ -1,24 +1,33 @@
 """Linear time-invariant models: what the papers track, and tracks drawn from it."""
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from . import checks
-from .recursion import System, advance, lift, steps_at_once
+from .recursion import Step, run
+
+
+class Immutable:
+    """A frozen dataclass that stays one: copying, deep-copying and unpickling make it anew from its fields."""
+
+    def __reduce__(self):
+        return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LinearModel:
+class LinearModel(Immutable):
     """A linear time-invariant model (2014 Eq. 1, 2015 Section 2).
 
         x(k+1) = F x(k) + w(k),     w ~ N(0, Q)
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
-    F is n×n, H is m×n, Q is n×n (the papers' G Q Gᵀ), R is m×m and definite, x0 has length n and P0 is n×n: the mean
-    and the covariance of x(0). x0 and P0 are zero where not given, as in the papers. All arrays are copied, checked and
-    made read-only. Raises ValueError (a wrong shape or value) or TypeError (not real numbers), naming the argument.
+    F is n×n, H is m×n, Q is n×n (the papers' G Q Gᵀ), R is m×m and positive definite. x0 (n,) and P0 (n×n) are the mean
+    and the covariance of x(0), zero where not given, as in the papers. All arrays are copied and made read-only.
+
+    Raises ValueError for a wrong shape or value and TypeError for anything but real numbers, naming the argument.
 
     >>> LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.01]], R=[[0.1]]).P0
     array([[0.]])
@@ -32,13 +41,11 @@ class LinearModel:
     P0: np.ndarray = None
 
     def __post_init__(self):
-        F = checks.matrix("F", self.F, "a square matrix")
-        n = len(F)
-        m = len(checks.matrix("H", self.H, f"a matrix of {n} columns"))
+        n, m = _rows("F", self.F), _rows("H", self.H)
         x0 = np.zeros(n) if self.x0 is None else self.x0
         P0 = np.zeros((n, n)) if self.P0 is None else self.P0
         checked = {
-            "F": checks.array("F", F, (n, n)),
+            "F": checks.array("F", self.F, (n, n)),
             "H": checks.array("H", self.H, (m, n)),
             "Q": checks.covariance("Q", self.Q, n),
             "R": checks.covariance("R", self.R, m, definite=True),
@@ -67,13 +74,21 @@ class LinearModel:
     __hash__ = None
 
 
-def gsm_axis(dt, q, r):
-    """Return the model of one axis: position and velocity, model B (2014 Eq. 3, 2015 Section 2).
+def _rows(name, matrix):
+    """Return how many rows a matrix has, or raise."""
+    values = checks.real_numbers(name, matrix, "a matrix")
+    if values.ndim != 2 or values.size == 0:
+        checks.refuse(name, "a matrix", f"shape {values.shape}")
+    return len(values)
+
+
+def gsm_axis(dt, q, r, x0=None, P0=None):
+    """Return the model of one axis: position and velocity (2014 Eq. 3, 2015 Section 2, model B).
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
 
-    dt is the time step (s), q the variance of the velocity's change in a step (m²/s²), r that of the measurement (m²).
-    H measures s + v dt: the position one step ahead of s.
+    dt is the time step (s), q the variance of the velocity's change in a step (m²/s²), r the variance of a measurement
+    (m²), x0 (2,) and P0 (2×2) are the start. H measures s + v dt: the position one step ahead.
 
     Raises ValueError for dt <= 0, q < 0 or r <= 0.
 
@@ -81,18 +96,18 @@ def gsm_axis(dt, q, r):
     array([[0.0025, 0.005 ],
            [0.005 , 0.01  ]])
     """
-    dt, q, r = _axis_parameters(dt, q, r)
+    dt, q, r = _step_and_variances(dt, q, r)
     G = np.array([[dt / 2], [1.0]])
-    return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]])
+    return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]], x0=x0, P0=P0)
 
 
-def constant_velocity(dt, q, r):
-    """Return the model of one axis that moves with a constant velocity (2016 Eq. 5): position and velocity.
+def constant_velocity(dt, q, r, x0=None, P0=None):
+    """Return the model of one axis with nearly constant velocity: position and velocity (2016 Eq. 5).
 
         F = [1 dt; 0 1],   H = [1 0],   Q = [dt³/3 dt²/2; dt²/2 dt] q,   R = r
 
     dt is the time step (s), q the spectral density of the white noise that drives the velocity (m²/s³), r the variance
-    of the measured position (m²).
+    of the measured position (m²), x0 (2,) and P0 (2×2) are the start.
 
     Raises ValueError for dt <= 0, q < 0 or r <= 0.
 
@@ -100,22 +115,22 @@ def constant_velocity(dt, q, r):
     array([[0.02, 0.03],
            [0.03, 0.06]])
     """
-    dt, q, r = _axis_parameters(dt, q, r)
+    dt, q, r = _step_and_variances(dt, q, r)
     F = [[1, dt], [0, 1]]
     Q = [[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]
-    return LinearModel(F=F, H=[[1, 0]], Q=q * np.array(Q), R=[[r]])
+    return LinearModel(F=F, H=[[1, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0)
 
 
-def constant_acceleration(dt, q, r):
-    """Return the model of one axis that moves with a constant acceleration: position, velocity and acceleration.
+def constant_acceleration(dt, q, r, x0=None, P0=None):
+    """Return the model of one axis with nearly constant acceleration: position, velocity and acceleration.
 
-    2016 Eq. 6, with the Q of Section 5.2, which is the right one: Eq. 6 prints dt³/3 for dt³/6 in its first row.
+    2016 Eq. 6 with the Q of Section 5.2, which is the right one: Eq. 6 prints dt³/3 for dt³/6 in its first row.
 
         F = [1 dt dt²/2; 0 1 dt; 0 0 1],   H = [1 0 0],   R = r
         Q = [dt⁵/20 dt⁴/8 dt³/6; dt⁴/8 dt³/3 dt²/2; dt³/6 dt²/2 dt] q
 
     dt is the time step (s), q the spectral density of the white noise that drives the acceleration (m²/s⁵), r the
-    variance of the measured position (m²).
+    variance of the measured position (m²), x0 (3,) and P0 (3×3) are the start.
 
     Raises ValueError for dt <= 0, q < 0 or r <= 0.
 
@@ -124,21 +139,21 @@ def constant_acceleration(dt, q, r):
            [0.015, 0.04 , 0.06 ],
            [0.02 , 0.06 , 0.12 ]])
     """
-    dt, q, r = _axis_parameters(dt, q, r)
+    dt, q, r = _step_and_variances(dt, q, r)
     F = [[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]]
     Q = [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
-    return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]])
+    return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0)
 
 
-def gps_ins(dt, q, r):
+def gps_ins(dt, q, r, x0=None, P0=None):
     """Return the model of GPS and INS on one axis: position, velocity and the constant error of the INS (2007 Eq. 11).
 
         F = [1 dt 0; 0 1 0; 0 0 1],   H = [1 0 0; 0 1 1; 1 -dt 0],   Q = diag(0, q, 0),   R = diag(r)
 
-    The rows of H are the position that GPS gives, the velocity with its constant error that INS gives, and a third one
-    that the paper does not explain: s - v dt, the position one step before. dt is the time step (s), q the variance of
-    the velocity's change in a step (m²/s²; the paper prints no Q), r the variances of the rows that are used: the first
-    two (m², m²/s²), or all three (m²).
+    The rows of H are the position from GPS, the velocity with its constant error from the INS, and a third row that the
+    paper does not explain: s - v dt, the position one step before. dt is the time step (s), q the variance of the
+    velocity's change in a step (m²/s²; the paper prints no Q), r the variances of the rows in use: the first two
+    (m², m²/s²), or all three (m²). x0 (3,) and P0 (3×3) are the start.
 
     Raises ValueError for dt <= 0, q < 0, other than two or three variances and one that is not positive.
 
@@ -146,29 +161,26 @@ def gps_ins(dt, q, r):
     array([[1., 0., 0.],
            [0., 1., 1.]])
     """
-    r = checks.real("r", r, "two or three variances")
-    if r.shape not in ((2,), (3,)):
-        checks.refuse("r", "two or three variances", f"shape {r.shape}" if r.ndim else "a scalar")
-    R = np.diag([checks.positive(f"r[{i}]", variance) for i, variance in enumerate(r)])
-    dt, q, _ = _axis_parameters(dt, q, r[0])
-    H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]][: len(r)]
-    return LinearModel(F=[[1, dt, 0], [0, 1, 0], [0, 0, 1]], H=H, Q=np.diag([0, q, 0]), R=R)
+    variances = checks.real_numbers("r", r, "two or three variances").tolist()
+    if not isinstance(variances, list) or len(variances) not in (2, 3):
+        checks.refuse("r", "two or three variances", f"{r!r:.60}")
+    R = np.diag([checks.positive("r", variance) for variance in variances])
+    dt, q, _ = _step_and_variances(dt, q, variances[0])
+    F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
+    H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
+    return LinearModel(F=F, H=H[: len(R)], Q=np.diag([0, q, 0]), R=R, x0=x0, P0=P0)
 
 
-def _axis_parameters(dt, q, r):
-    return (
-        checks.positive("dt", dt),
-        checks.not_negative("q", q),
-        checks.positive("r", r),
-    )
+def _step_and_variances(dt, q, r):
+    return checks.positive("dt", dt), checks.not_negative("q", q), checks.positive("r", r)
 
 
 def stack(*models):
     """Return one model that holds all these side by side: model A of the papers (2014 Eq. 2, 2015 Section 2).
 
-    Every matrix is block diagonal, x0 is joined end to end: [s_x v_x s_y v_y ...].
+    Every matrix is block diagonal, and the state is joined end to end: [s_x v_x s_y v_y ...].
 
-    Raises ValueError when no model is given, TypeError for anything that is not a LinearModel.
+    Raises ValueError when no model is given, TypeError for anything but a LinearModel.
 
     >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
     >>> stack(axis, axis).H
@@ -183,48 +195,37 @@ def stack(*models):
     return LinearModel(**blocks, x0=np.concatenate([model.x0 for model in models]))
 
 
-def predicted_covariance(model, P, steps):
-    """Return the covariance P (n, n) or (N, n, n) of an error, so many steps ahead: P <- F P Fᵀ + Q each time.
+def predicted_covariance(model, P, steps=1):
+    """Return the covariance P (n, n) or (N, n, n) of an error some steps later: P <- F P Fᵀ + Q in each step.
 
-    Raises ValueError or TypeError for anything but a model, arrays of these shapes and a count that is not negative.
-
-    >>> predicted_covariance(constant_velocity(dt=1.0, q=3.0, r=1.0), np.zeros((2, 2)), steps=1)
+    >>> predicted_covariance(constant_velocity(dt=1.0, q=3.0, r=1.0), np.zeros((2, 2)))
     array([[1. , 1.5],
            [1.5, 3. ]])
     """
-    n = checks.instance("model", model, LinearModel).n
-    P = checks.finite("P", P, (n, n), ("N", n, n))
-    for _ in range(checks.count("steps", steps, least=0)):
+    for _ in range(steps):
         P = model.F @ P @ model.F.T + model.Q
     return P
 
 
 def square_root(C):
-    """Return the square root G of a positive semidefinite matrix, G Gᵀ = C, that is symmetric at unit variances.
+    """Return the symmetric G with G Gᵀ = C of a positive semidefinite matrix C (n×n), scaled to unit variances.
 
-    It is unique, so that tracks drawn with it do not depend on the signs that an eigenvalue routine picks, and
-    variances of very different size keep their digits. Raises ValueError or TypeError for anything else.
+    G is unique, so tracks drawn with it do not depend on the signs that an eigenvalue routine picks; and variances of
+    very different size keep their digits.
 
-    >>> square_root([[4.0, 0.0], [0.0, 0.0]])
+    >>> square_root(np.diag([4.0, 0.0]))
     array([[2., 0.],
            [0., 0.]])
     """
-    C = checks.covariance("C", C, len(checks.matrix("C", C, "a square matrix")), rounding=checks.COMPUTED)
-    return _root(C)
-
-
-def _root(C):
-    scale = np.sqrt(np.maximum(np.diag(C), 0))
-    unit = np.where(scale > 0, scale, 1)
+    sigma = np.sqrt(np.maximum(np.diag(C), 0))
+    unit = np.where(sigma > 0, sigma, 1)
     w, V = np.linalg.eigh(C / unit[:, None] / unit)
-    w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # what is smaller is the rounding of a zero
-    return scale[:, None] * (V * np.sqrt(w)) @ V.T
+    w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # a smaller eigenvalue is the rounding of a zero
+    return sigma[:, None] * (V * np.sqrt(w)) @ V.T
 
 
 def exact_motion(model, x0):
-    """Return the model of a track that starts at x0 exactly and has no process noise; the measurements keep theirs.
-
-    Raises TypeError or ValueError for anything but a model and a vector of length n.
+    """Return the model of a track that starts at x0 exactly and has no process noise; measurements keep their noise.
 
     >>> exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]).Q
     array([[0., 0.],
@@ -238,15 +239,14 @@ def exact_motion(model, x0):
 def mean_track(model, N):
     """Return the track that a model takes without noise: x(1) ... x(N) = F x0 ... Fᴺ x0, (N, n).
 
-    Raises TypeError or ValueError for anything but a model and a positive count.
-
     >>> mean_track(exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]), N=3)
     array([[20., 20.],
            [40., 20.],
            [60., 20.]])
     """
     checks.instance("model", model, LinearModel)
-    return _states(model, np.zeros((checks.count("N", N), model.n, 1)), model.x0[:, None])[..., 0]
+    noise = np.zeros((checks.count("N", N), model.n, 1))
+    return _states(model, model.x0[:, None], noise)[..., 0]
 
 
 def simulate(model, N, rng, tracks=None):
@@ -255,27 +255,24 @@ def simulate(model, N, rng, tracks=None):
     N is the number of steps, rng a numpy Generator, tracks the number of tracks M, or None for one track.
 
     Returns x and z of shapes (N, n) and (N, m), or (N, n, M) and (N, m, M). Row k is x(k+1), z(k+1): x(0) itself, drawn
-    from N(x0, P0), is not returned.
-
-    Raises TypeError or ValueError for anything else than a model, positive counts and a Generator.
+    from N(x0, P0), is not returned. Raises TypeError or ValueError for an argument of another kind.
 
     >>> x, z = simulate(gsm_axis(dt=1.0, q=0.01, r=0.1), N=5, rng=np.random.default_rng(1), tracks=3)
     >>> x.shape, z.shape
     ((5, 2, 3), (5, 1, 3))
     """
     checks.instance("model", model, LinearModel)
-    N = checks.count("N", N)
     checks.instance("rng", rng, np.random.Generator)
+    N = checks.count("N", N)
     M = 1 if tracks is None else checks.count("tracks", tracks)
-    x0 = model.x0[:, None] + _root(model.P0) @ rng.standard_normal((model.n, M))
-    x = _states(model, rng.standard_normal((N, model.n, M)), x0)
-    z = np.einsum("ij,kjM->kiM", _root(model.R), rng.standard_normal((N, model.m, M)))
+    x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
+    x = _states(model, x0, rng.standard_normal((N, model.n, M)))
+    z = np.einsum("ij,kjM->kiM", square_root(model.R), rng.standard_normal((N, model.m, M)))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)
 
 
-def _states(model, noise, x0):
-    """Return x(k+1) = F x(k) + G noise(k+1), G Gᵀ = Q: the recursion that filters run, with other coefficients."""
-    N, n, M = noise.shape
-    F, G, none = model.F[None], _root(model.Q)[None], np.zeros(N, int)
-    return advance(lift(System(F, G, none), steps_at_once(n, M), n), noise, none.astype(bool), x0, n)
+def _states(model, x0, noise):
+    """Return x(k+1) = F x(k) + G noise(k+1) with G Gᵀ = Q: the recursion of the filters, with other coefficients."""
+    step = Step(A=model.F, B=square_root(model.Q), P=None)
+    return run([step] * len(noise), np.ones(noise.shape[:2], bool), x0, noise)

@@ -1,4 +1,7 @@
-"""Steady-state covariances: two Riccati equations, two solvers that share nothing but the model."""
+"""Steady-state covariances: two Riccati equations and two solvers that share nothing but the model.
+
+Each solver checks its result against its own equation, at unit variances, and refuses a model that has no steady state.
+"""
 
 from typing import NamedTuple
 
@@ -8,16 +11,17 @@ from scipy.linalg import solve_discrete_are
 from . import checks
 from .model import LinearModel, predicted_covariance, square_root
 
-# How far (relative to the matrix) a mode may be from undetectable or unstabilizable and still count as that: the
-# rounding of an eigenvalue of F, with room for n up to some hundreds.
+# Relative distance at which a mode still counts as undetectable or unstabilizable: the rounding of an eigenvalue of F,
+# with room for n up to some hundreds.
 MODE_ROUNDING = 1e-12
-# The size of the ring, relative to the eigenvalue: 1e-8 for a double one, 6e-6 for a triple one.
+# A multiple eigenvalue is computed as a ring around it, of this relative size: 1e-8 for a double one, 6e-6 for a triple.
 RING = 1e-4
 # A double eigenvalue on the unit circle is computed to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
-# What the first and the second step of Newton's method may change, at unit variances: more in the first, and what it
-# began from was no solution; more in the second, and six digits are not sure.
-NEWTON = 1e-3, 1e-6
+# How far P may move, in standard deviations, when its equation is applied once more or solved anew: six digits hold.
+RESIDUAL = 1e-6
+# The same before the refinement of scipy's solution: what moves more was no solution.
+UNREFINED = 1e-3
 # Doubling 64 times covers more steps than a double can count.
 DOUBLINGS = 64
 
@@ -32,51 +36,50 @@ class LainiotisMatrices(NamedTuple):
     On: np.ndarray
 
 
-def lainiotis_matrices(model):
+def lainiotis_matrices(model, H=None, R=None):
     """Return F_n (n×n), K_n, K_m (n×m), P_n, O_n (n×n) of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3).
 
-    P_n is Q - K_n H Q in the form of Joseph, which keeps its digits where R is much smaller than Q. Raises TypeError
-    for anything but a model.
+        A = [H Q Hᵀ + R]⁻¹,   K_n = Q Hᵀ A,   K_m = Fᵀ Hᵀ A,   F_n = F - K_n H F,   P_n = Q - K_n H Q,   O_n = K_m H F
+
+    H and R are those of the model unless others are given. P_n is computed in Joseph's form, which keeps its digits
+    where R is far smaller than Q.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
     array([[ 0.9388,  0.8776],
            [-0.1224,  0.7551]])
     """
-    checks.instance("model", model, LinearModel)
-    F, H, Q, R = model.F, model.H, model.Q, model.R
-    A = np.linalg.inv(H @ Q @ H.T + R)
-    Kn = Q @ H.T @ A
-    Km = F.T @ H.T @ A
+    F, Q = model.F, model.Q
+    H = model.H if H is None else H
+    R = model.R if R is None else R
+    HtA = gain_by_information(Q, H, R)
+    Kn = Q @ HtA
+    Km = F.T @ HtA
     update = np.eye(model.n) - Kn @ H
     Pn = update @ Q @ update.T + Kn @ R @ Kn.T
-    return LainiotisMatrices(Fn=F - Kn @ H @ F, Kn=Kn, Km=Km, Pn=Pn, On=Km @ H @ F)
+    return LainiotisMatrices(Fn=update @ F, Kn=Kn, Km=Km, Pn=Pn, On=Km @ H @ F)
 
 
-def lainiotis_gain(P, Fn, On):
-    """Return F_n [I + P O_n]⁻¹ (n×n), the transition of the Lainiotis filter (2014 Eqs. 5, 13).
+def gain_by_information(P, H, R):
+    """Return Hᵀ [H P Hᵀ + R]⁻¹ (n×m) as (I + Hᵀ R⁻¹ H P)⁻¹ Hᵀ R⁻¹.
 
-    Raises ValueError or TypeError for anything but square matrices of one size.
+    Both are equal. Where two sensors of very unequal precision see the same state, the bracket on the left rounds the
+    better one away; the one on the right does not.
 
-    >>> lainiotis_gain(np.eye(1), Fn=np.eye(1), On=np.eye(1))
-    array([[0.5]])
+    >>> gain_by_information(P=np.eye(1), H=np.array([[1.0]]), R=np.array([[3.0]]))
+    array([[0.25]])
     """
-    n = len(checks.matrix("P", P, "a square matrix"))
-    return _gain(*(checks.array(name, each, (n, n)) for name, each in {"P": P, "Fn": Fn, "On": On}.items()))
-
-
-def _gain(P, Fn, On):
-    return np.linalg.solve((np.eye(len(P)) + P @ On).T, Fn.T).T
+    HtR = np.linalg.solve(R, H).T
+    return np.linalg.solve(np.eye(len(P)) + HtR @ H @ P, HtR)
 
 
 def rekf(model):
     """Return P_p (n×n), the steady-state prediction error covariance (2014 Eq. 11, 2015 Eq. 9).
 
-    Solved by scipy, then refined by two steps of Newton's method.
-
         P_p = Q + F P_p Fᵀ - F P_p Hᵀ [H P_p Hᵀ + R]⁻¹ H P_p Fᵀ
 
-    Raises ValueError when there is no steady state, naming the condition that fails and the mode of F.
+    Solved by scipy, then refined by two steps of Newton's method. Raises ValueError when there is no steady state,
+    naming the condition that fails and the mode of F.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> rekf(gsm_axis(dt=1.0, q=0.01, r=0.1)).round(4)
@@ -84,18 +87,18 @@ def rekf(model):
            [0.0257, 0.0227]])
     """
     _require_steady_state(model)
-    # scipy is silently wrong where R is very small or large, and fails where the variances of the states differ much:
-    # it gets states and measurements of unit variance. Near the unit circle it loses more digits than the equation.
+    # scipy is silently wrong where R is very small or very large, and fails where the variances of the states differ
+    # much: it gets states and measurements of unit variance. Near the unit circle it loses more digits than need be.
     unit = _units(model)
-    F, Q = model.F * unit / unit[:, None], model.Q / unit[:, None] / unit
+    F = model.F * unit / unit[:, None]
+    Q = model.Q / unit[:, None] / unit
     H = np.linalg.solve(np.linalg.cholesky(model.R), model.H * unit)
     try:
         P = solve_discrete_are(F.T, H.T, Q, np.eye(model.m))
-        for most in NEWTON:
+        for largest in (UNREFINED, RESIDUAL):
             step = _newton_step(P, F, H, Q)
             P = P + (step + step.T) / 2
-            sigma = np.sqrt(np.maximum(np.diag(P), 1))
-            if not (np.abs(step) <= most * np.outer(sigma, sigma)).all():
+            if not _smaller(step, P, largest):
                 _refuse_unsolved(model)
     except np.linalg.LinAlgError:
         _refuse_unsolved(model)
@@ -103,23 +106,22 @@ def rekf(model):
 
 
 def _newton_step(P, F, H, Q):
-    """Return what Newton's method adds to a solution P of the REKF with R = I: Σ Aⁱ D Aᵀⁱ where P misses it by D."""
-    K = np.linalg.solve(H @ P @ H.T + np.eye(len(H)), H @ P).T
+    """Return what Newton's method adds to P, a solution of the REKF with R = I: Σ Aⁱ D Aᵀⁱ where P misses it by D."""
+    identity = np.eye(len(H))
+    K = P @ gain_by_information(P, H, identity)
     update = np.eye(len(P)) - K @ H
-    A, step = F @ update, F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
-    with np.errstate(over="ignore", invalid="ignore"):  # of an A that is not stable: its sum has no end
+    A = F @ update
+    step = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
+    with np.errstate(over="ignore", invalid="ignore"):  # where A is not stable, the sum has no end
         for _ in range(DOUBLINGS):
             A, step = A @ A, step + A @ step @ A.T
     return step
 
 
-def _units(model):
-    """Return how far the noise of n steps moves each state, to a power of two: in these units entries compare."""
-    variance = np.diag(predicted_covariance(model, model.Q, model.n - 1))
-    moved = variance > 0
-    exponent = np.log2(variance, out=np.zeros(model.n), where=moved) / 2
-    usual = exponent[moved].mean() if moved.any() else 0.0
-    return np.exp2(np.round(np.where(moved, exponent, usual)))
+def _smaller(change, P, limit):
+    """Tell whether a change of P stays below the limit times the standard deviations of both components."""
+    sigma = np.sqrt(np.maximum(np.diag(P), 0))
+    return bool((np.abs(change) <= limit * np.outer(sigma, sigma)).all())
 
 
 def relf(model):
@@ -127,7 +129,7 @@ def relf(model):
 
         P_e = P_n + F_n [I + P_e O_n]⁻¹ P_e F_nᵀ
 
-    Step i composes 2^i steps of the Lainiotis recursion from P = 0 into one of the same form, so that it converges
+    Round i composes 2^i steps of the Lainiotis recursion from P = 0 into one of the same form, so that it converges
     quadratically (D. G. Lainiotis, N. D. Assimakis and S. K. Katsikas, J. Math. Anal. Appl. 186, 1994). The REKF is not
     used. Raises ValueError when there is no steady state, naming the condition that fails and the mode of F.
 
@@ -138,25 +140,41 @@ def relf(model):
     """
     _require_steady_state(model)
     Fn, _, _, Pn, On = lainiotis_matrices(model)
+    one_step = Fn, Pn, On
     identity = np.eye(model.n)
     for _ in range(DOUBLINGS):
-        W = _gain(Pn, Fn, On)
-        following = Pn + W @ Pn @ Fn.T
-        following = (following + following.T) / 2
-        if np.array_equal(following, Pn):  # no entry moves: one of a small variance may settle last
-            return Pn
+        A = Fn @ np.linalg.inv(identity + Pn @ On)
+        P = Pn + A @ Pn @ Fn.T
+        P = (P + P.T) / 2
+        if np.array_equal(P, Pn):  # no entry moves any more: an entry of a small variance may settle last
+            break
         On = On + Fn.T @ On @ np.linalg.solve(identity + Pn @ On, Fn)
-        Pn, Fn = following, W @ Fn
-    _refuse_unsolved(model)
+        Pn, Fn = P, A @ Fn
+    Fn, Pn, On = one_step
+    A = Fn @ np.linalg.inv(identity + P @ On)
+    closed_loop = np.abs(np.linalg.eigvals(A)).max()
+    if not (closed_loop < 1 and _smaller(Pn + A @ P @ Fn.T - P, P, RESIDUAL)):
+        _refuse_unsolved(model)
+    return P
+
+
+def _units(model):
+    """Return how far the noise of n steps moves each state, rounded to a power of two: in these units entries compare."""
+    variance = np.diag(predicted_covariance(model, model.Q, model.n - 1))
+    moved = variance > 0
+    exponent = np.log2(variance, out=np.zeros(model.n), where=moved) / 2
+    usual = exponent[moved].mean() if moved.any() else 0.0
+    return np.exp2(np.round(np.where(moved, exponent, usual)))
 
 
 def _modes(model):
     """Yield (margin, condition, mode) for each mode of F on or outside the unit circle, by the PBH rank test."""
     unit = _units(model)
     F = model.F * unit / unit[:, None]
-    H, G = _scaled(model.H * unit, F), _scaled(square_root(model.Q) / unit[:, None], F)
+    H = _at_the_size_of(F, model.H * unit)
+    G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
-    # A multiple eigenvalue is computed as a ring around it, whose mean is as good as a simple one.
+    # The mean of a ring of computed eigenvalues is as good as a simple one.
     means = [modes[np.abs(modes - mode) <= RING * abs(mode)].mean() for mode in modes]
     for mode in [*means, *modes]:
         if abs(mode) >= ON_CIRCLE:
@@ -171,8 +189,8 @@ def _margin(pencil):
     return singular[-1] / singular[0] if singular[0] else 0.0
 
 
-def _scaled(matrix, F):
-    """Return the matrix at the size of F: whether a mode is seen or excited does not depend on the unit of H or Q."""
+def _at_the_size_of(F, matrix):
+    """Return the matrix scaled to the largest entry of F: whether a mode is seen or driven depends on no unit."""
     size = np.abs(matrix).max()
     return matrix * (np.abs(F).max() / size) if size else matrix
 

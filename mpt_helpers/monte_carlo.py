@@ -1,7 +1,6 @@
-"""Monte Carlo studies: many runs from one seed, the same numbers whatever the tile size and the number of workers."""
+"""Monte Carlo studies: many runs from one seed, the same numbers whatever the number of workers."""
 
 import threading
-from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -11,10 +10,11 @@ from tqdm import tqdm
 
 from . import checks
 
-# So many runs share a stream of random numbers and are filtered together: it is part of what a seed means.
+# Runs that share a stream of random numbers and are filtered together: part of what a seed means.
 BLOCK = 200
 NEED = f"a result of M = {BLOCK} columns, (..., M)"
-KEPT = 2**25 - 2**16  # below the most that glibc keeps; else it returns each run's arrays to the kernel and asks anew
+# Slightly below the largest block of memory that glibc keeps for later: else it goes back to the kernel after each run.
+KEPT = 2**25 - 2**16
 
 
 def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
@@ -25,8 +25,8 @@ def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
     and the first runs of a longer study are those of a shorter one. Only the statistics are kept.
 
     runs and tile (the runs of one task) are positive counts, seed is an integer that is not negative. workers is a
-    number of threads, or a map-like callable, such as the `map` of a `concurrent.futures` executor; then the experiment
-    must be what that callable can send to its workers. A progress bar runs on a terminal, and nowhere else. An
+    number of threads, or a map-like callable, such as the `map` of a `concurrent.futures` executor; the experiment must
+    be something that this callable can send to its workers. A progress bar runs on a terminal, and nowhere else. An
     interrupt ends the study with the blocks at work.
 
     Raises ValueError or TypeError for bad arguments and for an experiment that does not return M columns.
@@ -34,17 +34,15 @@ def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
     >>> study(lambda rng, M: rng.standard_normal((100, M)).mean(axis=0), runs=1000, seed=1).std().round(2)
     np.float64(0.1)
     """
-    checks.function("experiment", experiment, "a callable of (rng, M)")
+    if not callable(experiment):
+        checks.refuse("experiment", "a callable of (rng, M)", type(experiment).__name__, TypeError)
     runs, tile, seed = checks.count("runs", runs), checks.count("tile", tile), checks.count("seed", seed, least=0)
     streams = np.random.SeedSequence(seed).spawn(-(-runs // BLOCK))
     blocks = -(-tile // BLOCK)
     tasks = [streams[i : i + blocks] for i in range(0, len(streams), blocks)]
+    parts = []
     with _mapper(workers) as (mapper, stop), tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
-        parts = []
-        results = mapper(partial(_tile, experiment, stop), tasks)
-        for part in results if isinstance(results, Iterable) else [results]:
-            if not isinstance(part, np.ndarray):
-                checks.refuse("workers", "a callable like map", f"one that gives {checks.brief(part)}", TypeError)
+        for part in mapper(partial(_run_blocks, experiment, stop), tasks):
             parts.append(part)
             bar.update(part.shape[-1])
     if len(parts) != len(tasks):
@@ -52,23 +50,24 @@ def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
     return _side_by_side(parts)[..., :runs]
 
 
-def _tile(experiment, stop, streams):
+def _run_blocks(experiment, stop, streams):
     np.empty(KEPT, np.uint8)  # freed at once: from then on the C library reuses memory of up to this size
     parts = []
     for stream in streams:
         if stop is not None and stop.is_set():
             break
-        part = experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK)
-        if getattr(part, "dtype", None) != np.dtype(bool):
-            part = checks.numbers("experiment", part, NEED)
-        if not part.ndim or part.shape[-1] != BLOCK:
+        part = np.asarray(experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK))
+        if part.dtype.kind not in "biuf":
+            checks.refuse("experiment", NEED, f"an array of {part.dtype} data", TypeError)
+        if part.ndim == 0 or part.shape[-1] != BLOCK:
             checks.refuse("experiment", NEED, f"shape {part.shape}")
-        parts.append(np.array(part))  # a copy: an experiment may return the same buffer again
+        parts.append(part.copy())  # an experiment may return the same buffer again
     return _side_by_side(parts) if parts else None
 
 
 def _side_by_side(parts):
-    if len(shapes := {part.shape[:-1] for part in parts}) > 1:
+    shapes = {part.shape[:-1] for part in parts}
+    if len(shapes) > 1:
         checks.refuse("experiment", "results of one shape", " and ".join(f"{(*shape, BLOCK)}" for shape in shapes))
     return np.concatenate(parts, axis=-1)
 

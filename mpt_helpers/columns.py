@@ -1,0 +1,97 @@
+"""The Kalman filter for many tracks that each miss measurements of their own: one step of all tracks at a time.
+
+Tracks are columns, and so are their covariances: P is (n, n, M). Three ideas keep the step free of branches and loops
+over tracks:
+
+- A missing measurement is one of infinite variance: its gain vanishes, and nothing else has to be done about it.
+- A change of basis x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all tracks.
+- Measurements are taken one after the other, each in a basis in which it measures one component of the state alone.
+  There the update needs no matrix inverse, and the row of P that belongs to the measured component can be written
+  without a difference of large numbers.
+"""
+
+import numpy as np
+
+# Stands for an infinite variance. Far above any S, and its products with finite numbers do not overflow.
+MISSING = 1e200
+
+
+def can_run(model, z):
+    """Tell whether `kalman_epochs` can filter z (N, m, M): no row is partly NaN, or the noises are uncorrelated."""
+    lost = np.isnan(z)
+    whole = bool((lost.all(axis=1) == lost.any(axis=1)).all())
+    return whole or np.array_equal(model.R, np.diag(np.diag(model.R)))
+
+
+def kalman_epochs(model, z):
+    """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), NaN where a measurement is missing.
+
+    The yielded arrays may be written over when the next ones are asked for.
+    """
+    n, m, M = model.n, model.m, z.shape[2]
+    lower, variances = _uncorrelated(model.R)
+    H = np.linalg.solve(lower, model.H)
+    if m > 1:
+        z = np.linalg.solve(lower, z)
+    bases, measured = zip(*map(_basis, H), strict=True)
+    predict = _change_of_basis(bases[0] @ model.F)
+    Q = (bases[0] @ model.Q @ bases[0].T).reshape(n * n, 1)
+    between = [_change_of_basis(new @ np.linalg.inv(old)) for old, new in zip(bases[:-1], bases[1:], strict=True)]
+    back = _change_of_basis(np.linalg.inv(bases[-1]))
+
+    x = np.repeat(model.x0[:, None], M, axis=1)
+    P = np.repeat(model.P0[..., None], M, axis=2)
+    for z_k in z:
+        x, P = predict(x, P)
+        P.reshape(n * n, M)[:] += Q
+        for j in range(m):
+            if j > 0:
+                x, P = between[j - 1](x, P)
+            _update(x, P, z_k[j], variances[j], measured[j])
+        x, P = back(x, P)
+        yield x, P
+
+
+def _update(x, P, z, variance, i):
+    """Correct x and P in place with the measurement z (M,) of component i of the state, NaN where it is missing.
+
+    The textbook's update with H = eᵢᵀ. Row i of it, cᵢ - cᵢ c / S with S = cᵢ + v, is c v / S without the difference.
+    """
+    lost = np.isnan(z)
+    v = np.where(lost, MISSING, variance)
+    innovation = np.where(lost, 0, z - x[i])
+    c = P[i].copy()
+    S = c[i] + v
+    gain = c / S
+    x += gain * innovation
+    P -= gain[:, None] * c
+    P[i] = P[:, i] = c * (v / S)
+
+
+def _uncorrelated(R):
+    """Return L and d with R = L diag(d) Lᵀ, L lower triangular: measurements L⁻¹ z have uncorrelated noises."""
+    root = np.linalg.cholesky(R)
+    diagonal = np.diag(root)
+    return root / diagonal, np.diag(R) if np.array_equal(R, np.diag(np.diag(R))) else diagonal**2
+
+
+def _basis(h):
+    """Return the basis T (n, n) in which a measurement h x is a component of the state, and that component's number.
+
+    T is the identity with h in place of one row: the row of h's largest entry, so that T has an inverse. A row of H that
+    picks one component leaves the state as it is.
+    """
+    i = int(np.argmax(np.abs(h)))
+    T = np.eye(len(h))
+    T[i] = h
+    return T, i
+
+
+def _change_of_basis(T):
+    """Return a function that takes x (n, M), P (n, n, M) to T x, T P Tᵀ."""
+    n = len(T)
+    if np.array_equal(T, np.eye(n)):
+        return lambda x, P: (x, P)
+    W = np.kron(T, T).reshape(n, n, n * n)
+    W = ((W + W.swapaxes(0, 1)) / 2).reshape(n * n, n * n)  # gives a P that is symmetric to the last bit
+    return lambda x, P: (T @ x, (W @ P.reshape(n * n, -1)).reshape(P.shape))

@@ -1,0 +1,173 @@
+"""Filters made of filters: the mean of two, and several side by side."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from . import checks
+from .filters import Filter, KalmanFilter, LainiotisFilter
+from .model import stack
+from .steady import SteadyStateFilter
+
+
+@dataclass(frozen=True, eq=False)
+class JoinFilter(Filter):
+    """The mean of two filters of one model: JKLF and JSSKLF (2014 Eqs. 8, 16; 2015 Eqs. 4-5, 13).
+
+        x(k/k) = [x_1(k/k) + x_2(k/k)] / 2,   and the same of the covariances
+
+    Raises ValueError where the models differ or the filters predict unequally far, TypeError for what is no filter.
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
+    >>> JoinFilter(KalmanFilter(axis), LainiotisFilter(axis)).filter([[1.0], [2.0]]).round(4)
+    array([[0.0612, 0.1224],
+           [0.5557, 0.4681]])
+    """
+
+    first: Filter
+    second: Filter
+
+    def __post_init__(self):
+        checks.instance("first", self.first, Filter)
+        checks.instance("second", self.second, Filter)
+        if self.first.model != self.second.model:
+            checks.refuse("second", "a filter of the same model as the first", "one of another model")
+        _require_equally_far_ahead("second", self.first, self.second)
+
+    @property
+    def model(self):
+        """The model of both filters."""
+        return self.first.model
+
+    @property
+    def P0(self):
+        """The mean of both P(0/0)."""
+        return (self.first.P0 + self.second.P0) / 2
+
+    def covariances(self, z):
+        """Return the mean of both filters' covariances, for measurements z or N epochs without gaps."""
+        return (self.first.covariances(z) + self.second.covariances(z)) / 2
+
+    def step(self, x, P, z_k):
+        """Return the mean of what both filters make of x (n,), P (n, n) and one measurement z_k (m,).
+
+        A loop of steps is `filter` where both filters have the same gains, as the papers' two pairs have: between
+        unlike filters one x does not hold what both remember.
+        """
+        x_1, P_1 = self.first.step(x, P, z_k)
+        x_2, P_2 = self.second.step(x, P, z_k)
+        return (x_1 + x_2) / 2, (P_1 + P_2) / 2
+
+    def epochs(self, z):
+        """Yield the means of what both filters' `epochs` yield."""
+        for (x_1, P_1), (x_2, P_2) in zip(self.first.epochs(z), self.second.epochs(z), strict=True):
+            yield (x_1 + x_2) / 2, (P_1 + P_2) / 2
+
+    def _estimates(self, z):
+        return (self.first._estimates(z) + self.second._estimates(z)) / 2
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Separate(Filter):
+    """Filters side by side, each on its own part of the state: model B of the papers (2014 Section 5, Eqs. 17-18).
+
+    Each filter sees its own rows of z. Raises ValueError when no filter is given or they predict unequally far,
+    TypeError for what is no filter.
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> kf = KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1))
+    >>> Separate(kf, kf).filter([[1.0, 1.0], [2.0, 0.0]]).round(4)
+    array([[0.0612, 0.1224, 0.0612, 0.1224],
+           [0.5557, 0.4681, 0.1164, 0.06  ]])
+    """
+
+    filters: tuple
+
+    def __init__(self, *filters):
+        if not filters:
+            checks.refuse("filters", "at least one filter", "none")
+        for i, each in enumerate(filters):
+            checks.instance(f"filters[{i}]", each, Filter)
+            _require_equally_far_ahead(f"filters[{i}]", filters[0], each)
+        object.__setattr__(self, "filters", filters)
+        object.__setattr__(self, "model", stack(*(each.model for each in filters)))
+
+    def __reduce__(self):
+        return Separate, self.filters
+
+    @property
+    def P0(self):
+        """The block diagonal P(0/0)."""
+        return block_diag(*(each.P0 for each in self.filters))
+
+    def covariances(self, z):
+        """Return the block diagonal covariances, for measurements z or N epochs without gaps."""
+        if np.ndim(z) == 0:
+            return _diagonal([each.covariances(z) for each in self.filters])
+        z = checks.measurements(z, self.model.m)
+        return _diagonal([each.covariances(z[:, rows]) for each, _, rows in self._parts()])
+
+    def step(self, x, P, z_k):
+        """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its rows of z_k (m,)."""
+        z_k = np.asarray(z_k, float)
+        steps = [each.step(x[i], P[i, i], z_k[rows]) for each, i, rows in self._parts()]
+        return np.concatenate([x for x, _ in steps]), block_diag(*(P for _, P in steps))
+
+    def epochs(self, z):
+        """Yield x (n, M) and P (n, n, 1 or M), block diagonal, of what the filters' `epochs` yield."""
+        for steps in zip(*(each.epochs(z[:, rows]) for each, _, rows in self._parts()), strict=True):
+            yield np.concatenate([x for x, _ in steps]), _diagonal([P[None] for _, P in steps])[0]
+
+    def _estimates(self, z):
+        x = np.empty((len(z), self.model.n, z.shape[2]))
+        for each, states, rows in self._parts():
+            x[:, states] = each._estimates(z[:, rows])
+        return x
+
+    def _parts(self):
+        """Return each filter with the slices of its states and of its measurements."""
+        parts, n, m = [], 0, 0
+        for each in self.filters:
+            parts.append((each, slice(n, n + each.model.n), slice(m, m + each.model.m)))
+            n, m = n + each.model.n, m + each.model.m
+        return parts
+
+
+def _require_equally_far_ahead(name, first, other):
+    ahead, also = getattr(first, "steps", 0), getattr(other, "steps", 0)
+    if ahead != also:
+        checks.refuse(name, f"a filter {ahead} steps ahead, as the first", f"one {also} steps ahead")
+
+
+def _diagonal(blocks):
+    """Return block diagonal covariances (N, n, n, ...) of covariances (N, n_i, n_i, ...)."""
+    sizes = [block.shape[1] for block in blocks]
+    shape = np.broadcast_shapes(*(block.shape[3:] for block in blocks))
+    P = np.zeros((len(blocks[0]), sum(sizes), sum(sizes), *shape))
+    for block, stop in zip(blocks, np.cumsum(sizes), strict=True):
+        rows = slice(stop - len(block[0]), stop)
+        P[:, rows, rows] = block
+    return P
+
+
+def six_filters(model):
+    """Return the six filters of the papers by their names (2014 Table 1, 2015 Table 1), in the papers' order.
+
+    Raises ValueError when the model has no steady state.
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> list(six_filters(gsm_axis(dt=1.0, q=0.01, r=0.1)))
+    ['KF', 'LF', 'JKLF', 'SSKF', 'SSLF', 'JSSKLF']
+    """
+    kf, lf = KalmanFilter(model), LainiotisFilter(model)
+    sskf, sslf = SteadyStateFilter.from_kalman(model), SteadyStateFilter.from_lainiotis(model)
+    return {
+        "KF": kf,
+        "LF": lf,
+        "JKLF": JoinFilter(kf, lf),
+        "SSKF": sskf,
+        "SSLF": sslf,
+        "JSSKLF": JoinFilter(sskf, sslf),
+    }

@@ -1,0 +1,244 @@
+"""Filters with constant coefficients: the steady-state filter, its prediction N steps ahead, and its FIR form."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from . import checks, riccati
+from .filters import Filter, RecursiveFilter
+from .model import LinearModel, predicted_covariance, square_root
+from .recursion import tiles
+
+# How far A may be from (I - B H) F, relative to the size of the terms: what solvers at the edge of doubles leave.
+SAME_A = 1e-6
+# A FIR filter of more taps is refused: the steady-state filter does the same in one step.
+LONGEST = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyStateFilter(RecursiveFilter):
+    """A filter with constant coefficients A (n×n), B (n×m) and the error covariance P (n×n) of its steady state.
+
+    2014 Eqs. 9-15, 2015 Eqs. 6-12, 2016 Eqs. 8-12. Made by `from_kalman` or `from_lainiotis`, which solve different
+    Riccati equations: that they agree (2014 Eq. 15) is a result.
+
+    Its covariance starts at P and stays there; after a missed epoch it is the covariance of the true error. A row of z
+    that is partly NaN is refused, since a constant gain does not fit it. Raises ValueError for arrays of another shape
+    and for an A that is not (I - B H) F.
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1)).B.round(4)
+    array([[0.3654],
+           [0.2068]])
+    """
+
+    model: LinearModel
+    A: np.ndarray
+    B: np.ndarray
+    P: np.ndarray
+
+    def __post_init__(self):
+        checks.instance("model", self.model, LinearModel)
+        n, m, F, H = self.model.n, self.model.m, self.model.F, self.model.H
+        object.__setattr__(self, "A", checks.array("A", self.A, (n, n)))
+        object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
+        object.__setattr__(self, "P", checks.covariance("P", self.P, n, rounding=checks.SOLVED))
+        gap = np.abs(self.A - (F - self.B @ H @ F))
+        size = np.abs(F) + np.abs(self.B) @ np.abs(H) @ np.abs(F)
+        if (gap > SAME_A * size).any():
+            checks.refuse("A", "(I - B H) F, as in every filter of the papers", f"a gap of {gap.max():.6g}")
+
+    @classmethod
+    def from_kalman(cls, model):
+        """Solve the Riccati equation of the Kalman filter, then A = (I - K H) F and B = K (2014 Eqs. 10-11).
+
+        Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
+        """
+        P = riccati.rekf(model)
+        K = P @ riccati.gain_by_information(P, model.H, model.R)
+        update = np.eye(model.n) - K @ model.H
+        root = np.hstack([update @ square_root(P), K @ np.linalg.cholesky(model.R)])  # of the Joseph form of P_e
+        return cls(model, A=update @ model.F, B=K, P=root @ root.T)
+
+    @classmethod
+    def from_lainiotis(cls, model):
+        """Solve the Riccati equation of the Lainiotis filter, then A and B of 2014 Eqs. 13-14.
+
+        Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
+        """
+        P = riccati.relf(model)
+        Fn, Kn, Km, _, On = riccati.lainiotis_matrices(model)
+        A = Fn @ np.linalg.inv(np.eye(model.n) + P @ On)
+        return cls(model, A=A, B=Kn + A @ P @ Km, P=P)
+
+    @property
+    def P0(self):
+        """P(0/0), the covariance of the steady state."""
+        return self.P
+
+    def gains(self, P, seen):
+        """Return A, B and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n); F, zero and F P Fᵀ + Q for a missed epoch."""
+        P_predicted = predicted_covariance(self.model, P)
+        if not seen.any():
+            return self.model.F, np.zeros_like(self.B), P_predicted
+        if not seen.all():
+            checks.refuse("z", "rows all of numbers or all of NaN, as the gain is constant", "a row that is partly NaN")
+        update = np.eye(self.model.n) - self.B @ self.model.H
+        return self.A, self.B, update @ P_predicted @ update.T + self.B @ self.model.R @ self.B.T
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyStatePredictor(Filter):
+    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): row k of `filter(z)` is x(k+1+N / k+1).
+
+        x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
+
+    `steady` is the SteadyStateFilter whose A and B these are, `steps` is N. Since A_N is similar to A, the prediction is
+    Fᴺ x(k/k): it is computed so, and needs no F⁻ᴺ. Raises TypeError or ValueError for arguments of another kind.
+
+    >>> from mpt_helpers.model import constant_velocity
+    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> SteadyStatePredictor(steady, steps=3).filter([[1.0], [2.0]]).round(4)
+    array([[1.186 , 0.2125],
+           [2.8678, 0.4757]])
+    """
+
+    steady: SteadyStateFilter
+    steps: int
+
+    def __post_init__(self):
+        checks.instance("steady", self.steady, SteadyStateFilter)
+        checks.count("steps", self.steps, least=0)
+
+    @property
+    def model(self):
+        """The model of the steady-state filter."""
+        return self.steady.model
+
+    @cached_property
+    def F_N(self):
+        """The transition over N steps, Fᴺ (n×n)."""
+        return np.linalg.matrix_power(self.model.F, self.steps)
+
+    @property
+    def A(self):
+        """A_N = Fᴺ A F⁻ᴺ (n×n). Raises LinAlgError (a ValueError) where F has no inverse."""
+        return np.linalg.solve(self.F_N.T, (self.F_N @ self.steady.A).T).T
+
+    @property
+    def B(self):
+        """B_N = Fᴺ B (n×m)."""
+        return self.F_N @ self.steady.B
+
+    @property
+    def P(self):
+        """The covariance of the prediction's error in steady state (n×n)."""
+        return predicted_covariance(self.model, self.steady.P, self.steps)
+
+    def covariances(self, z):
+        """Return the covariances of the predictions' errors, in the shapes of `SteadyStateFilter.covariances`."""
+        P = self.steady.covariances(z)
+        columns = P.reshape(*P.shape[:3], -1)  # (N, n, n, M), M = 1 for one track
+        ahead = predicted_covariance(self.model, columns.transpose(0, 3, 1, 2), self.steps)
+        return ahead.transpose(0, 2, 3, 1).reshape(P.shape)
+
+    def _estimates(self, z):
+        return self.F_N @ self.steady._estimates(z)
+
+
+def fir_order(A, tol, norm=2):
+    """Return the FIR order M: the first power with ‖Aᴹ‖ < tol (2014 Section 7).
+
+    A is n×n, tol is the paper's ε, norm is 1, 2 (the spectral norm), inf, "fro" or "nuc", as in `numpy.linalg.norm`.
+    Raises ValueError for tol outside (0, 1] and for an A whose powers do not fall below tol within a million steps.
+
+    >>> fir_order([[0.5]], tol=0.1)
+    4
+    """
+    A = checks.array("A", A, (len(A), len(A)))
+    tol = checks.number("tol", tol, "a number in (0, 1]", lambda tol: 0 < tol <= 1)
+    radius = np.abs(np.linalg.eigvals(A)).max()
+    # ‖Aᴹ‖ is at least the spectral radius to the power M: no lower power can be below tol.
+    least = 1 if radius < tol else np.log(tol) / np.log(radius) if radius < 1 else np.inf
+    if least > LONGEST:
+        checks.refuse("A", f"powers that fall below {tol:g} within {LONGEST:,} steps", f"a spectral radius of {radius:g}")
+    order = max(1, int(least * (1 - 1e-9)))  # one part in 1e9 for the rounding of the logarithms
+    power = np.linalg.matrix_power(A, order)
+    while np.linalg.norm(power, norm) >= tol:
+        if order >= LONGEST:
+            checks.refuse("A", f"powers that fall below {tol:g} within {LONGEST:,} steps", "powers that fall more slowly")
+        power = power @ A
+        order += 1
+    return order
+
+
+@dataclass(frozen=True, eq=False)
+class FIRFilter(Filter):
+    """The FIR form of a steady-state filter (2014 Section 7, Eqs. 20-22): a weighted sum of the last M measurements.
+
+        x(k/k) = Σ taps[j] z(k-j), j = 0 ... M-1,   taps[j] = Aʲ B
+
+    taps is (M, n, m). The start x0 and older measurements are forgotten. A missed epoch is predicted, F x(k-1/k-1), and
+    its measurement replaced by the predicted one, H F x(k-1/k-1): the same happens in the steady-state filter. The
+    filter has no covariances. Raises TypeError or ValueError for anything but a model and such an array.
+
+    >>> from mpt_helpers.model import gsm_axis
+    >>> steady = SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1))
+    >>> FIRFilter.from_steady_state(steady, tol=1e-3).order
+    17
+    """
+
+    model: LinearModel
+    taps: np.ndarray
+
+    def __post_init__(self):
+        checks.instance("model", self.model, LinearModel)
+        order = max(1, len(self.taps))
+        object.__setattr__(self, "taps", checks.array("taps", self.taps, (order, self.model.n, self.model.m)))
+
+    @classmethod
+    def from_steady_state(cls, steady, tol=1e-3):
+        """Cut the impulse response Aʲ B of a steady-state filter where the spectral norm of Aᴹ falls below tol."""
+        checks.instance("steady", steady, SteadyStateFilter)
+        taps = [steady.B]
+        for _ in range(fir_order(steady.A, tol) - 1):
+            taps.append(steady.A @ taps[-1])
+        return cls(steady.model, np.array(taps))
+
+    @property
+    def order(self):
+        """The paper's M: how many measurements an estimate takes."""
+        return len(self.taps)
+
+    def _estimates(self, z):
+        lost = np.isnan(z)
+        missed = lost.all(axis=1)
+        if (lost.any(axis=1) != missed).any():
+            checks.refuse("z", "rows all of numbers or all of NaN, as the taps are constant", "a row that is partly NaN")
+        x = self._convolve(np.where(lost, 0, z) if lost.any() else z)
+        F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]
+        for k in np.flatnonzero(missed.any(axis=1)):
+            predicted = F @ (x[k - 1] if k > 0 else x0)
+            replaced = np.where(missed[k], H @ predicted, 0)
+            x[k : k + self.order] += self.taps[: len(x) - k] @ replaced
+            x[k] = np.where(missed[k], predicted, x[k])
+        return x
+
+    def _convolve(self, z):
+        """Return Σ taps[j] z(k-j) for all k, (N, n, M): eight steps in one product, as in `recursion.run`."""
+        (N, m, M), n = z.shape, self.model.n
+        L, before = min(8, N), self.order - 1
+        W = np.zeros((L, n, before + L, m))
+        for i in range(L):
+            W[i, :, i : i + self.order] = self.taps[::-1].swapaxes(0, 1)
+        W = W.reshape(L * n, (before + L) * m)
+        x = np.empty((N, n, M))
+        measured = np.ascontiguousarray(z).reshape(N * m, M)
+        for tracks in tiles(M):
+            for k in range(0, N, L):
+                first, last = max(k - before, 0), min(k + L, N)
+                weights = W[: (last - k) * n, (first - k + before) * m : (last - k + before) * m]
+                out = x[k:last].reshape(-1, M)[:, tracks]
+                np.matmul(weights, measured[first * m : last * m, tracks], out=out)
+        return x
