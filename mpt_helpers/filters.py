@@ -241,16 +241,21 @@ class KalmanFilter(RecursiveFilter):
     def step(self, x, P, z_k):
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
-        NaN stands for a missing measurement. filterpy's functions `predict` and `update` do the work.
+        NaN stands for a missing measurement. The equations are the textbook's, with P in Joseph's form as in filterpy.
         """
         z_k = _one_measurement(z_k, self.model.m)
-        H, R = self.model.H, self.model.R
-        seen = ~np.isnan(z_k)
+        F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
+        seen = z_k == z_k  # false for NaN
         if not seen.all():
             z_k = np.where(seen, z_k, 0)
             H, R = rows_seen(self.model, seen)
-        x, P = filterpy.kalman.predict(x, P, self.model.F, self.model.Q)
-        return filterpy.kalman.update(x, P, z_k, R, H)
+        # `dot` takes half the time of `@` on matrices as small as these.
+        x = F.dot(x)
+        P = F.dot(P).dot(F.T) + Q
+        PHt = P.dot(H.T)
+        K = PHt.dot(np.linalg.inv(H.dot(PHt) + R))
+        update = np.eye(len(x)) - K.dot(H)
+        return x + K.dot(z_k - H.dot(x)), update.dot(P).dot(update.T) + K.dot(R).dot(K.T)
 
     def _epochs_of_own_gaps(self, z, seen):
         if columns.can_run(self.model, z):
