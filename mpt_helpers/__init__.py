@@ -5,6 +5,7 @@ __version__ = "0.2.0"
 from . import metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
+from .ledger import Table, gap_text, published
 from .model import (
     LinearModel,
     constant_acceleration,
@@ -28,14 +29,17 @@ __all__ = [
     "Separate",
     "SteadyStateFilter",
     "SteadyStatePredictor",
+    "Table",
     "constant_acceleration",
     "constant_velocity",
     "exact_motion",
     "fir_order",
+    "gap_text",
     "gps_ins",
     "gsm_axis",
     "mean_track",
     "metrics",
+    "published",
     "riccati",
     "simulate",
     "six_filters",

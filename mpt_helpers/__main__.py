@@ -1,4 +1,4 @@
-"""The command line: `python -m mpt_helpers` reproduce [KEY ...], verdicts [KEY] [--json | --csv], and readme."""
+"""The command line: `python -m mpt_helpers` reproduce, verdicts, readme, tidy."""
 
 import argparse
 import csv
@@ -10,15 +10,19 @@ import shutil
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from textwrap import fill
 
+from tqdm import tqdm
+
+from . import __version__
 from .files import write_together, write_whole
-from .published import Verdicts, counts_by_paper, stored_verdicts
-from .tables import Table
+from .ledger import keys, published, shipped_verdicts, stored_verdicts
+from .ledger.tables import Table
+from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, HOLDS
 
-NOTEBOOKS, FIGURES = Path("notebooks"), Path("figures")
-README = Path("README.md")
+NOTEBOOKS, FIGURES, LEDGER = Path("notebooks"), Path("figures"), Path("mpt_helpers") / "ledger"
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
-MEASURED = Path("benchmarks") / "results.json"  # what notebooks read of the clock, so that none of them looks at it
+READ_BY_NOTEBOOKS = Path("benchmarks") / "results.json"  # the clock was read on another day: outputs must not change
 CELL_TIMEOUT = 600  # seconds; the slowest cell takes some ten
 
 
@@ -26,85 +30,117 @@ class CommandError(Exception):
     """What went wrong, in words for the terminal."""
 
 
-def reproduce(keys):
-    """Execute notebooks in place, one after the other, and write their figures; nothing of one that fails is touched.
+def project():
+    """Return the project's folder: the working directory or, from within notebooks/, the one above."""
+    here = Path.cwd()
+    for folder in (here, here.parent):
+        if any(folder.glob(f"{NOTEBOOKS}/*.ipynb")):
+            return folder
+    raise CommandError(f"no notebooks in {here / NOTEBOOKS}: run this in the project's folder")
 
-    Raises CommandError for an unknown key, for a folder that cannot be written to and for a notebook that fails, naming
-    the notebook, the cell and the error.
+
+def chosen(some, known):
+    """Return some keys, or all that are known if there are none; raises CommandError for one that is not known."""
+    for key in some:
+        if key not in known:
+            raise CommandError(f"unknown notebook {key!r}; the known ones are {', '.join(known)}")
+    return some or known
+
+
+def reproduce(some):
+    """Execute notebooks in place; write their figures and, for a notebook of a paper, its verdicts into the package.
+
+    A notebook that fails leaves all files as they were. Raises CommandError for an unknown key, a folder that cannot be
+    written to, a notebook that fails (naming the cell and the error) and verdicts that do not cover the paper.
     """
-    keys = known(keys)
+    root = project()
+    some = chosen(some, sorted(path.stem for path in root.glob(f"{NOTEBOOKS}/*.ipynb")))
     for folder in (FIGURES, NOTEBOOKS):
-        if folder.exists() and not (folder.is_dir() and os.access(folder, os.W_OK)):
+        path = root / folder
+        if path.exists() and not (path.is_dir() and os.access(path, os.W_OK)):
             raise CommandError(f"{folder}: needs a folder that can be written to")
-    for key in keys:
-        # A cell reads ../figures: the notebook runs in a copy of its place, and what it made is moved over at the end.
-        with TemporaryDirectory(prefix=".reproduce-", dir=".") as place:
+    for key in some:
+        # The notebook runs in a copy of its surroundings, and what it made is moved over at the end.
+        with TemporaryDirectory(prefix=".reproduce-", dir=root) as place:
             stage = Path(place)
             stage.joinpath(FIGURES).mkdir()
-            shutil.copytree(NOTEBOOKS, stage / NOTEBOOKS)
-            if MEASURED.exists():
-                stage.joinpath(MEASURED).parent.mkdir()
-                shutil.copy(MEASURED, stage / MEASURED)
-            text = _execute(key, stage / NOTEBOOKS)
-            FIGURES.mkdir(exist_ok=True)
-            made = {FIGURES / each.name: each.read_bytes() for each in sorted(stage.joinpath(FIGURES).iterdir())}
-            write_together(made | {NOTEBOOKS / f"{key}.ipynb": text.encode()})
+            shutil.copytree(root / NOTEBOOKS, stage / NOTEBOOKS)
+            if root.joinpath(READ_BY_NOTEBOOKS).exists():
+                stage.joinpath(READ_BY_NOTEBOOKS).parent.mkdir()
+                shutil.copy(root / READ_BY_NOTEBOOKS, stage / READ_BY_NOTEBOOKS)
+            made = {NOTEBOOKS / f"{key}.ipynb": _execute(key, stage / NOTEBOOKS).encode()}
+            if key in keys():
+                stage.joinpath(NOTEBOOKS, f"{key}.ipynb").write_bytes(made[NOTEBOOKS / f"{key}.ipynb"])
+                given = published(key).complete(stored_verdicts(stage / NOTEBOOKS / f"{key}.ipynb"))
+                made[LEDGER / f"{key}.json"] = f"{as_json(given)}\n".encode()
+            root.joinpath(FIGURES).mkdir(exist_ok=True)
+            made |= {FIGURES / path.name: path.read_bytes() for path in stage.joinpath(FIGURES).iterdir()}
+            write_together({root / path: made[path] for path in sorted(made) if root.joinpath(path).parent.exists()})
 
 
 def _execute(key, folder):
     # Imported here, so that the verdicts can be read without Jupyter.
-    import nbformat
-    from nbclient import NotebookClient
-
+    try:
+        import nbformat
+        from nbclient import NotebookClient
+    except ModuleNotFoundError as error:
+        raise CommandError("reproduce needs Jupyter: pip install 'mpt_helpers[notebooks]'") from error
     try:
         notebook = nbformat.read(folder / f"{key}.ipynb", as_version=4)
     except (ValueError, TypeError, LookupError, AttributeError, nbformat.ValidationError) as error:
         raise CommandError(f"{key}: needs a notebook ({error!r:.200})") from error
+    ran = ["none"]
     total = sum(cell.cell_type == "code" for cell in notebook.cells)
-    ran = []
+    line = "{desc}: cell {n} of {total}, {elapsed} so far, some {remaining} left"
+    terminal = sys.stdout.isatty()
 
-    def progress(cell, cell_index):
-        if cell.cell_type == "code":
-            ran.append(cell.id)
-            print(f"{key}: cell {len(ran)} of {total}, {cell.id}", flush=True)
+    def on_cell_start(cell, cell_index):
+        ran.append(cell.id)
 
-    client = NotebookClient(
-        notebook,
-        timeout=CELL_TIMEOUT,
-        kernel_name="python3",
-        extra_arguments=["--IPKernelApp.log_level=50"],  # what it says below that is not about the notebook
-        resources={"metadata": {"path": str(folder)}},
-        record_timing=False,
-        coalesce_streams=True,
-        on_cell_start=progress,
-    )
-    try:
-        client.execute()
-    except Exception as error:  # a cell's, a timeout's, a dead kernel's, or what nbclient makes of an interrupt
-        errors = (
-            (cell.id, f"{out.ename}: {out.evalue}")
-            for cell in notebook.cells
-            for out in cell.get("outputs", [])
-            if "ename" in out
+    def on_cell_executed(cell, cell_index, execute_reply):
+        bar.update()
+
+    with tqdm(total=total, desc=key, bar_format=line, file=sys.stdout, disable=not terminal) as bar:
+        client = NotebookClient(
+            notebook,
+            timeout=CELL_TIMEOUT,
+            kernel_name="python3",
+            extra_arguments=["--IPKernelApp.log_level=50"],  # what it says below that is not about the notebook
+            resources={"metadata": {"path": str(folder)}},
+            record_timing=False,
+            coalesce_streams=True,
+            on_cell_start=on_cell_start,
+            on_cell_executed=on_cell_executed,
         )
-        gone = str(error) or "the kernel is gone, as after an interrupt"
-        where, what = next(errors, (ran[-1] if ran else "none", gone))
-        if hasattr(client, "_async_cleanup_kernel_future"):  # nbclient caught a signal, and stopped the kernel
-            raise KeyboardInterrupt from error
-        raise CommandError(f"{key}: cell {where} failed: {what}") from error
-    notebook.metadata["language_info"] = {"name": "python"}  # the rest of it names the version of Python
-    return nbformat.writes(notebook) + "\n"
+        try:
+            client.execute()
+        except Exception as error:  # a cell's, a timeout's, a dead kernel's, or what nbclient makes of an interrupt
+            if hasattr(client, "_async_cleanup_kernel_future"):  # nbclient caught a signal, and stopped the kernel
+                raise KeyboardInterrupt from error
+            what = getattr(error, "evalue", str(error)) or "the kernel is gone, as after an interrupt"
+            name = f"{error.ename}: " if hasattr(error, "ename") else ""
+            raise CommandError(f"{key}: cell {ran[-1]} failed: {name}{what}") from error
+    if not terminal:
+        print(f"{key}: {total} cells executed", flush=True)
+    return nbformat.writes(tidied(notebook)) + "\n"
 
 
-def verdicts(keys):
-    """Return the stored Verdicts of these notebooks, of all if none is named.
+def tidied(notebook):
+    """Return a notebook without what changes from run to run: the version of Python and the times of its cells."""
+    notebook["metadata"]["language_info"] = {"name": "python"}
+    for cell in notebook["cells"]:
+        cell["metadata"].pop("execution", None)
+    return notebook
 
-    Raises CommandError for an unknown key and for a notebook without verdicts.
-    """
-    try:
-        return Verdicts(each for key in known(keys) for each in stored_verdicts(NOTEBOOKS / f"{key}.ipynb"))
-    except ValueError as error:
-        raise CommandError(str(error)) from error
+
+def tidy(some):
+    """Rewrite notebooks so that after `jupyter execute --inplace` or JupyterLab only outputs differ."""
+    root = project()
+    for key in chosen(some, sorted(path.stem for path in root.glob(f"{NOTEBOOKS}/*.ipynb"))):
+        path = root / NOTEBOOKS / f"{key}.ipynb"
+        notebook = tidied(json.loads(path.read_text(encoding="utf-8")))
+        text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True)
+        write_whole(path, f"{text}\n".encode())
 
 
 def as_json(verdicts):
@@ -113,68 +149,104 @@ def as_json(verdicts):
 
 
 def as_csv(verdicts):
-    """Return Verdicts as CSV text."""
+    """Return Verdicts as CSV text, with a header also where there are none."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, verdicts.records()[0], lineterminator="\n")
+    writer = csv.DictWriter(text, FIELDS, lineterminator="\n")
     writer.writeheader()
     writer.writerows(verdicts.records())
-    return text.getvalue()
+    return text.getvalue().rstrip()
 
 
-def readme():
-    """Return the README with the table of verdicts as the notebooks have it.
+def as_text(verdicts, every, width):
+    """Return Verdicts as text in lines of a width: each paper's counts and causes, then its rows if asked for all."""
+    lines = []
+    for paper in dict.fromkeys(each.paper for each in verdicts):
+        own = verdicts.of(paper)
+        tally = own.tally()
+        lines.append(fill(f"{paper}: {tally.claims_text()}; {tally.values_text()}; {tally.causes_text()}.", width))
+        for kind, cells in tally.causes.items():
+            for place, count in cells.items():
+                cause = own.causes[place]
+                text = f"{kind} {cause.id} ({count}): {cause.sentence} {cause.meaning}"
+                lines.append(fill(text, width, initial_indent="  ", subsequent_indent="    "))
+        if every:
+            for each in own:
+                why = ", ".join(part for part in (each.basis, each.cause) if part)
+                text = f"{each.id}: {each.where}: printed {each.printed}; computed {each.computed}"
+                text += f"; {each.verdict} ({why}). {each.reason}"
+                lines.append(fill(text, width, initial_indent="  ", subsequent_indent="    "))
+    return "\n".join(lines or ["no verdicts are stored yet: run `make reproduce`"])
 
-    Raises CommandError when there is no README with a place for the table.
-    """
-    rows = counts_by_paper(verdicts([]))
-    linked = [[f"[{key}]({NOTEBOOKS.name}/{key}.ipynb)", *counts] for key, *counts in rows.rows[:-1]]
-    table = Table(rows.header, [*linked, rows.rows[-1]]).markdown()
+
+def readme(verdicts):
+    """Return the README's block on Verdicts: what holds and what is wrong in words, then a row for each paper."""
+    tally = verdicts.tally()
+    others = "".join(f", {count} {words}" for words, count in tally.claims_bar() if words != "hold")
+    words = f"**{tally.claims_text()}**{others}. {tally.values_text()}. What is wrong: {tally.causes_text()}."
+    kinds = ("slip", "wording", "finding")
+    rows = []
+    for paper in [*dict.fromkeys(each.paper for each in verdicts), "all"]:
+        own = tally if paper == "all" else verdicts.of(paper).tally()
+        row = [paper if paper == "all" else f"[{paper}]({NOTEBOOKS}/{paper}.ipynb)"]
+        row += [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in kinds]
+        row += [f"{sum(counts[each] for each in HOLDS)} of {counts.total()}" for counts in (own.claims, own.values)]
+        rows.append([*row, own.claims[CANNOT_BE_CHECKED] + own.values[CANNOT_BE_CHECKED]])
+    header = ["paper", *(f"{kind}s (cells)" for kind in kinds), "claims hold", "numbers, formulas, figures agree"]
+    return f"{words}\n\n{Table([*header, 'cannot be checked'], rows).markdown()}"
+
+
+def write_readme():
+    """Write the block on the verdicts into the README; raises CommandError where it has no place for it."""
+    path = project() / "README.md"
     try:
-        text, places = BLOCK.subn(lambda old: f"{old[1]}\n{table}\n\n{old[2]}", README.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise CommandError(f"{README}: {error.strerror}") from error
+        raise CommandError(f"{path.name}: {error.strerror}") from error
+    block = readme(shipped_verdicts())
+    text, places = BLOCK.subn(lambda old: f"{old[1]}\n{block}\n\n{old[2]}", text)
     if places != 1:
-        raise CommandError(f"{README}: needs one place for the table of verdicts, got {places}")
-    return text
-
-
-def known(keys):
-    """Return these keys of notebooks, or all if none; raises CommandError for an unknown key or another folder."""
-    there = sorted(path.stem for path in NOTEBOOKS.glob("*.ipynb"))
-    if not there:
-        raise CommandError(f"no notebooks in {NOTEBOOKS.resolve()}: run this in the project's folder")
-    for key in keys:
-        if key not in there:
-            raise CommandError(f"unknown notebook {key!r}; the known ones are {', '.join(there)}")
-    return keys or there
+        raise CommandError(f"{path.name}: needs one place for the verdicts, got {places}")
+    write_whole(path, text.encode())
 
 
 def main(arguments=None):
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m mpt_helpers", description="Four papers, reproduced.")
+    parser.add_argument("--version", action="version", version=f"mpt_helpers {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     run = commands.add_parser("reproduce", help="execute the notebooks in place and write every figure")
-    run.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
-    show = commands.add_parser("verdicts", help="print the verdicts of the notebooks, without running them")
+    clean = commands.add_parser("tidy", help="after `jupyter execute --inplace`: leave a difference of outputs only")
+    for command in (run, clean):
+        command.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
+    show = commands.add_parser("verdicts", help="print what holds and what is wrong, without running anything")
     show.add_argument("keys", metavar="KEY", nargs="?", help="a notebook's name without .ipynb (default: all)")
     form = show.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_const", dest="form", const=as_json, help="print them as JSON")
-    form.add_argument("--csv", action="store_const", dest="form", const=as_csv, help="print them as CSV")
-    commands.add_parser("readme", help="write the table of verdicts into the README")
+    form.add_argument("--all", action="store_true", help="print every verdict, not the causes only")
+    form.add_argument("--json", action="store_true", help="print every verdict as JSON")
+    form.add_argument("--csv", action="store_true", help="print every verdict as CSV")
+    commands.add_parser("readme", help="write the counts of the verdicts into the README")
     options = parser.parse_args(arguments)
     try:
         if options.command == "reproduce":
             reproduce(options.keys)
-            return 0
-        if options.command == "readme":
-            write_whole(README, readme().encode())
-            return 0
-        given = verdicts([options.keys] if options.keys else [])
-        columns = ("paper", "id", "where", "kind", "printed", "computed", "verdict", "reason")
-        table = Table(columns, [[getattr(each, column) for column in columns] for each in given])
-        print(options.form(given).rstrip() if options.form else table)
+        elif options.command == "tidy":
+            tidy(options.keys)
+        elif options.command == "readme":
+            write_readme()
+        else:
+            verdicts = shipped_verdicts(*chosen([options.keys] if options.keys else [], keys()))
+            if options.json:
+                print(as_json(verdicts))
+            elif options.csv:
+                print(as_csv(verdicts))
+            else:
+                print(as_text(verdicts, options.all, shutil.get_terminal_size().columns))
+            sys.stdout.flush()
         return 0
-    except (CommandError, OSError) as failure:  # as of a full disk
+    except BrokenPipeError:  # as in `verdicts | head`: what is not yet written goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (CommandError, OSError, ValueError) as failure:  # OSError: a full disk; ValueError: the ledger's files
         print(f"error: {failure}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -11,14 +11,6 @@ ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
 AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
 MODELS_2016 = {"cv": mpt.constant_velocity(1.0, 0.01, 0.1), "ca": mpt.constant_acceleration(1.0, 0.01, 0.1)}
-# What the first screen of a notebook and the README call the verdicts.
-COUNTED = {
-    "reproduced": "reproduced",
-    "within band": "within band",
-    "errata": "erratum",
-    "differs": "differs",
-    "cannot be checked": "cannot be checked",
-}
 
 
 def dense_model(seed, n=3, m=2):
@@ -56,3 +48,61 @@ def z(model):
 def notebook(request):
     """A committed notebook: its key and its cells."""
     return request.param.stem, json.loads(request.param.read_text(encoding="utf-8"))["cells"]
+
+
+# A made-up paper: what the tests of the ledger, the command line and the seeds work on.
+PAPER = """
+items = [
+  { id = "count", where = "Table 1", kind = "number", printed = "17" },
+  { id = "ratio", where = "Table 2", kind = "number", printed = "1.290" },
+  { id = "wrong", where = "Table 3", kind = "number", printed = "326" },
+  { id = "equal", where = "Section 1", kind = "claim", printed = "A equals B" },
+  { id = "lost", where = "Table 4", kind = "number", printed = "?" },
+]
+[[causes]]
+id = "one-missing"
+kind = "slip"
+sentence = "One is missing: 326 for 336."
+meaning = "Count ten more."
+[[causes]]
+id = "our-copy"
+kind = "copy"
+sentence = "Our copy has lost the cell."
+meaning = "Nothing."
+"""
+# What a notebook on it computes: a seed, and a verdict on each item.
+VERDICTS = """\
+import random
+SEED = 1
+random.seed(SEED)
+from mpt_helpers.ledger import read_paper
+paper = read_paper("small", open("small.toml").read())
+paper.check("count", 17)
+paper.check("ratio", 1.3, basis="simulation", band=(1.28, 1.31))
+paper.check("wrong", 336, cause="one-missing", against=["count"])
+paper.claim("equal", random.random() < 2, "always", basis="simulation")
+paper.cannot_check("lost", "a cell", cause="our-copy")
+paper.report()"""
+
+
+def write_notebook(path, *sources):
+    """Write a notebook that was never executed."""
+    cells = [
+        {"cell_type": "code", "id": f"cell-{i}", "metadata": {}, "execution_count": None, "outputs": [], "source": text}
+        for i, text in enumerate(sources)
+    ]
+    kernel = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    path.write_text(json.dumps({"cells": cells, "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}))
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A project with one notebook on the made-up paper, which is the only one that the package has, to work in."""
+    for folder in ("notebooks", "figures", "mpt_helpers/ledger"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "mpt_helpers/ledger/small.toml").write_text(PAPER)
+    (tmp_path / "notebooks/small.toml").write_text(PAPER)
+    write_notebook(tmp_path / "notebooks/small.ipynb", VERDICTS, "1 + 1")
+    monkeypatch.setattr("mpt_helpers.ledger.paper._folder", lambda: tmp_path / "mpt_helpers/ledger")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from mpt_helpers.files import write_whole
-from mpt_helpers.tables import Table
+from mpt_helpers.ledger.tables import Table
 
 ROOT = Path(__file__).parent.parent
 LEAST = 0.95  # of the mutants must be caught

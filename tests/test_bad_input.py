@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 import mpt_helpers as mpt
 from mpt_helpers import positioning, trials
-from mpt_helpers.published import Item
 
 GOOD = {"F": np.eye(2), "H": [[1.0, 0.0]], "Q": np.eye(2), "R": [[1.0]]}
 KF, LF = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)
@@ -194,12 +193,9 @@ CASES = [
     ("n: needs an integer of at least 1, got 0", lambda: mpt.burden.kalman(0, 1)),
     ("M: needs an integer of at least 1, got 0", lambda: mpt.burden.fir(2, 1, M=0)),
     ("M: needs a variable of", lambda: mpt.burden.kalman(2, 1, M=3)),
-    ("item: needs a legible number, got 't', '?'", lambda: Item("t", "Table 1", "number", "?").agrees(1)),
-    ("item: needs a legible number", lambda: Item("t", "Table 1", "claim", "A equals B").agrees(1)),
     ("text: needs a formula", lambda: mpt.burden.Polynomial.parse("2n +")),
     ("a: needs the shape of b", lambda: mpt.metrics.relative_gap([1.0], [1.0, 2.0])),
     ("a: needs the shape of b, which is not all zero", lambda: mpt.metrics.relative_gap([1.0], [0.0])),
-    ("rows[1]: needs 2 cells, got 1", lambda: mpt.Table(["a", "b"], [[1, 2], [3]])),
     ("name: needs letters, digits and underscores", lambda: mpt.save_figure(Figure(), "../fig")),
     ("folder: needs a folder that exists", lambda: mpt.save_figure(Figure(), "fig", folder="nowhere")),
     # constant_velocity, constant_acceleration, exact_motion, mean_track

@@ -24,11 +24,10 @@ from mpt_helpers import (
     positioning,
     recursion,
     riccati,
-    tables,
     trials,
 )
 
-published, study = (import_module(f"mpt_helpers.{name}") for name in ("published", "study"))
+study = import_module("mpt_helpers.study")
 T, V, NAN, INF = TypeError, ValueError, np.nan, np.inf
 PACKAGE = Path(mpt.__file__).parent
 
@@ -95,19 +94,6 @@ RANGES, AT_SKY = positioning.pseudoranges(SKY, STATE), np.append(SKY[0], 0.0)
 LINE = positioning.line_window
 AX = figures.panels([["a"]])[1]["a"]
 AX.plot([1, 2], label="a")
-PAPER = published.published("2014_gsm_2d")
-NUMBER, CLAIM = (next(each.id for each in PAPER.items.values() if each.kind == of) for of in ("number", "claim"))
-ITEM = published.Item("t", "Table 1", "number", "1.5")
-KNOWN = {next(id for id in PAPER.items if id.startswith("table4.")).split(".")[1]: 500}
-VERDICT = published.Verdict("p", "t", "Table 1", "number", "2", "2", "reproduced", "")
-TOML = "items = [{id = 'a', where = 'b', kind = 'claim', printed = 'c'}]\n"
-GRID = "[[grids]]\nid = 't'\nwhere = 'row {row}'\ncolumns = ['1']\nrows = { 1 = ['2'] }\n"
-
-
-def fresh(name):
-    """A method of a paper on which there are no verdicts."""
-    method = getattr(published.Paper, name)
-    return wraps(method)(lambda **all: method(published.published("2014_gsm_2d"), **all))
 
 
 MODEL, GENERATOR = kind(KF, {"F": 1}), kind(1234, np.random, np.random.RandomState(1))
@@ -312,15 +298,6 @@ TABLE = [
             ),
         },
     ),
-    # tables
-    (
-        mpt.Table,
-        {
-            "header": (["a", "b"], several()),
-            "rows": ([[1, 2]], several([1, 2], ["ab"], least=0) + values([[1]], [[1] * 3])),
-        },
-    ),
-    (mpt.gap_text, {"gap": (0.1, NOT_NEGATIVE), "floor": (1e-12, POSITIVE)}),
     # figures
     (
         figures.panels,
@@ -404,67 +381,6 @@ TABLE = [
             "folder": ("folder", types(None, 1, [], b"x") + values("nowhere", __file__, Path("nowhere"))),
         },
     ),
-    # published
-    (
-        published.Item,
-        {
-            "id": ("a", [(V, bad) for _, bad in text("")]),
-            "where": ("b", [(V, bad) for _, bad in text("")]),
-            "kind": ("number", values(None, "", 1, "rumour")),
-            "printed": ("1.5", values(None, 1.5, "", "1,5", "nan", "inf", "1e3", "1_0", " 1", "١")),
-        },
-    ),
-    (ITEM.agrees, {"value": (1.5, number())}),
-    (published.Verdicts, {"verdicts": ([VERDICT], several([1], [ITEM], least=0))}),
-    (published.Paper, {"key": ("p", text()), "items": ([ITEM], several([1], [VERDICT], least=0))}),
-    (
-        fresh("check"),
-        {
-            "id": (NUMBER, text("nowhere", CLAIM, "")),
-            "value": (1.0, number()),
-            "band": (
-                (-1e9, 1e9),
-                types(1, True, "ab", (None, 1), ("0", 1), (True, 1))
-                + values([], (1,), (1, 2, 3), (2, 1), (NAN, 1), (0, NAN), (-INF, INF)),
-            ),
-            "against": ((), types(None, 1, "ab", [1], [[]]) + values([NUMBER], ["nowhere"])),
-            "reason": ("r", text()),
-        },
-    ),
-    (
-        fresh("claim"),
-        {
-            "id": (CLAIM, text("nowhere", NUMBER, "")),
-            "holds": (True, values(None, 1, 0, "yes", [], [True], np.array([True]), np.array([True, False]), NAN)),
-            "evidence": ("e", text()),
-            "against": ((), types(None, 1, "ab", [1]) + values([NUMBER])),
-            "reason": ("r", text()),
-        },
-    ),
-    (fresh("cannot_check"), {"id": (NUMBER, text("nowhere")), "missing": ("m", text())}),
-    (PAPER.given, {"prefixes": (("table4",), values((), ("tabel4",)) + types((1,), (None,), (["table4"],)))}),
-    (
-        PAPER.implied,
-        {
-            "grid": ("table4", text("tabel4", "")),
-            "known": (
-                KNOWN,
-                types(None, 1, [], "a", dict.fromkeys(KNOWN, "1"))
-                + values(dict.fromkeys(KNOWN, 0), dict.fromkeys(KNOWN, NAN), {"XF": 1}),
-            ),
-            "limit": (10, count()),
-        },
-    ),
-    (mpt.published, {"key": ("2014_gsm_2d", text("2014", ""))}),
-    (
-        published.read_items,
-        {
-            "key": ("p", text()),
-            "text": (TOML, text()),
-        },
-    ),
-    (published.counts_by_paper, {"verdicts": ([VERDICT], types(None, 1, "p", VERDICT, [1], ["p"], [None]))}),
-    (published.stored_verdicts, {"notebook": ("n.ipynb", types(None, 1, [], b"x"))}),
     # burden
     (
         burden.Polynomial,
@@ -678,14 +594,13 @@ NO_CASE = {
     ),  # the filters' engine
     *(recursion.System, recursion.Blocks),  # and what it runs on: z was checked, and the rest is made by a filter
     *(filters.Coefficients, riccati.LainiotisMatrices, metrics.Innovations, metrics.ErrorMoments),  # results
-    *(positioning.Line, positioning.Tracked, average_error.Fit, figures.SavedFigure, published.Verdict),  # results
+    *(positioning.Line, positioning.Tracked, average_error.Fit, figures.SavedFigure),  # results
     positioning.DegenerateGeometryError,  # an error
     *(positioning.fitted_place, positioning.measured_place),  # return one of their arguments
-    tables.cell_text,  # every object has a text
 }
 MODULES = (
-    *(average_error, burden, figures, filters, metrics, model, positioning, published, recursion, riccati, study),
-    *(tables, trials),
+    *(average_error, burden, figures, filters, metrics, model, positioning, recursion, riccati, study),
+    trials,
 )
 
 
@@ -709,7 +624,8 @@ def test_every_public_function_and_method_has_a_case():
     assert [f"{each.__module__}.{each.__qualname__}" for each in needed if each not in calls] == []
     assert {type(call) for call in calls} >= {burden.Polynomial, burden.Burden}  # of which the objects are called, too
     functions = [getattr(mpt, name) for name in mpt.__all__ if not inspect.ismodule(getattr(mpt, name))]
-    assert [each for each in functions if each not in calls] == []
+    ledger = [each for each in functions if each.__module__.startswith("mpt_helpers.ledger")]  # its door is its files
+    assert [each for each in functions if each not in calls + ledger] == []
 
 
 def test_every_argument_of_what_has_a_case_has_one():
@@ -738,7 +654,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize(("call", "arguments"), TABLE, ids=[label(call) for call, _ in TABLE])
 def test_the_good_arguments_are_taken(call, arguments):
-    if call is not published.stored_verdicts and NO_NOISE not in arguments.get("reference", ()):  # there are none
+    if NO_NOISE not in arguments.get("reference", ()):  # there are none
         arrange(call, {name: good for name, (good, _) in arguments.items()})
 
 

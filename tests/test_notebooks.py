@@ -7,11 +7,10 @@ import subprocess
 from base64 import b64decode
 
 import pytest
-from conftest import COUNTED, NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT
 
 import mpt_helpers as mpt
 from mpt_helpers.figures import QUANTUM, SavedFigure, alt_text, describe
-from mpt_helpers.published import MIME, stored_verdicts
 
 FIGURES = ROOT / "figures"
 
@@ -93,17 +92,6 @@ def test_the_numbers_of_the_first_screen_are_computed_below(notebook):
     assert stated == "".join(cell["outputs"][0]["text"]).split()
 
 
-def test_the_counts_of_verdicts_on_the_first_screen_are_those_of_the_table(notebook):
-    _, cells = notebook
-    verdicts = [out["data"][MIME] for out in outputs(cells) if MIME in out.get("data", {})][-1]
-    given = [each["verdict"] for each in verdicts]
-    stated = re.search(r"Of (\d+) printed items (.*)", source(cells[0]))
-    assert int(stated[1]) == len(given)
-    counts = {what: int(n) for n, what in re.findall(rf"\*\*(\d+)\*\* ({'|'.join(COUNTED)})", stated[2])}
-    assert counts == {what: given.count(name) for what, name in COUNTED.items() if name in given}
-    assert sum(counts.values()) == len(given)
-
-
 @pytest.fixture(scope="module")
 def figures(tmp_path_factory):
     """Every figure of every notebook, drawn in this process."""
@@ -172,11 +160,3 @@ def test_the_committed_alt_texts_are_those_of_the_figures(figures):
         if "image/png" in out.get("data", {})
     }
     assert stored == {name: alt_text(fig) for name, fig in figures.items()}
-
-
-def test_every_verdict_comes_from_a_cell_that_hands_results_in(notebook):
-    key, cells = notebook
-    sources = {cell["id"]: source(cell) for cell in code(cells)}
-    for each in stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb"):
-        assert re.search(r"paper\.(check|claim|cannot_check)\(", sources[each.cell]), each
-        assert f'"{each.id}"' in sources[each.cell] or re.search(r"\bfor\b", sources[each.cell]), each

@@ -1,6 +1,7 @@
+import numpy as np
 import pytest
 
-from mpt_helpers.tables import Table, cell_text, gap_text
+from mpt_helpers.ledger.tables import Table, cell_text, gap_text
 
 
 def test_a_table_prints_and_displays_the_same_cells():
@@ -12,8 +13,12 @@ def test_a_table_prints_and_displays_the_same_cells():
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(123456.789, "123457"), (1e-7, "1e-07"), (3, "3"), ("π", "π"), (False, "no")]
-)
+    ("value", "text"),
+    [
+        (123456.789, "123457"), (1e-7, "1e-07"), (3, "3"), ("π", "π"), (False, "no"),
+        (np.True_, "yes"), (np.float32(1 / 3), "0.333333"), (np.int64(5), "5"),
+    ],
+)  # fmt: skip
 def test_cells_hold_at_most_six_digits(value, text):
     assert cell_text(value) == text
 
@@ -23,3 +28,8 @@ def test_cells_hold_at_most_six_digits(value, text):
 )
 def test_gaps_at_rounding_level_have_no_digits(gap, text):
     assert gap_text(gap) == text
+
+
+def test_a_row_of_another_length_is_refused():
+    with pytest.raises(ValueError, match=r"rows\[1\]: needs 2 cells, got 1"):
+        Table(["a", "b"], [[1, 2], [3]])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from html import escape
 
-from . import checks
+import numpy as np
 
 
 def cell_text(value):
@@ -12,28 +12,25 @@ def cell_text(value):
     >>> cell_text(1 / 3), cell_text(509), cell_text(2.0), cell_text("KF"), cell_text(True)
     ('0.333333', '509', '2', 'KF', 'yes')
     """
-    if isinstance(value, bool):
+    if isinstance(value, (bool, np.bool_)):
         return "yes" if value else "no"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, (float, np.floating)):
+        return f"{float(value):.6g}"
+    return str(value)
 
 
 def gap_text(gap, floor=1e-12):
-    """Return a gap as text, and one at rounding level as "below 1e-12": its digits differ between processors.
-
-    Raises ValueError or TypeError for anything but a finite gap that is not negative and a positive floor.
+    """Return a gap as text; a gap at rounding level becomes "below 1e-12", since its digits differ between processors.
 
     >>> gap_text(3e-16), gap_text(0.0123)
     ('below 1e-12', '1.2e-02')
     """
-    gap, floor = checks.not_negative("gap", gap), checks.positive("floor", floor)
     return f"below {floor:.0e}" if gap < floor else f"{gap:.1e}"
 
 
 @dataclass(frozen=True)
 class Table:
-    """A header and rows of cells.
-
-    Raises ValueError for a row whose length is not that of the header, TypeError for what has no cells, as a text.
+    """A header and rows of cells. Raises ValueError for a row whose length is not that of the header.
 
     >>> Table(["filter", "burden"], [["KF", 509], ["LF", 670]])
     filter  burden
@@ -45,19 +42,19 @@ class Table:
     rows: tuple
 
     def __post_init__(self):
-        header = tuple(map(cell_text, checks.several("header", self.header, "cells")))
-        rows = checks.several("rows", self.rows, "rows of cells", least=0)
-        rows = tuple(tuple(map(cell_text, checks.several(f"rows[{i}]", row, "cells"))) for i, row in enumerate(rows))
+        header = tuple(cell_text(cell) for cell in self.header)
+        rows = tuple(tuple(cell_text(cell) for cell in row) for row in self.rows)
         for i, row in enumerate(rows):
             if len(row) != len(header):
-                checks.refuse(f"rows[{i}]", f"{len(header)} cells", len(row))
+                raise ValueError(f"rows[{i}]: needs {len(header)} cells, got {len(row)}")
         object.__setattr__(self, "header", header)
         object.__setattr__(self, "rows", rows)
 
     def __repr__(self):
         lines = [self.header, *self.rows]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+        widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
+        padded = [[cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in lines]
+        return "\n".join("  ".join(line).rstrip() for line in padded)
 
     def markdown(self):
         r"""Return the table in Markdown.
@@ -67,10 +64,12 @@ class Table:
         |---|---|
         | a\|b | 509 |
         """
-        lines = [
-            "| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in (self.header, *self.rows)
-        ]
-        return "\n".join([lines[0], "|" + "---|" * len(self.header), *lines[1:]])
+        lines = []
+        for line in (self.header, *self.rows):
+            cells = [cell.replace("|", r"\|") for cell in line]
+            lines.append("| " + " | ".join(cells) + " |")
+        rule = "|" + "---|" * len(self.header)
+        return "\n".join([lines[0], rule, *lines[1:]])
 
     def _repr_html_(self):
         def line(cells, tag):

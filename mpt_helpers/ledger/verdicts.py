@@ -1,0 +1,190 @@
+"""Verdicts on what a paper prints: one record each, shown folded in a notebook, stored there for machines, counted."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from html import escape
+from textwrap import shorten
+
+from .tables import Table
+
+REPRODUCED, WITHIN_BAND, IN_PART = "reproduced", "within band", "holds in part"
+DIFFERS, ERRATUM, CANNOT_BE_CHECKED = "differs", "erratum", "cannot be checked"
+VERDICTS = (REPRODUCED, WITHIN_BAND, IN_PART, DIFFERS, ERRATUM, CANNOT_BE_CHECKED)
+HOLDS = (REPRODUCED, WITHIN_BAND)
+
+BASES = ("identity", "arithmetic", "exact", "simulation", "recording", "reading")
+CAUSE_KINDS = ("slip", "wording", "finding", "copy")
+
+# The output of a notebook cell in which `python -m mpt_helpers` and the site find the verdicts.
+MIME = "application/vnd.mpt-helpers.verdicts+json"
+
+# How a claim with this verdict is called where claims are counted.
+OF_CLAIMS = {
+    REPRODUCED: "hold",
+    IN_PART: "hold in part",
+    DIFFERS: "fail",
+    ERRATUM: "are refuted by their own paper",
+    CANNOT_BE_CHECKED: "cannot be checked",
+}
+
+
+PLURALS = {
+    IN_PART: "hold in part",
+    DIFFERS: "differ",
+    ERRATUM: "errata",
+    "slip": "slips",
+    "wording": "wordings",
+    "finding": "findings",
+    "copy": "losses of our copy",
+    "cell": "cells",
+    "verdict": "verdicts",
+}
+
+
+def counted(number, word):
+    """Return a number and its word, in the plural if need be.
+
+    >>> counted(1, "erratum"), counted(2, "erratum"), counted(3, "reproduced")
+    ('1 erratum', '2 errata', '3 reproduced')
+    """
+    if number == 1:
+        return f"1 {'loss of our copy' if word == 'copy' else word}"
+    return f"{number} {PLURALS.get(word, word)}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict on one item of a paper.
+
+    basis says what the verdict rests on (one of BASES), cause is the id of the reason that it shares with other
+    verdicts ("" where it holds), cell the id of the notebook cell that gave it (once a notebook stores it).
+    """
+
+    paper: str
+    id: str
+    where: str
+    kind: str
+    printed: str
+    computed: str
+    verdict: str
+    reason: str
+    basis: str
+    cause: str
+    cell: str = ""
+
+    def __repr__(self):
+        reason = f" ({self.reason})" if self.reason else ""
+        return f"{self.where}: printed {self.printed}; computed {self.computed}: {self.verdict}{reason}"
+
+
+FIELDS = tuple(field.name for field in fields(Verdict))
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Counts of verdicts: of claims, of everything else, and the items of each cause.
+
+    claims and values map a verdict to a number of items; causes maps each kind of cause to {(paper, cause): items}.
+    """
+
+    claims: Counter
+    values: Counter
+    causes: dict
+
+    def claims_text(self):
+        """Return how many claims hold, as in "107 of 130 claims hold"."""
+        return f"{self.claims[REPRODUCED] + self.claims[WITHIN_BAND]} of {self.claims.total()} claims hold"
+
+    def values_text(self):
+        """Return how many numbers, formulas and figures agree."""
+        agree = self.values[REPRODUCED] + self.values[WITHIN_BAND]
+        return f"{agree} of {self.values.total()} numbers, formulas and figures agree"
+
+    def claims_bar(self):
+        """Return the claims by outcome, [("hold", 107), ...]: what a bar of claims shows."""
+        held = Counter(self.claims)
+        held[REPRODUCED] += held.pop(WITHIN_BAND, 0)
+        return [(words, held[verdict]) for verdict, words in OF_CLAIMS.items() if held[verdict]]
+
+    def cause_text(self, kind):
+        """Return the causes of one kind with their cells in brackets, as in "6 slips (85 cells)"."""
+        cells = self.causes[kind]
+        if not cells:
+            return "none"
+        return f"{counted(len(cells), kind)} ({counted(cells.total(), 'cell')})"
+
+    def causes_text(self):
+        """Return the causes of all kinds in words."""
+        return ", ".join(self.cause_text(kind) for kind in CAUSE_KINDS if self.causes[kind])
+
+
+class Verdicts(Sequence):
+    """Verdicts and the causes that they name; a notebook that displays them stores them for machines too.
+
+    causes maps (paper, id of the cause) to a Cause.
+
+    >>> Verdicts([Verdict("p", "t1", "Table 1", "number", "2", "2", "reproduced", "", "arithmetic", "")])
+    1 verdict: 1 reproduced
+    id  printed  computed  verdict     basis       cause
+    t1  2        2         reproduced  arithmetic
+    """
+
+    IN_TEXT = ("id", "printed", "computed", "verdict", "basis", "cause")
+    IN_HTML = ("id", "where", "printed", "computed", "verdict", "basis", "reason")
+
+    def __init__(self, verdicts, causes=None):
+        self._verdicts = tuple(verdicts)
+        self.causes = dict(causes or {})
+
+    def __getitem__(self, i):
+        return self._verdicts[i]
+
+    def __len__(self):
+        return len(self._verdicts)
+
+    def of(self, paper):
+        """Return those on one paper."""
+        return Verdicts([each for each in self if each.paper == paper], self.causes)
+
+    def table(self, columns=FIELDS):
+        """Return some fields of all verdicts as a Table."""
+        return Table(columns, [[getattr(each, name) for name in columns] for each in self])
+
+    def records(self):
+        """Return the verdicts as a list of dictionaries of text."""
+        return [asdict(each) for each in self]
+
+    def tally(self):
+        """Return the Tally: causes counted with their cells, claims apart from everything else."""
+        causes = {kind: Counter() for kind in CAUSE_KINDS}
+        for each in self:
+            if each.cause:
+                kind = self.causes[each.paper, each.cause].kind
+                causes[kind][each.paper, each.cause] += 1
+        claims = Counter(each.verdict for each in self if each.kind == "claim")
+        values = Counter(each.verdict for each in self if each.kind != "claim")
+        return Tally(claims, values, causes)
+
+    def summary(self):
+        """Return the counts in one line."""
+        given = Counter(each.verdict for each in self)
+        parts = [counted(given[verdict], verdict) for verdict in VERDICTS if given[verdict]]
+        causes = self.tally().causes
+        why = ", ".join(counted(len(cells), kind) for kind, cells in causes.items() if cells)
+        return f"{counted(len(self), 'verdict')}: {', '.join(parts)}" + (f" ({why})" if why else "")
+
+    def __repr__(self):
+        rows = [[shorten(getattr(each, name), 30, placeholder="...") for name in self.IN_TEXT] for each in self]
+        return f"{self.summary()}\n{Table(self.IN_TEXT, rows)}"
+
+    def _repr_mimebundle_(self, include=None, exclude=None):
+        table = self.table(self.IN_HTML)._repr_html_()
+        records = self.records()
+        for record in records:
+            del record["cell"]  # a running cell does not know its id: the reader of the notebook does
+        return {
+            "text/plain": repr(self),
+            "text/html": f"<details><summary>{escape(self.summary())}</summary>\n{table}\n</details>",
+            MIME: records,
+        }

@@ -1,0 +1,372 @@
+"""The ledger on a made-up paper, and the papers' files."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from conftest import NOTEBOOKS, PAPER, ROOT
+
+import mpt_helpers as mpt
+from mpt_helpers.ledger import Item, Verdicts, keys, read_paper, shipped_verdicts, stored_verdicts
+from mpt_helpers.ledger.verdicts import BASES, HOLDS, MIME
+
+GRID = """
+items = []
+[[grids]]
+id = "t"
+where = "Table 5, row {row}, column {column}"
+columns = ["1", "2", "3"]
+[grids.rows]
+1 = ["", "0.50", "?"]
+2 = ["2.00", "", "0.33"]
+3 = ["6.00", "3.00", ""]
+"""
+
+
+@pytest.fixture
+def paper():
+    return read_paper("test", PAPER)
+
+
+@pytest.mark.parametrize(
+    ("printed", "value", "agrees"),
+    [
+        ("17", 17.5, True), ("17", 17.505, False),
+        ("17", 17, True), ("17", 17.4, True), ("17", 17.6, False), ("17", 16, False),
+        ("1.290", 178 / 138, True), ("1.290", 1.2906, False), ("1.290", 1.2894, False), ("1.29", 1.2906, True),
+        ("0.125", 0.1255, True), ("0.125", 0.1245, True), ("0.125", 0.1256, False), ("-1.5", -1.54, True),
+    ],
+)  # fmt: skip
+def test_a_number_agrees_at_its_printed_digits(printed, value, agrees):
+    assert Item("id", "where", "number", printed).agrees(value) is agrees
+
+
+def test_a_number_is_reproduced_or_differs(paper):
+    assert paper.check("count", 17).verdict == "reproduced"
+    differs = paper.check("ratio", 1.3, cause="one-missing", reason="We rounded.")
+    assert (differs.verdict, differs.printed, differs.computed) == ("differs", "1.290", "1.3")
+    assert (differs.reason, differs.cause, differs.basis) == ("We rounded.", "one-missing", "arithmetic")
+
+
+def test_what_holds_names_no_cause(paper):
+    """One cause may be given to all cells of a table: those that agree do not count for it."""
+    given = paper.check("count", 17, cause="one-missing", reason="We rounded.")
+    assert (given.verdict, given.cause, given.reason) == ("reproduced", "", "")
+
+
+def test_the_sentence_of_the_cause_is_the_reason_where_none_is_given(paper):
+    assert paper.check("wrong", 336, cause="one-missing").reason == "One is missing: 326 for 336."
+
+
+def test_an_erratum_rests_on_items_that_were_reproduced(paper):
+    with pytest.raises(ValueError, match="test, 'wrong': needs items in `against` that were reproduced before, got 'c"):
+        paper.check("wrong", 336, against=["count"], cause="one-missing")
+    paper.check("count", 17)
+    erratum = paper.check("wrong", 336, against=["count"], cause="one-missing")
+    assert erratum.verdict == "erratum"
+    assert erratum.reason == "One is missing: 326 for 336. Against Table 1: 17."
+
+
+def test_an_erratum_does_not_rest_on_what_differs(paper):
+    paper.check("ratio", 1.3, cause="one-missing")
+    with pytest.raises(ValueError, match="needs items in `against` that were reproduced before, got 'ratio'"):
+        paper.check("wrong", 336, against=["ratio"], cause="one-missing")
+
+
+def test_against_makes_no_erratum_of_what_agrees(paper):
+    paper.check("count", 17)
+    assert paper.check("wrong", 326, against=["count"], cause="one-missing").verdict == "reproduced"
+
+
+@pytest.mark.parametrize(
+    ("band", "verdict"), [((1.28, 1.3), "within band"), ((1.29, 1.29), "within band"), ((1.3, 1.4), "differs")]
+)
+def test_a_band_holds_the_printed_number_or_not(paper, band, verdict):
+    given = paper.check("ratio", 1.35, basis="simulation", band=band, cause="one-missing")
+    assert given.verdict == verdict
+    assert given.computed == f"1.35 [{band[0]}, {band[1]}]"
+
+
+@pytest.mark.parametrize(
+    ("holds", "verdict", "reason"),
+    [
+        (True, "reproduced", ""),
+        (False, "differs", "One is missing: 326 for 336."),
+        ({"in x": True, "in y": True}, "reproduced", "Holds: in x; in y."),
+        ({"in x": False}, "differs", "Fails: in x. One is missing: 326 for 336."),
+        (
+            {"in x": True, "in y": False, "in z": True},
+            "holds in part",
+            "Holds: in x; in z. Fails: in y. One is missing: 326 for 336.",
+        ),
+    ],
+)
+def test_a_claim_holds_fails_or_holds_where_it_says(paper, holds, verdict, reason):
+    given = paper.claim("equal", holds, "gap 1", basis="exact", cause="one-missing")
+    assert (given.verdict, given.reason, given.basis) == (verdict, reason, "exact")
+    assert given.cause == ("" if verdict == "reproduced" else "one-missing")
+
+
+@pytest.mark.parametrize(
+    ("message", "call"),
+    [
+        ("test, 'cuont': needs an id of test.toml, got none; the nearest are count", lambda p: p.check("cuont", 1)),
+        ("'equal': needs an item of kind number, got a claim", lambda p: p.check("equal", 1)),
+        ("'count': needs an item of kind formula or claim or", lambda p: p.claim("count", True, "", basis="exact")),
+        ("'lost': needs an item that our copy of the paper has kept", lambda p: p.check("lost", 1)),
+        ("'lost': needs a cause of kind \"copy\", .* got None", lambda p: p.cannot_check("lost", "a cell")),
+        ("'lost': needs a cause of kind", lambda p: p.cannot_check("lost", "a cell", cause="one-missing")),
+        ("'count': needs a finite number, got nan", lambda p: p.check("count", float("nan"))),
+        (r"needs a band \(low, high\) with low <= high", lambda p: p.check("ratio", 1, basis="exact", band=(2, 1))),
+        ("'ratio': needs the basis of its band", lambda p: p.check("ratio", 1.29, band=(1, 2))),
+        ("'equal': needs one of the bases identity, .*, got 'gut'", lambda p: p.claim("equal", True, "", basis="gut")),
+        ("'equal': needs True, False or .*, got 'yes'", lambda p: p.claim("equal", "yes", "", basis="exact")),
+        ("'equal': needs True, False or .*, got {}", lambda p: p.claim("equal", {}, "", basis="exact")),
+        ("'equal': needs a cause, got none .printed A .*differs", lambda p: p.claim("equal", False, "", basis="exact")),
+        ("needs a cause, .*holds in part", lambda p: p.claim("equal", {"x": True, "y": False}, "", basis="exact")),
+        (r"needs a cause of test.toml \(one-missing, our-copy\), got 'x'", lambda p: p.check("count", 1, cause="x")),
+        ("'count': needs another cause: what our copy", lambda p: p.check("count", 1, cause="our-copy")),
+        ("test: no verdict was given since the last report", lambda p: p.report()),
+    ],
+)  # fmt: skip
+def test_a_check_that_makes_no_sense_is_refused(paper, message, call):
+    with pytest.raises(ValueError, match=message):
+        call(paper)
+    with pytest.raises(ValueError, match="no verdict was given"):
+        paper.report()
+
+
+def test_a_claim_needs_a_basis(paper):
+    with pytest.raises(TypeError, match="required keyword-only argument: 'basis'"):
+        paper.claim("equal", True, "gap 0")
+
+
+def test_what_cannot_be_checked_says_what_is_missing(paper):
+    lost = paper.cannot_check("lost", "the cell is lost", cause="our-copy")
+    assert (lost.verdict, lost.reason, lost.basis) == ("cannot be checked", "the cell is lost", "reading")
+    assert paper.cannot_check("ratio", "The paper does not say which.").cause == ""
+
+
+def test_a_report_has_what_was_given_since_the_last(paper):
+    paper.check("count", 17)
+    assert [each.id for each in paper.report()] == ["count"]
+    paper.claim("equal", True, "gap 0", basis="identity")
+    assert [each.id for each in paper.report()] == ["equal"]
+
+
+def test_a_cell_may_run_again(paper):
+    for _ in range(2):
+        paper.check("count", 17)
+        assert [each.id for each in paper.report()] == ["count"]
+
+
+def full(paper):
+    """Give a verdict on each item of the made-up paper."""
+    paper.check("count", 17)
+    paper.check("ratio", 178 / 138)
+    paper.check("wrong", 336, cause="one-missing", against=["count"])
+    paper.claim("equal", True, "gap 0 < 1", basis="identity")
+    paper.cannot_check("lost", "a cell", cause="our-copy")
+    return paper.report()
+
+
+def test_a_report_is_one_line_and_a_folded_table(paper):
+    report = full(paper)
+    data = report._repr_mimebundle_()
+    summary = "5 verdicts: 3 reproduced, 1 erratum, 1 cannot be checked (1 slip, 1 loss of our copy)"
+    assert data["text/plain"].splitlines()[0] == summary
+    assert max(map(len, data["text/plain"].splitlines())) <= 110
+    assert data["text/html"].startswith(f"<details><summary>{summary}</summary>\n<table>")
+    assert data["text/html"].endswith("</table>\n</details>")
+    assert "<td>gap 0 &lt; 1</td>" in data["text/html"]
+    assert [record["id"] for record in data[MIME]] == list(paper.items)
+    fields = ["paper", "id", "where", "kind", "printed", "computed", "verdict", "reason", "basis", "cause"]
+    assert list(data[MIME][0]) == fields
+
+
+def test_causes_are_counted_with_their_cells_and_claims_apart(paper):
+    report = full(paper)
+    twice = Verdicts([*report, *[each for each in report if each.id in ("wrong", "equal")]], report.causes)
+    tally = twice.tally()
+    assert tally.claims_text() == "2 of 2 claims hold"
+    assert tally.values_text() == "2 of 5 numbers, formulas and figures agree"
+    assert tally.causes_text() == "1 slip (2 cells), 1 loss of our copy (1 cell)"
+    assert tally.cause_text("finding") == "none"
+
+
+def test_the_bar_of_claims_has_every_claim_once(paper):
+    given = []
+    for holds in (True, True, False, {"x": True, "y": False}):
+        given.append(paper.claim("equal", holds, "", basis="exact", cause="one-missing"))
+    paper.check("count", 17)
+    given.append(paper.claim("equal", False, "", basis="exact", cause="one-missing", against=["count"]))
+    given.append(paper.cannot_check("equal", "It does not say when."))
+    bar = Verdicts(given, paper.report().causes).tally().claims_bar()
+    words = ["hold", "hold in part", "fail", "are refuted by their own paper", "cannot be checked"]
+    assert bar == list(zip(words, [2, 1, 1, 1, 1], strict=True))
+
+
+def test_a_grid_is_one_item_for_each_cell_that_holds_one():
+    items = read_paper("test", GRID).items
+    assert {id: item.printed for id, item in items.items()} == {
+        "t.1.2": "0.50", "t.1.3": "?", "t.2.1": "2.00", "t.2.3": "0.33", "t.3.1": "6.00", "t.3.2": "3.00",
+    }  # fmt: skip
+    assert items["t.2.3"].where == "Table 5, row 2, column 3"
+
+
+def test_the_numbers_behind_a_grid_of_ratios_are_found():
+    paper = read_paper("test", GRID)
+    # 10/20 = 0.50 and 60/10, 60/20 leave 60 alone; without knowing 20 every number that rounds right is kept.
+    assert paper.implied("t", {"1": 10, "2": 20}) == {"3": [60]}
+    assert paper.implied("t", {"1": 10}) == {"2": [20], "3": [60]}
+    below = GRID.replace('"2.00"', '"?"').replace('"3.00"', '"?"').replace('"6.00"', '"?"')
+    assert read_paper("test", below).implied("t", {"1": 10})["2"] == [20]
+    assert paper.implied("t", {"1": 1000})["2"] == list(range(1995, 2006))  # 1995 and 2005 are ties
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("items = [", "test.toml: "),
+        ('items = [{ id = "a" }]', "test.toml: needs id, where, kind, printed, got {'id': 'a'}"),
+        ("items = 5", "test.toml: needs a list for items, got 5"),
+        ("items = [5]", "test.toml: needs id, where, kind, printed, got 5"),
+        (PAPER.replace('"claim"', '"rumour"'), "test.toml, 'equal': needs kind number or .*, got 'rumour'"),
+        (PAPER.replace('"claim"', '"claim", extra = "x"'), "test.toml: needs id, .*'equal'.*extra"),
+        (PAPER.replace('where = "Table 1", ', ""), "test.toml: needs id, where, kind, printed, got {'id': 'count'"),
+        (PAPER.replace('"1.290"', '"nan"'), "test.toml, 'ratio': needs a number as printed, got 'nan'"),
+        (PAPER.replace('"1.290"', '"1,290"'), "test.toml, 'ratio': needs a number as printed, got '1,290'"),
+        (PAPER.replace('"1.290"', "1.290"), "test.toml, 'ratio': needs a text for printed, got 1.29"),
+        (PAPER.replace('id = "ratio"', 'id = "count"'), "test.toml: needs each id once, got count again"),
+        (PAPER.replace('"our-copy"', '"one-missing"'), "test.toml: needs each id once, got one-missing again"),
+        (PAPER.replace('"slip"', '"sin"'), "test.toml, 'one-missing': needs kind slip or .*, got 'sin'"),
+        (PAPER.replace('meaning = "Nothing."', ""), "test.toml: needs id, kind, sentence, meaning, got .*'our-copy'"),
+        (PAPER + "\n[extra]\n", "test.toml: needs only items, grids and causes, got extra"),
+        (GRID.replace("{column}", "{0}"), "test.toml, grid .*'t'.*: needs id, where"),
+        (GRID.replace("{column}", "{colum}"), "test.toml, grid .*'colum'"),
+        (GRID.replace("1 = [", "1 = 5 # ["), "test.toml, grid "),
+        (GRID.replace("[grids.rows]", "rows = 5"), "test.toml, grid "),
+        (GRID.replace('where = "Table 5, row {row}, column {column}"', "where = 5"), "test.toml, grid "),
+        (GRID.replace('"0.50", "?"', '"0.50"'), "test.toml, grid .*shorter"),
+    ],
+)
+def test_a_malformed_file_is_refused_by_name(text, message):
+    with pytest.raises(ValueError, match=message):
+        read_paper("test", text)
+
+
+def test_an_unknown_paper_lists_the_known_ones():
+    known = "2007_mms_kalman, 2014_gsm_2d, 2015_mpt_3d, 2016_prediction"
+    with pytest.raises(ValueError, match=f"key: needs one of {known}, got '2013'"):
+        mpt.published("2013")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "", "{}", "[]", '{"cells": []}', '{"cells": [5]}', '{"cells": [{"outputs": [{"data": null}]}]}',
+        '{"cells": [{"outputs": [{}]}]}', json.dumps({"cells": [{"id": "a", "outputs": [{"data": {MIME: [{}]}}]}]}),
+    ],
+)  # fmt: skip
+def test_what_stores_no_verdicts_is_refused_by_name(tmp_path, paper, content):
+    path = tmp_path / "n.ipynb"
+    path.write_text(content)
+    with pytest.raises(ValueError, match=r"n\.ipynb: needs an executed notebook"):
+        stored_verdicts(path, paper)
+
+
+def stored(path, *reports):
+    """Return the Verdicts that a notebook with these reports stores, each in a cell of its own."""
+    cells = [{"id": "words", "source": "no output"}]
+    for number, report in enumerate(reports):
+        cells.append({"id": f"cell-{number}", "outputs": [{"data": report._repr_mimebundle_()}]})
+    path.write_text(json.dumps({"cells": cells}))
+    return stored_verdicts(path, read_paper("test", PAPER))
+
+
+def test_a_stored_verdict_names_the_cell_that_shows_it_in_the_order_of_the_paper(tmp_path, paper):
+    paper.claim("equal", True, "gap 0", basis="identity")
+    first = paper.report()
+    paper.check("count", 17)
+    given = stored(tmp_path / "n.ipynb", first, paper.report())
+    assert [(each.id, each.cell) for each in given] == [("count", "cell-1"), ("equal", "cell-0")]
+    assert given.causes["test", "our-copy"].kind == "copy"
+
+
+def test_a_complete_notebook_has_one_verdict_on_each_item(tmp_path, paper):
+    given = stored(tmp_path / "n.ipynb", full(paper))
+    assert paper.complete(given) is given
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda all: all[1:], "test.toml and its notebook: no verdict on count"),
+        (lambda all: [*all, all[0]], "two verdicts on count"),
+        (lambda all: all[:2] + all[3:], "no verdict on wrong; no verdict names the cause one-missing"),
+    ],
+)
+def test_a_notebook_that_is_not_complete_is_refused(paper, change, message):
+    with pytest.raises(ValueError, match=message):
+        paper.complete(Verdicts(change(list(full(paper)))))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('printed = "17"', 'printed = "18"', "a verdict on what the file does not have, or no longer so count"),
+        ('id = "count"', 'id = "counts"', "no verdict on counts; a verdict on what the file .* count"),
+        (
+            'id = "our-copy"',
+            'id = "copy"',
+            "no verdict names the cause copy; a verdict names an unknown cause our-copy",
+        ),
+    ],
+)
+def test_a_notebook_that_is_older_than_the_file_is_refused(paper, old, new, message):
+    with pytest.raises(ValueError, match=message):
+        read_paper("test", PAPER.replace(old, new)).complete(full(paper))
+
+
+def test_the_ledger_knows_no_filter_and_imports_fast():
+    """Its own imports alone, without those of the package around it."""
+    code = (
+        "import sys, types; package = types.ModuleType('mpt_helpers'); "
+        f"package.__path__ = [{str(ROOT / 'mpt_helpers')!r}]; sys.modules['mpt_helpers'] = package; "
+        "import mpt_helpers.ledger; print(*sorted(sys.modules))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    own = [name for name in loaded if name.startswith("mpt_helpers.")]
+    assert own == ["mpt_helpers.ledger", *(f"mpt_helpers.ledger.{name}" for name in ("paper", "tables", "verdicts"))]
+    assert not {"scipy", "matplotlib", "pandas", "filterpy", "IPython"} & set(loaded)
+
+
+def test_every_paper_has_a_notebook_and_every_notebook_a_paper():
+    assert keys() == [path.stem for path in NOTEBOOKS]
+
+
+@pytest.mark.parametrize("key", keys())
+def test_every_item_has_a_verdict_and_the_package_ships_what_the_notebook_stores(key):
+    shipped = shipped_verdicts(key)
+    if not len(shipped):
+        pytest.skip("the notebook still has the verdicts of the ledger before this one")
+    stored = stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb")
+    assert list(mpt.published(key).complete(stored)) == list(shipped), "stale: python -m mpt_helpers reproduce"
+    for each in stored:
+        assert each.basis in BASES
+        assert each.verdict in HOLDS or each.reason
+
+
+@pytest.mark.parametrize("key", keys())
+def test_the_first_screen_counts_causes_with_their_cells_and_claims_apart(key):
+    shipped = shipped_verdicts(key)
+    if not len(shipped):
+        pytest.skip("the notebook still has the verdicts of the ledger before this one")
+    cells = json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8"))["cells"]
+    first = "".join(cells[0]["source"]).replace("*", "")
+    tally = shipped.tally()
+    assert tally.claims_text() in first
+    for kind in ("slip", "finding"):
+        if tally.causes[kind]:
+            assert tally.cause_text(kind) in first
