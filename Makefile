@@ -4,7 +4,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 BENCH := .venv-bench
 
-.PHONY: reproduce test site site-test bench mutants test-all lock
+.PHONY: reproduce test site site-test bench mutants seeds test-all lock
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
@@ -38,6 +38,10 @@ bench: $(VENV)/.ok $(BENCH)/.ok
 # Break a copy of the project in each of some fifty ways: the tests must see it.
 mutants: $(VENV)/.ok
 	$(PY) tests/mutants.py
+
+# Each notebook whose verdicts rest on simulation, with 25 other seeds: most of an hour. KEYS="2016_prediction" runs one.
+seeds: $(VENV)/.ok
+	$(PY) tests/seeds.py $(KEYS)
 
 $(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
 	$(PYTHON) -m venv --clear $(BENCH)

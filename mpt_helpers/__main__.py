@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from textwrap import fill
@@ -60,33 +61,41 @@ def reproduce(some):
         if path.exists() and not (path.is_dir() and os.access(path, os.W_OK)):
             raise CommandError(f"{folder}: needs a folder that can be written to")
     for key in some:
-        # The notebook runs in a copy of its surroundings, and what it made is moved over at the end.
-        with TemporaryDirectory(prefix=".reproduce-", dir=root) as place:
-            stage = Path(place)
-            stage.joinpath(FIGURES).mkdir()
-            shutil.copytree(root / NOTEBOOKS, stage / NOTEBOOKS)
-            if root.joinpath(READ_BY_NOTEBOOKS).exists():
-                stage.joinpath(READ_BY_NOTEBOOKS).parent.mkdir()
-                shutil.copy(root / READ_BY_NOTEBOOKS, stage / READ_BY_NOTEBOOKS)
-            made = {NOTEBOOKS / f"{key}.ipynb": _execute(key, stage / NOTEBOOKS).encode()}
-            if key in keys():
-                stage.joinpath(NOTEBOOKS, f"{key}.ipynb").write_bytes(made[NOTEBOOKS / f"{key}.ipynb"])
-                given = published(key).complete(stored_verdicts(stage / NOTEBOOKS / f"{key}.ipynb"))
-                made[LEDGER / f"{key}.json"] = f"{as_json(given)}\n".encode()
+        with staged(root) as stage:
+            notebook = stage / NOTEBOOKS / f"{key}.ipynb"
+            _execute(notebook)
+            made = {FIGURES / path.name: path.read_bytes() for path in stage.joinpath(FIGURES).iterdir()}
+            made[NOTEBOOKS / notebook.name] = notebook.read_bytes()
+            if key in keys() and root.joinpath(LEDGER).is_dir():
+                verdicts = published(key).complete(stored_verdicts(notebook))
+                made[LEDGER / f"{key}.json"] = f"{as_json(verdicts)}\n".encode()
             root.joinpath(FIGURES).mkdir(exist_ok=True)
-            made |= {FIGURES / path.name: path.read_bytes() for path in stage.joinpath(FIGURES).iterdir()}
-            write_together({root / path: made[path] for path in sorted(made) if root.joinpath(path).parent.exists()})
+            write_together({root / path: made[path] for path in sorted(made)})
 
 
-def _execute(key, folder):
+@contextmanager
+def staged(root):
+    """Give a folder with the notebooks and what they read, where they run and from which nothing is kept."""
+    with TemporaryDirectory(prefix=".reproduce-", dir=root) as place:
+        stage = Path(place)
+        stage.joinpath(FIGURES).mkdir()
+        shutil.copytree(root / NOTEBOOKS, stage / NOTEBOOKS)
+        if root.joinpath(READ_BY_NOTEBOOKS).exists():
+            stage.joinpath(READ_BY_NOTEBOOKS).parent.mkdir()
+            shutil.copy(root / READ_BY_NOTEBOOKS, stage / READ_BY_NOTEBOOKS)
+        yield stage
+
+
+def _execute(path):
     # Imported here, so that the verdicts can be read without Jupyter.
     try:
         import nbformat
         from nbclient import NotebookClient
     except ModuleNotFoundError as error:
         raise CommandError("reproduce needs Jupyter: pip install 'mpt_helpers[notebooks]'") from error
+    key = path.stem
     try:
-        notebook = nbformat.read(folder / f"{key}.ipynb", as_version=4)
+        notebook = nbformat.read(path, as_version=4)
     except (ValueError, TypeError, LookupError, AttributeError, nbformat.ValidationError) as error:
         raise CommandError(f"{key}: needs a notebook ({error!r:.200})") from error
     ran = ["none"]
@@ -106,7 +115,7 @@ def _execute(key, folder):
             timeout=CELL_TIMEOUT,
             kernel_name="python3",
             extra_arguments=["--IPKernelApp.log_level=50"],  # what it says below that is not about the notebook
-            resources={"metadata": {"path": str(folder)}},
+            resources={"metadata": {"path": str(path.parent)}},
             record_timing=False,
             coalesce_streams=True,
             on_cell_start=on_cell_start,
@@ -122,7 +131,7 @@ def _execute(key, folder):
             raise CommandError(f"{key}: cell {ran[-1]} failed: {name}{what}") from error
     if not terminal:
         print(f"{key}: {total} cells executed", flush=True)
-    return nbformat.writes(tidied(notebook)) + "\n"
+    nbformat.write(tidied(notebook), path)
 
 
 def tidied(notebook):

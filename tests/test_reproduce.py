@@ -147,10 +147,10 @@ def finished(project, monkeypatch):
     for name in ("a", "b", "c"):
         (project / "figures" / f"{name}.png").write_bytes(b"old")
 
-    def execute(key, folder):
+    def execute(path):
         for name in ("a", "b"):
-            (folder.parent / "figures" / f"{name}.png").write_bytes(b"new")
-        return "new"
+            (path.parents[1] / "figures" / f"{name}.png").write_bytes(b"new")
+        path.write_bytes(b"new")
 
     monkeypatch.setattr("mpt_helpers.__main__._execute", execute)
     return project

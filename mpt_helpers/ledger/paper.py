@@ -19,6 +19,7 @@ from .verdicts import (
     CAUSE_KINDS,
     DIFFERS,
     ERRATUM,
+    FAILS,
     HOLDS,
     IN_PART,
     MIME,
@@ -85,7 +86,7 @@ class Paper:
         Without a band it is `reproduced` when it rounds to the printed digits. With a band (low, high), the spread of
         simulations, it is `within band` when the printed number lies inside. Otherwise it `differs`, or is an `erratum`
         if `against` names items of the paper from which the value follows and which were reproduced: then the paper
-        contradicts itself. Either needs the id of a cause, whose sentence is the reason where none is given.
+        contradicts itself. Either names a cause, whose sentence is the reason where none is given.
         Raises ValueError for what makes no sense, naming the item.
         """
         item = self._item(id, ("number",))
@@ -147,7 +148,7 @@ class Paper:
         return given
 
     def complete(self, verdicts):
-        """Return these Verdicts if they cover the paper: each item once, as the file has it, and every cause.
+        """Return these Verdicts if they cover the paper: each item once, as in the file, each failure with its cause.
 
         Raises ValueError otherwise, naming the entries.
         """
@@ -158,8 +159,10 @@ class Paper:
             for each in verdicts
             if Item(each.id, each.where, each.kind, each.printed) != self.items.get(each.id)
         ]
+        failing = [each.id for each in verdicts if each.verdict in FAILS and not each.cause]
         wrong = {
             "no verdict on": [id for id in self.items if id not in times],
+            "no cause, although it fails, for": failing,
             "two verdicts on": [id for id in times if times[id] > 1],
             "a verdict on what the file does not have, or no longer so": changed,
             "no verdict names the cause": [id for id in self.causes if id not in named],
@@ -223,9 +226,6 @@ class Paper:
             reason = reason or self.causes[cause].sentence
             if self.causes[cause].kind == "copy" and verdict != CANNOT_BE_CHECKED:
                 raise self._error(item.id, "another cause: what our copy has lost cannot be checked", repr(cause))
-        elif verdict != CANNOT_BE_CHECKED:
-            shown = f"none (printed {item.printed}; computed {computed}; {verdict})"
-            raise self._error(item.id, "a cause", shown)
         if verdict == DIFFERS and against:
             verdict = ERRATUM
             sides = "; ".join(f"{self.items[id].where}: {self.items[id].printed}" for id in against)

@@ -12,6 +12,7 @@ REPRODUCED, WITHIN_BAND, IN_PART = "reproduced", "within band", "holds in part"
 DIFFERS, ERRATUM, CANNOT_BE_CHECKED = "differs", "erratum", "cannot be checked"
 VERDICTS = (REPRODUCED, WITHIN_BAND, IN_PART, DIFFERS, ERRATUM, CANNOT_BE_CHECKED)
 HOLDS = (REPRODUCED, WITHIN_BAND)
+FAILS = (IN_PART, DIFFERS, ERRATUM)
 
 BASES = ("identity", "arithmetic", "exact", "simulation", "recording", "reading")
 CAUSE_KINDS = ("slip", "wording", "finding", "copy")
