@@ -10,6 +10,8 @@ over tracks:
   without a difference of large numbers.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 # Stands for an infinite variance. Far above any S, and its products with finite numbers do not overflow.
@@ -24,9 +26,9 @@ def can_run(model, z):
 
 
 def kalman_epochs(model, z):
-    """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), NaN where a measurement is missing.
+    """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M).
 
-    The yielded arrays may be written over when the next ones are asked for.
+    NaN in z is a missing measurement. The yielded arrays may be written over when the next ones are asked for.
     """
     n, m, M = model.n, model.m, z.shape[2]
     lower, variances = _uncorrelated(model.R)
@@ -36,7 +38,7 @@ def kalman_epochs(model, z):
     bases, measured = zip(*map(_basis, H), strict=True)
     predict = _change_of_basis(bases[0] @ model.F)
     Q = (bases[0] @ model.Q @ bases[0].T).reshape(n * n, 1)
-    between = [_change_of_basis(new @ np.linalg.inv(old)) for old, new in zip(bases[:-1], bases[1:], strict=True)]
+    between = [_change_of_basis(new @ np.linalg.inv(old)) for old, new in pairwise(bases)]
     back = _change_of_basis(np.linalg.inv(bases[-1]))
 
     x = np.repeat(model.x0[:, None], M, axis=1)
@@ -78,8 +80,8 @@ def _uncorrelated(R):
 def _basis(h):
     """Return the basis T (n, n) in which a measurement h x is a component of the state, and that component's number.
 
-    T is the identity with h in place of one row: the row of h's largest entry, so that T has an inverse. A row of H that
-    picks one component leaves the state as it is.
+    T is the identity with h in place of one row: the row of h's largest entry, so that T has an inverse. Where h picks
+    one component, T is the identity.
     """
     i = int(np.argmax(np.abs(h)))
     T = np.eye(len(h))

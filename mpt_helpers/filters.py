@@ -1,36 +1,25 @@
 """The Kalman filter and the Lainiotis filter, one step as the papers print it, and what all recursive filters share.
 
 Each filter is x(k+1/k+1) = A_k x(k/k) + B_k z(k+1), and no A_k, B_k depends on the values measured, only on which
-measurements are there: the filters differ in how `gains` makes the coefficients. A missing measurement has a zero row in
-H and a one in R; then every equation holds as printed, also when all measurements of an epoch are missing.
+measurements are there: the filters differ in how `gains` makes the coefficients. A missing measurement has a zero row
+in H and a one in R; then every equation holds as printed, also when all measurements of an epoch are missing.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import filterpy.kalman
 import numpy as np
 
 from . import checks, columns
 from .model import Immutable, LinearModel
-from .recursion import Step, run, tiles
-from .riccati import lainiotis_matrices
+from .recursion import TILE_OF_COVARIANCES, Coefficients, run, tiles
+from .riccati import lainiotis_matrices, lainiotis_transition
 
 # The steps without gaps that a filter keeps once it has made them. The papers' filters are at rest after some 45.
 KEPT = 256
 # P is at rest when no entry moves by more than the rounding of its standard deviations.
 AT_REST = 4e-16
-# Tracks per tile where each has gaps of its own: all its covariances stay in the processor's cache.
-OWN_GAPS_TILE = 4096
-
-
-class Coefficients(NamedTuple):
-    """A (N, n, n), B (N, n, m) and the error covariance P (N, n, n) of steps 1 to N."""
-
-    A: np.ndarray
-    B: np.ndarray
-    P: np.ndarray
 
 
 class Filter(Immutable):
@@ -58,15 +47,26 @@ class Filter(Immutable):
         return (z, True) if z.ndim == 3 else (z[..., None], False)
 
 
+@dataclass(frozen=True, eq=False)
 class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance of its own.
 
-    A subclass defines `P0`, the covariance that it starts from, and `gains(P, seen)`: A_k, B_k and P(k+1/k+1) from
-    P(k/k), where seen (m,) says which measurements are there. P may be a stack (M, n, n).
+    A subclass defines `gains(P, seen)`: A_k, B_k and P(k+1/k+1) from P(k/k), where seen (m,) says which measurements
+    are there. P may be a stack (M, n, n).
     """
 
+    model: LinearModel
+
+    def __post_init__(self):
+        checks.instance("model", self.model, LinearModel)
+
+    @property
+    def P0(self):
+        """P(0/0), the covariance that the filter starts from: the model's."""
+        return self.model.P0
+
     def coefficients(self, N):
-        """Return the coefficients A, B and the covariance P of steps 1 to N with nothing missing."""
+        """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing."""
         steps = self._steps(np.ones((checks.count("N", N), self.model.m), bool))
         return Coefficients(*map(np.array, zip(*steps, strict=True)))
 
@@ -86,7 +86,7 @@ class RecursiveFilter(Filter):
             P = np.array([step.P for step in self._steps(seen[..., 0])])[..., None]
             return np.broadcast_to(P, (*P.shape[:3], M)) if tracks else P[..., 0]
         P = np.empty((N, self.model.n, self.model.n, M))
-        for tile in tiles(M, OWN_GAPS_TILE):
+        for tile in tiles(M, TILE_OF_COVARIANCES):
             for k, (_, P_k) in enumerate(self.epochs(z[..., tile])):
                 P[k, ..., tile] = P_k
         return P
@@ -121,7 +121,7 @@ class RecursiveFilter(Filter):
         x0 = np.broadcast_to(self.model.x0[:, None], (self.model.n, z.shape[2]))
         x = run(self._steps(seen), seen, x0, z)
         others = np.flatnonzero(_unlike(x, z, seen))
-        for tile in tiles(len(others), OWN_GAPS_TILE) if len(others) else []:
+        for tile in tiles(len(others), TILE_OF_COVARIANCES) if len(others) else []:
             tracks = others[tile]
             for k, (x_k, _) in enumerate(self.epochs(z[..., tracks])):
                 x[k][:, tracks] = x_k
@@ -133,17 +133,18 @@ class RecursiveFilter(Filter):
         P = np.repeat(self.P0[None], z.shape[2], axis=0)
         for z_k, seen_k in zip(np.where(seen, z, 0), seen, strict=True):
             for pattern in np.unique(seen_k, axis=1).T:
-                tracks = np.flatnonzero((seen_k.T == pattern).all(axis=1))
+                tracks = np.flatnonzero((pattern == seen_k.T).all(axis=1))
                 A, B, P[tracks] = self.gains(P[tracks], pattern)
                 x[tracks] = (A @ x[tracks, :, None] + B @ z_k.T[tracks, :, None])[..., 0]
             yield x.T, P.transpose(1, 2, 0)
 
     @cached_property
     def _kept_steps(self):
-        return self._more_steps([], np.ones((KEPT, self.model.m), bool))
+        with np.errstate(all="ignore"):  # a covariance may overflow in steps that nobody asks for
+            return self._more_steps([], np.ones((KEPT, self.model.m), bool))
 
     def _steps(self, seen):
-        """Return the Steps of the epochs of seen (N, m). A step that repeats is the same object again."""
+        """Return a list of the Coefficients of each epoch of seen (N, m). Where they repeat, the object repeats."""
         gaps = np.flatnonzero(~seen.all(axis=1))
         before_gaps = gaps[0] if len(gaps) else len(seen)
         return self._more_steps(self._kept_steps[:before_gaps], seen)
@@ -158,7 +159,7 @@ class RecursiveFilter(Filter):
                 steps.append(steps[-1])
                 continue
             P = steps[-1].P if steps else self.P0
-            steps.append(Step(*self.gains(P, seen[k])))
+            steps.append(Coefficients(*self.gains(P, seen[k])))
             at_rest = _has_not_moved(P, steps[-1].P)
         return steps
 
@@ -215,16 +216,6 @@ class KalmanFilter(RecursiveFilter):
            [0.5557, 0.4681]])
     """
 
-    model: LinearModel
-
-    def __post_init__(self):
-        checks.instance("model", self.model, LinearModel)
-
-    @property
-    def P0(self):
-        """P(0/0), the model's."""
-        return self.model.P0
-
     def gains(self, P, seen):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), with the measurements that are seen (m,)."""
         if P.ndim == 3:
@@ -277,20 +268,12 @@ class LainiotisFilter(RecursiveFilter):
            [0.5557, 0.4681]])
     """
 
-    model: LinearModel
-
-    def __post_init__(self):
-        checks.instance("model", self.model, LinearModel)
-
-    @property
-    def P0(self):
-        """P(0/0), the model's."""
-        return self.model.P0
-
     def gains(self, P, seen):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n), with the measurements seen (m,)."""
-        Fn, Kn, Km, Pn, On = self._matrices if seen.all() else lainiotis_matrices(self.model, *rows_seen(self.model, seen))
-        A = Fn @ np.linalg.inv(np.eye(self.model.n) + P @ On)
+        Fn, Kn, Km, Pn, On = (
+            self._matrices if seen.all() else lainiotis_matrices(self.model, *rows_seen(self.model, seen))
+        )
+        A = lainiotis_transition(P, Fn, On)
         B = Kn + A @ P @ Km
         following = Pn + A @ P @ Fn.T
         return A, B, (following + following.swapaxes(-1, -2)) / 2

@@ -9,7 +9,7 @@ from scipy.special import erf, gammaincinv
 from . import checks
 from .filters import Filter
 from .model import LinearModel, predicted_covariance
-from .recursion import tiles
+from .recursion import TILE_OF_COVARIANCES, tiles
 from .steady import SteadyStateFilter
 
 
@@ -44,8 +44,8 @@ class Innovations(NamedTuple):
 def innovations(each, z):
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N of a filter over measurements z.
 
-    `each` is a filter with covariances, z is (N, m) or (N, m, M). `values` has the shape of z and is NaN where z is. S is
-    the covariance of a measurement whether it is missing or not: (N, m, m), or (N, m, m, M) for many tracks.
+    `each` is a filter with covariances, z is (N, m) or (N, m, M). `values` has the shape of z and is NaN where z is. S
+    is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many tracks.
 
     Raises ValueError or TypeError for measurements of another kind, and TypeError for a filter that has no innovations:
     a predictor or a FIR filter.
@@ -66,7 +66,7 @@ def innovations(each, z):
     HF = model.H @ model.F
     noise = (model.H @ model.Q @ model.H.T + model.R)[..., None]
     new, S = np.empty((N, m, M)), np.empty((N, m, m, M))
-    for tile in tiles(M):
+    for tile in tiles(M, TILE_OF_COVARIANCES):
         x, P = model.x0[:, None], each.P0[..., None]
         for k, after in enumerate(each.epochs(tracks[..., tile])):
             new[k, :, tile] = tracks[k, :, tile] - HF @ x
@@ -139,7 +139,9 @@ def nees(errors, P):
     errors, P = np.asarray(errors, float), np.asarray(P, float)
     N, n = errors.shape[:2]
     if errors.ndim not in (2, 3) or P.shape not in ((n, n), (N, n, n), (N, n, *errors.shape[1:])):
-        checks.refuse("P", f"an (n, n), (N, n, n) or (N, n, n, M) array for errors of {errors.shape}", f"shape {P.shape}")
+        checks.refuse(
+            "P", f"an (n, n), (N, n, n) or (N, n, n, M) array for errors of {errors.shape}", f"shape {P.shape}"
+        )
     P = np.moveaxis(P, (1, 2), (-2, -1)) if P.ndim == 4 else P[..., None, :, :]  # (..., M or 1, n, n)
     if (np.abs(P - P.swapaxes(-1, -2)) > checks.SOLVED * np.abs(P).max(axis=(-2, -1), keepdims=True)).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")

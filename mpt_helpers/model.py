@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import checks
-from .recursion import Step, run
+from .recursion import Coefficients, run
 
 
 class Immutable:
@@ -274,5 +274,5 @@ def simulate(model, N, rng, tracks=None):
 
 def _states(model, x0, noise):
     """Return x(k+1) = F x(k) + G noise(k+1) with G Gᵀ = Q: the recursion of the filters, with other coefficients."""
-    step = Step(A=model.F, B=square_root(model.Q), P=None)
+    step = Coefficients(A=model.F, B=square_root(model.Q), P=None)
     return run([step] * len(noise), np.ones(noise.shape[:2], bool), x0, noise)

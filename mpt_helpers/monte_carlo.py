@@ -1,6 +1,5 @@
 """Monte Carlo studies: many runs from one seed, the same numbers whatever the number of workers."""
 
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -17,17 +16,17 @@ NEED = f"a result of M = {BLOCK} columns, (..., M)"
 KEPT = 2**25 - 2**16
 
 
-def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
+def study(experiment, runs, seed, *, workers=1):
     """Return the statistics of many runs of an experiment, (..., runs).
 
     experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs. It is
-    called for blocks of 200 runs, each with its own stream of the seed, so that no result depends on tile or workers,
-    and the first runs of a longer study are those of a shorter one. Only the statistics are kept.
+    called for blocks of 200 runs, each with its own stream of the seed, so that no result depends on the workers, and
+    the first runs of a longer study are those of a shorter one. Only the statistics are kept.
 
-    runs and tile (the runs of one task) are positive counts, seed is an integer that is not negative. workers is a
-    number of threads, or a map-like callable, such as the `map` of a `concurrent.futures` executor; the experiment must
-    be something that this callable can send to its workers. A progress bar runs on a terminal, and nowhere else. An
-    interrupt ends the study with the blocks at work.
+    runs is a positive count, seed an integer that is not negative. workers is a number of threads, or a map-like
+    callable, such as the `map` of a `concurrent.futures` executor; the experiment must be something that this callable
+    can send to its workers. A progress bar runs on a terminal, and nowhere else. An interrupt ends the study with the
+    blocks at work.
 
     Raises ValueError or TypeError for bad arguments and for an experiment that does not return M columns.
 
@@ -36,55 +35,41 @@ def study(experiment, runs, seed, *, tile=BLOCK, workers=1):
     """
     if not callable(experiment):
         checks.refuse("experiment", "a callable of (rng, M)", type(experiment).__name__, TypeError)
-    runs, tile, seed = checks.count("runs", runs), checks.count("tile", tile), checks.count("seed", seed, least=0)
+    runs, seed = checks.count("runs", runs), checks.count("seed", seed, least=0)
     streams = np.random.SeedSequence(seed).spawn(-(-runs // BLOCK))
-    blocks = -(-tile // BLOCK)
-    tasks = [streams[i : i + blocks] for i in range(0, len(streams), blocks)]
     parts = []
-    with _mapper(workers) as (mapper, stop), tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
-        for part in mapper(partial(_run_blocks, experiment, stop), tasks):
+    with _mapper(workers) as mapper, tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
+        for part in mapper(partial(_run_block, experiment), streams):
             parts.append(part)
-            bar.update(part.shape[-1])
-    if len(parts) != len(tasks):
-        checks.refuse("workers", "a callable like map", f"one that gives {len(parts)} results of {len(tasks)} tasks")
-    return _side_by_side(parts)[..., :runs]
-
-
-def _run_blocks(experiment, stop, streams):
-    np.empty(KEPT, np.uint8)  # freed at once: from then on the C library reuses memory of up to this size
-    parts = []
-    for stream in streams:
-        if stop is not None and stop.is_set():
-            break
-        part = np.asarray(experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK))
-        if part.dtype.kind not in "biuf":
-            checks.refuse("experiment", NEED, f"an array of {part.dtype} data", TypeError)
-        if part.ndim == 0 or part.shape[-1] != BLOCK:
-            checks.refuse("experiment", NEED, f"shape {part.shape}")
-        parts.append(part.copy())  # an experiment may return the same buffer again
-    return _side_by_side(parts) if parts else None
-
-
-def _side_by_side(parts):
+            bar.update(BLOCK)
+    if len(parts) != len(streams):
+        checks.refuse("workers", "a callable like map", f"one that gives {len(parts)} of {len(streams)} results")
     shapes = {part.shape[:-1] for part in parts}
     if len(shapes) > 1:
         checks.refuse("experiment", "results of one shape", " and ".join(f"{(*shape, BLOCK)}" for shape in shapes))
-    return np.concatenate(parts, axis=-1)
+    return np.concatenate(parts, axis=-1)[..., :runs]
+
+
+def _run_block(experiment, stream):
+    np.empty(KEPT, np.uint8)  # freed at once: from then on the C library reuses memory of up to this size
+    part = np.asarray(experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK))
+    if part.dtype.kind not in "biuf":
+        checks.refuse("experiment", NEED, f"an array of {part.dtype} data", TypeError)
+    if part.ndim == 0 or part.shape[-1] != BLOCK:
+        checks.refuse("experiment", NEED, f"shape {part.shape}")
+    return part.copy()  # an experiment may return the same buffer again
 
 
 @contextmanager
 def _mapper(workers):
-    """Give a map-like callable and, for threads of our own, the event that stops them."""
+    """Give a map-like callable; one of our own threads starts no block after an interrupt."""
     if callable(workers):
-        yield workers, None
-        return
-    threads = checks.count("workers", workers)
-    if threads == 1:
-        yield map, None
-        return
-    executor, stop = ThreadPoolExecutor(threads), threading.Event()
-    try:
-        yield executor.map, stop
-    finally:
-        stop.set()
-        executor.shutdown(wait=False, cancel_futures=True)
+        yield workers
+    elif checks.count("workers", workers) == 1:
+        yield map
+    else:
+        executor = ThreadPoolExecutor(workers)
+        try:
+            yield executor.map
+        finally:
+            executor.shutdown(wait=False, cancel_futures=True)

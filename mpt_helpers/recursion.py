@@ -6,18 +6,22 @@ measured, L steps in a row are one matrix product, the same for all tracks that 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-TILE = 16_384  # tracks per tile: a block of steps of one tile stays in the processor's cache
+# Tracks per tile, so that what one step works on stays in the processor's cache: where tracks share their coefficients,
+# and where each track has a covariance of its own.
+TILE = 16_384
+TILE_OF_COVARIANCES = 4_096
 # Steps in one product, by the numbers in a state times the tracks: little work is bound by the number of calls, much
 # work by the cache. Measured.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
 
 
-class Step(NamedTuple):
-    """The coefficients A (n, n) and B (n, m) of one step, and the covariance P (n, n) after it."""
+class Coefficients(NamedTuple):
+    """A (n, n) and B (n, m) of one step and the covariance P (n, n) after it; of N steps, with a first axis N."""
 
     A: np.ndarray
     B: np.ndarray
@@ -58,15 +62,15 @@ def product_of_steps(A, B):
 def run(steps, seen, x0, z):
     """Return x(1) ... x(N) of many tracks, (N, n, M): the same as `recursion`, several steps in one product.
 
-    steps are the N Steps, seen (N, m) says which measurements count, x0 is (n, M), z is (N, m, M). A measurement that
-    does not count may be NaN.
+    steps are the Coefficients of the N steps, seen (N, m) says which measurements count, x0 is (n, M), z is (N, m, M).
+    A measurement that does not count may be NaN.
     """
     N, m, M = z.shape
     n = len(x0)
     L = steps_per_product(n * min(M, TILE))
     blocks = [steps[k : k + L] for k in range(0, N, L)]
     x = np.empty((N, n, M))
-    for tracks in tiles(M):
+    for tracks in tiles(M, TILE):
         inputs = np.zeros((n + L * m, tracks.stop - tracks.start))
         state, measured = inputs[:n], inputs[n:].reshape(L, m, -1)
         state[:] = x0[:, tracks]
@@ -86,7 +90,7 @@ def run(steps, seen, x0, z):
 
 
 def _same(block, other):
-    """Tell whether two blocks are made of the same Step objects: at rest, a filter repeats one object."""
+    """Tell whether two blocks are made of the same objects: a filter at rest repeats one."""
     return len(block) == len(other) and all(a is b for a, b in zip(block, other, strict=True))
 
 
@@ -99,11 +103,11 @@ def steps_per_product(numbers):
     return next(L for least, L in STEPS_PER_PRODUCT if numbers >= least)
 
 
-def tiles(M, width=TILE):
+def tiles(M, width):
     """Return slices of nearly equal width that cover M tracks, none wider than `width`.
 
-    >>> tiles(20_000)
+    >>> tiles(20_000, TILE)
     [slice(0, 10000, None), slice(10000, 20000, None)]
     """
     ends = np.linspace(0, M, -(-M // width) + 1).astype(int).tolist()
-    return [slice(start, stop) for start, stop in zip(ends[:-1], ends[1:], strict=True)]
+    return [slice(start, stop) for start, stop in pairwise(ends)]

@@ -14,7 +14,7 @@ from .model import LinearModel, predicted_covariance, square_root
 # Relative distance at which a mode still counts as undetectable or unstabilizable: the rounding of an eigenvalue of F,
 # with room for n up to some hundreds.
 MODE_ROUNDING = 1e-12
-# A multiple eigenvalue is computed as a ring around it, of this relative size: 1e-8 for a double one, 6e-6 for a triple.
+# A multiple eigenvalue is computed as a ring around it, of relative size 1e-8 for a double one, 6e-6 for a triple.
 RING = 1e-4
 # A double eigenvalue on the unit circle is computed to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
@@ -41,8 +41,8 @@ def lainiotis_matrices(model, H=None, R=None):
 
         A = [H Q Hᵀ + R]⁻¹,   K_n = Q Hᵀ A,   K_m = Fᵀ Hᵀ A,   F_n = F - K_n H F,   P_n = Q - K_n H Q,   O_n = K_m H F
 
-    H and R are those of the model unless others are given. P_n is computed in Joseph's form, which keeps its digits
-    where R is far smaller than Q.
+    H and R are those of the model unless others are given. P_n is computed as the square of a root, in Joseph's form,
+    which keeps its digits where R is far smaller than Q.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
@@ -52,25 +52,28 @@ def lainiotis_matrices(model, H=None, R=None):
     F, Q = model.F, model.Q
     H = model.H if H is None else H
     R = model.R if R is None else R
-    HtA = gain_by_information(Q, H, R)
+    HtA = innovation_weights(Q, H, R)
     Kn = Q @ HtA
     Km = F.T @ HtA
     update = np.eye(model.n) - Kn @ H
-    Pn = update @ Q @ update.T + Kn @ R @ Kn.T
-    return LainiotisMatrices(Fn=update @ F, Kn=Kn, Km=Km, Pn=Pn, On=Km @ H @ F)
+    root = np.hstack([update @ square_root(Q), Kn @ np.linalg.cholesky(R)])
+    return LainiotisMatrices(Fn=update @ F, Kn=Kn, Km=Km, Pn=root @ root.T, On=Km @ H @ F)
 
 
-def gain_by_information(P, H, R):
-    """Return Hᵀ [H P Hᵀ + R]⁻¹ (n×m) as (I + Hᵀ R⁻¹ H P)⁻¹ Hᵀ R⁻¹.
+def innovation_weights(P, H, R):
+    """Return Hᵀ [H P Hᵀ + R]⁻¹ (n×m): P times it is the Kalman gain.
 
-    Both are equal. Where two sensors of very unequal precision see the same state, the bracket on the left rounds the
-    better one away; the one on the right does not.
+    Where two sensors of very unequal precision see the same state, the sum in brackets rounds the better one away. So
+    the measurements are first joined into at most n with unit noise: with R = L Lᵀ and L⁻¹ H = E H₁, where E has
+    orthonormal columns, the result is H₁ᵀ [H₁ P H₁ᵀ + I]⁻¹ Eᵀ L⁻¹.
 
-    >>> gain_by_information(P=np.eye(1), H=np.array([[1.0]]), R=np.array([[3.0]]))
+    >>> innovation_weights(P=np.eye(1), H=np.array([[1.0]]), R=np.array([[3.0]])).round(12)
     array([[0.25]])
     """
-    HtR = np.linalg.solve(R, H).T
-    return np.linalg.solve(np.eye(len(P)) + HtR @ H @ P, HtR)
+    L = np.linalg.cholesky(R)
+    E, H_1 = np.linalg.qr(np.linalg.solve(L, H))
+    S = H_1 @ P @ H_1.T + np.eye(len(H_1))
+    return H_1.T @ np.linalg.solve(S, np.linalg.solve(L.T, E).T)
 
 
 def rekf(model):
@@ -98,7 +101,8 @@ def rekf(model):
         for largest in (UNREFINED, RESIDUAL):
             step = _newton_step(P, F, H, Q)
             P = P + (step + step.T) / 2
-            if not _smaller(step, P, largest):
+            sigma = np.sqrt(np.maximum(np.diag(P), 1))  # at least the noise of n steps, which is 1 in these units
+            if not (np.abs(step) <= largest * np.outer(sigma, sigma)).all():
                 _refuse_unsolved(model)
     except np.linalg.LinAlgError:
         _refuse_unsolved(model)
@@ -108,7 +112,7 @@ def rekf(model):
 def _newton_step(P, F, H, Q):
     """Return what Newton's method adds to P, a solution of the REKF with R = I: Σ Aⁱ D Aᵀⁱ where P misses it by D."""
     identity = np.eye(len(H))
-    K = P @ gain_by_information(P, H, identity)
+    K = P @ innovation_weights(P, H, identity)
     update = np.eye(len(P)) - K @ H
     A = F @ update
     step = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
@@ -116,12 +120,6 @@ def _newton_step(P, F, H, Q):
         for _ in range(DOUBLINGS):
             A, step = A @ A, step + A @ step @ A.T
     return step
-
-
-def _smaller(change, P, limit):
-    """Tell whether a change of P stays below the limit times the standard deviations of both components."""
-    sigma = np.sqrt(np.maximum(np.diag(P), 0))
-    return bool((np.abs(change) <= limit * np.outer(sigma, sigma)).all())
 
 
 def relf(model):
@@ -140,26 +138,41 @@ def relf(model):
     """
     _require_steady_state(model)
     Fn, _, _, Pn, On = lainiotis_matrices(model)
-    one_step = Fn, Pn, On
-    identity = np.eye(model.n)
     for _ in range(DOUBLINGS):
-        A = Fn @ np.linalg.inv(identity + Pn @ On)
+        A = lainiotis_transition(Pn, Fn, On)
         P = Pn + A @ Pn @ Fn.T
         P = (P + P.T) / 2
         if np.array_equal(P, Pn):  # no entry moves any more: an entry of a small variance may settle last
             break
-        On = On + Fn.T @ On @ np.linalg.solve(identity + Pn @ On, Fn)
+        On = On + Fn.T @ On @ np.linalg.solve(np.eye(model.n) + Pn @ On, Fn)
         Pn, Fn = P, A @ Fn
-    Fn, Pn, On = one_step
-    A = Fn @ np.linalg.inv(identity + P @ On)
-    closed_loop = np.abs(np.linalg.eigvals(A)).max()
-    if not (closed_loop < 1 and _smaller(Pn + A @ P @ Fn.T - P, P, RESIDUAL)):
-        _refuse_unsolved(model)
+    _require_solution_of_relf(model, P)
     return P
 
 
+def lainiotis_transition(P, Fn, On):
+    """Return A = F_n [I + P O_n]⁻¹ (n×n) of the Lainiotis filter (2014 Eqs. 5 and 13); P may be a stack (M, n, n).
+
+    >>> lainiotis_transition(P=np.eye(1), Fn=np.eye(1), On=np.eye(1))
+    array([[0.5]])
+    """
+    bracket = np.eye(len(Fn)) + P @ On
+    return np.linalg.solve(bracket.swapaxes(-1, -2), Fn.T).swapaxes(-1, -2)
+
+
+def _require_solution_of_relf(model, P):
+    Fn, _, _, Pn, On = lainiotis_matrices(model)
+    A = lainiotis_transition(P, Fn, On)
+    closed_loop = np.abs(np.linalg.eigvals(A)).max()
+    sigma = np.sqrt(np.diag(P))
+    rounding = 100 * np.finfo(float).eps * (np.abs(Pn) + np.abs(A) @ np.abs(P) @ np.abs(Fn.T))  # of some 100 terms
+    residual = np.abs(Pn + A @ P @ Fn.T - P)
+    if not (closed_loop < 1 and (residual <= RESIDUAL * np.outer(sigma, sigma) + rounding).all()):
+        _refuse_unsolved(model)
+
+
 def _units(model):
-    """Return how far the noise of n steps moves each state, rounded to a power of two: in these units entries compare."""
+    """Return how far the noise of n steps moves each state, to a power of two: in these units entries compare."""
     variance = np.diag(predicted_covariance(model, model.Q, model.n - 1))
     moved = variance > 0
     exponent = np.log2(variance, out=np.zeros(model.n), where=moved) / 2

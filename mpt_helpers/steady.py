@@ -8,7 +8,7 @@ import numpy as np
 from . import checks, riccati
 from .filters import Filter, RecursiveFilter
 from .model import LinearModel, predicted_covariance, square_root
-from .recursion import tiles
+from .recursion import TILE, tiles
 
 # How far A may be from (I - B H) F, relative to the size of the terms: what solvers at the edge of doubles leave.
 SAME_A = 1e-6
@@ -33,13 +33,12 @@ class SteadyStateFilter(RecursiveFilter):
            [0.2068]])
     """
 
-    model: LinearModel
     A: np.ndarray
     B: np.ndarray
     P: np.ndarray
 
     def __post_init__(self):
-        checks.instance("model", self.model, LinearModel)
+        super().__post_init__()
         n, m, F, H = self.model.n, self.model.m, self.model.F, self.model.H
         object.__setattr__(self, "A", checks.array("A", self.A, (n, n)))
         object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
@@ -56,7 +55,7 @@ class SteadyStateFilter(RecursiveFilter):
         Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
         """
         P = riccati.rekf(model)
-        K = P @ riccati.gain_by_information(P, model.H, model.R)
+        K = P @ riccati.innovation_weights(P, model.H, model.R)
         update = np.eye(model.n) - K @ model.H
         root = np.hstack([update @ square_root(P), K @ np.linalg.cholesky(model.R)])  # of the Joseph form of P_e
         return cls(model, A=update @ model.F, B=K, P=root @ root.T)
@@ -69,7 +68,7 @@ class SteadyStateFilter(RecursiveFilter):
         """
         P = riccati.relf(model)
         Fn, Kn, Km, _, On = riccati.lainiotis_matrices(model)
-        A = Fn @ np.linalg.inv(np.eye(model.n) + P @ On)
+        A = riccati.lainiotis_transition(P, Fn, On)
         return cls(model, A=A, B=Kn + A @ P @ Km, P=P)
 
     @property
@@ -94,8 +93,8 @@ class SteadyStatePredictor(Filter):
 
         x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
 
-    `steady` is the SteadyStateFilter whose A and B these are, `steps` is N. Since A_N is similar to A, the prediction is
-    Fᴺ x(k/k): it is computed so, and needs no F⁻ᴺ. Raises TypeError or ValueError for arguments of another kind.
+    `steady` is the SteadyStateFilter whose A and B these are, `steps` is N. Since A_N is similar to A, the prediction
+    is Fᴺ x(k/k): it is computed so, and needs no F⁻ᴺ. Raises TypeError or ValueError for arguments of another kind.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -162,12 +161,16 @@ def fir_order(A, tol, norm=2):
     # ‖Aᴹ‖ is at least the spectral radius to the power M: no lower power can be below tol.
     least = 1 if radius < tol else np.log(tol) / np.log(radius) if radius < 1 else np.inf
     if least > LONGEST:
-        checks.refuse("A", f"powers that fall below {tol:g} within {LONGEST:,} steps", f"a spectral radius of {radius:g}")
+        checks.refuse(
+            "A", f"powers that fall below {tol:g} within {LONGEST:,} steps", f"a spectral radius of {radius:g}"
+        )
     order = max(1, int(least * (1 - 1e-9)))  # one part in 1e9 for the rounding of the logarithms
     power = np.linalg.matrix_power(A, order)
     while np.linalg.norm(power, norm) >= tol:
         if order >= LONGEST:
-            checks.refuse("A", f"powers that fall below {tol:g} within {LONGEST:,} steps", "powers that fall more slowly")
+            checks.refuse(
+                "A", f"powers that fall below {tol:g} within {LONGEST:,} steps", "powers that fall more slowly"
+            )
         power = power @ A
         order += 1
     return order
@@ -215,7 +218,9 @@ class FIRFilter(Filter):
         lost = np.isnan(z)
         missed = lost.all(axis=1)
         if (lost.any(axis=1) != missed).any():
-            checks.refuse("z", "rows all of numbers or all of NaN, as the taps are constant", "a row that is partly NaN")
+            checks.refuse(
+                "z", "rows all of numbers or all of NaN, as the taps are constant", "a row that is partly NaN"
+            )
         x = self._convolve(np.where(lost, 0, z) if lost.any() else z)
         F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]
         for k in np.flatnonzero(missed.any(axis=1)):
@@ -235,7 +240,7 @@ class FIRFilter(Filter):
         W = W.reshape(L * n, (before + L) * m)
         x = np.empty((N, n, M))
         measured = np.ascontiguousarray(z).reshape(N * m, M)
-        for tracks in tiles(M):
+        for tracks in tiles(M, TILE):
             for k in range(0, N, L):
                 first, last = max(k - before, 0), min(k + L, N)
                 weights = W[: (last - k) * n, (first - k + before) * m : (last - k + before) * m]
