@@ -1,10 +1,10 @@
-"""The Kalman filter for many tracks that each miss measurements of their own: one step of all tracks at a time.
+"""Many tracks that each miss measurements of their own: one step of all tracks at a time, with their covariances.
 
-Tracks are columns, and so are their covariances: P is (n, n, M). Three ideas keep the step free of branches and loops
-over tracks:
+Tracks are columns, and so are their covariances: P is (n, n, M). Three ideas keep the Kalman filter free of branches
+and of loops over tracks:
 
 - A missing measurement is one of infinite variance: its gain vanishes, and nothing else has to be done about it.
-- A change of basis x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all tracks.
+- A linear map x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all tracks.
 - Measurements are taken one after the other, each in a basis in which it measures one component of the state alone.
   There the update needs no matrix inverse, and the row of P that belongs to the measured component can be written
   without a difference of large numbers.
@@ -36,10 +36,10 @@ def kalman_epochs(model, z):
     if m > 1:
         z = np.linalg.solve(lower, z)
     bases, measured = zip(*map(_basis, H), strict=True)
-    predict = _change_of_basis(bases[0] @ model.F)
+    predict = linear_map(bases[0] @ model.F)
     Q = (bases[0] @ model.Q @ bases[0].T).reshape(n * n, 1)
-    between = [_change_of_basis(new @ np.linalg.inv(old)) for old, new in pairwise(bases)]
-    back = _change_of_basis(np.linalg.inv(bases[-1]))
+    between = [linear_map(new @ np.linalg.inv(old)) for old, new in pairwise(bases)]
+    back = linear_map(np.linalg.inv(bases[-1]))
 
     x = np.repeat(model.x0[:, None], M, axis=1)
     P = np.repeat(model.P0[..., None], M, axis=2)
@@ -51,6 +51,27 @@ def kalman_epochs(model, z):
                 x, P = between[j - 1](x, P)
             _update(x, P, z_k[j], variances[j], measured[j])
         x, P = back(x, P)
+        yield x, P
+
+
+def constant_gain_epochs(model, B, P0, z):
+    """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), filtered with the gain B (n, m).
+
+    A row of z that is NaN is a missed epoch, which is predicted only. P is the covariance of the true error.
+    """
+    M = z.shape[2]
+    update = np.eye(model.n) - B @ model.H
+    predict, correct = linear_map(model.F), linear_map(update)
+    noise = (B @ model.R @ B.T)[..., None]
+    x = np.repeat(model.x0[:, None], M, axis=1)
+    P = np.repeat(P0[..., None], M, axis=2)
+    for z_k in z:
+        x, P = predict(x, P)
+        P = P + model.Q[..., None]
+        x_corrected, P_corrected = correct(x, P)
+        seen = ~np.isnan(z_k[0])
+        x = np.where(seen, x_corrected + B @ np.where(seen, z_k, 0), x)
+        P = np.where(seen, P_corrected + noise, P)
         yield x, P
 
 
@@ -89,8 +110,8 @@ def _basis(h):
     return T, i
 
 
-def _change_of_basis(T):
-    """Return a function that takes x (n, M), P (n, n, M) to T x, T P Tᵀ."""
+def linear_map(T):
+    """Return a function that takes x (n, M) and its covariance P (n, n, M) to T x and T P Tᵀ."""
     n = len(T)
     if np.array_equal(T, np.eye(n)):
         return lambda x, P: (x, P)

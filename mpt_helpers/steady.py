@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from . import checks, riccati
+from . import checks, columns, riccati
 from .filters import Filter, RecursiveFilter
 from .model import LinearModel, predicted_covariance, square_root
 from .recursion import TILE, tiles
@@ -81,10 +81,13 @@ class SteadyStateFilter(RecursiveFilter):
         P_predicted = predicted_covariance(self.model, P)
         if not seen.any():
             return self.model.F, np.zeros_like(self.B), P_predicted
-        if not seen.all():
-            checks.refuse("z", "rows all of numbers or all of NaN, as the gain is constant", "a row that is partly NaN")
+        _require_whole_rows(seen)
         update = np.eye(self.model.n) - self.B @ self.model.H
         return self.A, self.B, update @ P_predicted @ update.T + self.B @ self.model.R @ self.B.T
+
+    def _epochs_of_own_gaps(self, z, seen):
+        _require_whole_rows(seen)
+        return columns.constant_gain_epochs(self.model, self.B, self.P, z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +147,13 @@ class SteadyStatePredictor(Filter):
 
     def _estimates(self, z):
         return self.F_N @ self.steady._estimates(z)
+
+
+def _require_whole_rows(seen):
+    """Raise a ValueError where a row of seen (m,) or (N, m, M) is partly true: a constant gain does not fit it."""
+    axis = max(0, seen.ndim - 2)
+    if (seen.any(axis=axis) != seen.all(axis=axis)).any():
+        checks.refuse("z", "rows all of numbers or all of NaN, as the gain is constant", "a row that is partly NaN")
 
 
 def fir_order(A, tol, norm=2):
