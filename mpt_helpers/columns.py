@@ -22,7 +22,7 @@ def can_run(model, z):
     """Tell whether `kalman_epochs` can filter z (N, m, M): no row is partly NaN, or the noises are uncorrelated."""
     lost = np.isnan(z)
     whole = bool((lost.all(axis=1) == lost.any(axis=1)).all())
-    return whole or np.array_equal(model.R, np.diag(np.diag(model.R)))
+    return whole or _is_diagonal(model.R)
 
 
 def kalman_epochs(model, z):
@@ -31,10 +31,11 @@ def kalman_epochs(model, z):
     NaN in z is a missing measurement. The yielded arrays may be written over when the next ones are asked for.
     """
     n, m, M = model.n, model.m, z.shape[2]
-    lower, variances = _uncorrelated(model.R)
-    H = np.linalg.solve(lower, model.H)
-    if m > 1:
-        z = np.linalg.solve(lower, z)
+    H, variances = model.H, np.diag(model.R)
+    if not _is_diagonal(model.R):  # measurements L⁻¹ z have uncorrelated noises, where R = L diag(variances) Lᵀ
+        root = np.linalg.cholesky(model.R)
+        L, variances = root / np.diag(root), np.diag(root) ** 2
+        H, z = np.linalg.solve(L, H), np.linalg.solve(L, z)
     bases, measured = zip(*map(_basis, H), strict=True)
     predict = linear_map(bases[0] @ model.F)
     Q = (bases[0] @ model.Q @ bases[0].T).reshape(n * n, 1)
@@ -91,11 +92,8 @@ def _update(x, P, z, variance, i):
     P[i] = P[:, i] = c * (v / S)
 
 
-def _uncorrelated(R):
-    """Return L and d with R = L diag(d) Lᵀ, L lower triangular: measurements L⁻¹ z have uncorrelated noises."""
-    root = np.linalg.cholesky(R)
-    diagonal = np.diag(root)
-    return root / diagonal, np.diag(R) if np.array_equal(R, np.diag(np.diag(R))) else diagonal**2
+def _is_diagonal(R):
+    return np.array_equal(R, np.diag(np.diag(R)))
 
 
 def _basis(h):

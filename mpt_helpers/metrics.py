@@ -63,16 +63,21 @@ def innovations(each, z):
     checks.no_infinity(z)
     tracks = z if z.ndim == 3 else z[..., None]
     N, m, M = tracks.shape
-    HF = model.H @ model.F
-    noise = (model.H @ model.Q @ model.H.T + model.R)[..., None]
     new, S = np.empty((N, m, M)), np.empty((N, m, m, M))
     for tile in tiles(M, TILE_OF_COVARIANCES):
-        x, P = model.x0[:, None], each.P0[..., None]
-        for k, after in enumerate(each.epochs(tracks[..., tile])):
-            new[k, :, tile] = tracks[k, :, tile] - HF @ x
-            S[k, ..., tile] = np.einsum("ia,abM,jb->ijM", HF, P, HF) + noise
-            x, P = after
+        expected, S_next = _next_measurement(model, model.x0[:, None], each.P0[..., None])
+        for k, (x, P) in enumerate(each.epochs(tracks[..., tile])):
+            new[k, :, tile] = tracks[k, :, tile] - expected
+            S[k, ..., tile] = S_next
+            expected, S_next = _next_measurement(model, x, P)
     return Innovations(new, S) if z.ndim == 3 else Innovations(new[..., 0], S[..., 0])
+
+
+def _next_measurement(model, x, P):
+    """Return the mean (m, M) and the covariance (m, m, M) of z(k+1), from x(k/k) (n, M) and P(k/k) (n, n, M)."""
+    HF = model.H @ model.F
+    noise = model.H @ model.Q @ model.H.T + model.R
+    return HF @ x, np.einsum("ia,abM,jb->ijM", HF, P, HF) + noise[..., None]
 
 
 def nis(each, z):
