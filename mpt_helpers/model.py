@@ -1,4 +1,7 @@
-"""Linear time-invariant models: what the papers track, and tracks drawn from it."""
+"""Linear models of how a mobile moves and what is measured of it, and tracks drawn from these models.
+
+The papers, cited by year: Kluga & Kluga 2007, Assimakis & Adam 2014 and 2015, Assimakis et al. 2016.
+"""
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -7,11 +10,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import checks
-from .recursion import Coefficients, run
+from .recursion import Step, run
 
 
 class Immutable:
-    """A frozen dataclass that stays one: copying, deep-copying and unpickling make it anew from its fields."""
+    """Makes copies, deep copies and pickles of a frozen dataclass through its constructor, so that they are checked and
+    read-only too: numpy forgets that an array is read-only.
+    """
 
     def __reduce__(self):
         return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()
@@ -71,8 +76,6 @@ class LinearModel(Immutable):
             return NotImplemented
         return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
-    __hash__ = None
-
 
 def _rows(name, matrix):
     """Return how many rows a matrix has, or raise."""
@@ -83,7 +86,7 @@ def _rows(name, matrix):
 
 
 def gsm_axis(dt, q, r, x0=None, P0=None):
-    """Return the model of one axis: position and velocity (2014 Eq. 3, 2015 Section 2, model B).
+    """Return the model of one axis of a GSM phone: position and velocity (2014 Eq. 3, 2015 Section 2, model B).
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
 
@@ -96,7 +99,7 @@ def gsm_axis(dt, q, r, x0=None, P0=None):
     array([[0.0025, 0.005 ],
            [0.005 , 0.01  ]])
     """
-    dt, q, r = _step_and_variances(dt, q, r)
+    dt, q, r = _checked(dt, q, r)
     G = np.array([[dt / 2], [1.0]])
     return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]], x0=x0, P0=P0)
 
@@ -115,7 +118,7 @@ def constant_velocity(dt, q, r, x0=None, P0=None):
     array([[0.02, 0.03],
            [0.03, 0.06]])
     """
-    dt, q, r = _step_and_variances(dt, q, r)
+    dt, q, r = _checked(dt, q, r)
     F = [[1, dt], [0, 1]]
     Q = [[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]
     return LinearModel(F=F, H=[[1, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0)
@@ -139,23 +142,23 @@ def constant_acceleration(dt, q, r, x0=None, P0=None):
            [0.015, 0.04 , 0.06 ],
            [0.02 , 0.06 , 0.12 ]])
     """
-    dt, q, r = _step_and_variances(dt, q, r)
+    dt, q, r = _checked(dt, q, r)
     F = [[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]]
     Q = [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
     return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0)
 
 
 def gps_ins(dt, q, r, x0=None, P0=None):
-    """Return the model of GPS and INS on one axis: position, velocity and the constant error of the INS (2007 Eq. 11).
+    """Return the model of GPS and INS on one axis: position, velocity and the bias of the INS (2007 Eq. 11).
 
         F = [1 dt 0; 0 1 0; 0 0 1],   H = [1 0 0; 0 1 1; 1 -dt 0],   Q = diag(0, q, 0),   R = diag(r)
 
-    The rows of H are the position from GPS, the velocity with its constant error from the INS, and a third row that the
-    paper does not explain: s - v dt, the position one step before. dt is the time step (s), q the variance of the
-    velocity's change in a step (m²/s²; the paper prints no Q), r the variances of the rows in use: the first two
-    (m², m²/s²), or all three (m²). x0 (3,) and P0 (3×3) are the start.
+    The rows of H are the position from GPS, the velocity with its bias from the INS, and a third row that the paper
+    does not explain: s - v dt, the position one step before. dt is the time step (s), q the variance of the velocity's
+    change in a step (m²/s²; the paper prints no Q), r the variances of the first two rows (m², m²/s²) or of all three
+    (m², m²/s², m²). x0 (3,) and P0 (3×3) are the start.
 
-    Raises ValueError for dt <= 0, q < 0, other than two or three variances and one that is not positive.
+    Raises ValueError for dt <= 0, q < 0, a variance that is not positive, and for fewer or more variances.
 
     >>> gps_ins(dt=1.0, q=0.0, r=(1.0, 1e-4)).H
     array([[1., 0., 0.],
@@ -165,20 +168,20 @@ def gps_ins(dt, q, r, x0=None, P0=None):
     if not isinstance(variances, list) or len(variances) not in (2, 3):
         checks.refuse("r", "two or three variances", f"{r!r:.60}")
     R = np.diag([checks.positive("r", variance) for variance in variances])
-    dt, q, _ = _step_and_variances(dt, q, variances[0])
+    dt, q = checks.positive("dt", dt), checks.not_negative("q", q)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
     return LinearModel(F=F, H=H[: len(R)], Q=np.diag([0, q, 0]), R=R, x0=x0, P0=P0)
 
 
-def _step_and_variances(dt, q, r):
+def _checked(dt, q, r):
     return checks.positive("dt", dt), checks.not_negative("q", q), checks.positive("r", r)
 
 
 def stack(*models):
-    """Return one model that holds all these side by side: model A of the papers (2014 Eq. 2, 2015 Section 2).
+    """Return one model of several axes: model A of the papers (2014 Eq. 2, 2015 Section 2).
 
-    Every matrix is block diagonal, and the state is joined end to end: [s_x v_x s_y v_y ...].
+    Every matrix is block diagonal, and the states follow one another: [s_x v_x s_y v_y ...].
 
     Raises ValueError when no model is given, TypeError for anything but a LinearModel.
 
@@ -196,7 +199,7 @@ def stack(*models):
 
 
 def predicted_covariance(model, P, steps=1):
-    """Return the covariance P (n, n) or (N, n, n) of an error some steps later: P <- F P Fᵀ + Q in each step.
+    """Return what becomes of the covariance P, (n, n) or (..., n, n), when nothing is measured: P <- F P Fᵀ + Q.
 
     >>> predicted_covariance(constant_velocity(dt=1.0, q=3.0, r=1.0), np.zeros((2, 2)))
     array([[1. , 1.5],
@@ -208,10 +211,10 @@ def predicted_covariance(model, P, steps=1):
 
 
 def square_root(C):
-    """Return the symmetric G with G Gᵀ = C of a positive semidefinite matrix C (n×n), scaled to unit variances.
+    """Return a matrix G with G Gᵀ = C for a positive semidefinite matrix C (n×n).
 
-    G is unique, so tracks drawn with it do not depend on the signs that an eigenvalue routine picks; and variances of
-    very different size keep their digits.
+    It is diag(σ) times the symmetric root of the correlation matrix: unique, so that tracks drawn with it do not depend
+    on the signs that an eigenvalue routine picks, and accurate for variances of very different size.
 
     >>> square_root(np.diag([4.0, 0.0]))
     array([[2., 0.],
@@ -245,8 +248,11 @@ def mean_track(model, N):
            [60., 20.]])
     """
     checks.instance("model", model, LinearModel)
-    noise = np.zeros((checks.count("N", N), model.n, 1))
-    return _states(model, model.x0[:, None], noise)[..., 0]
+    x, states = model.x0, []
+    for _ in range(checks.count("N", N)):
+        x = model.F @ x
+        states.append(x)
+    return np.array(states)
 
 
 def simulate(model, N, rng, tracks=None):
@@ -255,7 +261,7 @@ def simulate(model, N, rng, tracks=None):
     N is the number of steps, rng a numpy Generator, tracks the number of tracks M, or None for one track.
 
     Returns x and z of shapes (N, n) and (N, m), or (N, n, M) and (N, m, M). Row k is x(k+1), z(k+1): x(0) itself, drawn
-    from N(x0, P0), is not returned. Raises TypeError or ValueError for an argument of another kind.
+    from N(x0, P0), is not returned. Raises TypeError for anything but a model and a Generator, ValueError for N < 1.
 
     >>> x, z = simulate(gsm_axis(dt=1.0, q=0.01, r=0.1), N=5, rng=np.random.default_rng(1), tracks=3)
     >>> x.shape, z.shape
@@ -266,13 +272,9 @@ def simulate(model, N, rng, tracks=None):
     N = checks.count("N", N)
     M = 1 if tracks is None else checks.count("tracks", tracks)
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
-    x = _states(model, x0, rng.standard_normal((N, model.n, M)))
-    z = np.einsum("ij,kjM->kiM", square_root(model.R), rng.standard_normal((N, model.m, M)))
+    noise = rng.standard_normal((N, model.n, M))
+    motion = Step(A=model.F, B=square_root(model.Q), P=None)  # the filters' recursion, driven by noise
+    x = run([motion] * N, np.ones((N, model.n), bool), x0, noise)
+    z = square_root(model.R) @ rng.standard_normal((N, model.m, M))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)
-
-
-def _states(model, x0, noise):
-    """Return x(k+1) = F x(k) + G noise(k+1) with G Gᵀ = Q: the recursion of the filters, with other coefficients."""
-    step = Coefficients(A=model.F, B=square_root(model.Q), P=None)
-    return run([step] * len(noise), np.ones(noise.shape[:2], bool), x0, noise)

@@ -1,7 +1,10 @@
-"""The on-line half of every filter: x(k+1) = A_k x(k) + B_k z(k+1), for one track or many.
+"""The recursion that every filter runs on its measurements, for one track or for many.
 
-`recursion` is the loop as one reads it. `run` gives the same numbers sooner: since no A_k, B_k depends on the values
-measured, L steps in a row are one matrix product, the same for all tracks that miss the same measurements,
+    x(k+1) = A_k x(k) + B_k z(k+1)
+
+For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. No A_k, B_k depends on the values measured, so they are made
+beforehand, by `filters` and `steady`; this module knows arrays only. `recursion` is the plain loop. `run` gives the
+same numbers sooner: L steps in a row are one matrix product, and that product is the same for all tracks,
 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
 """
@@ -11,17 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Tracks per tile, so that what one step works on stays in the processor's cache: where tracks share their coefficients,
-# and where each track has a covariance of its own.
+# Tracks per tile where all tracks share one W: a block of steps of one tile stays in the processor's cache.
 TILE = 16_384
+# Tracks per tile where each track has a covariance of its own, which takes more room.
 TILE_OF_COVARIANCES = 4_096
-# Steps in one product, by the numbers in a state times the tracks: little work is bound by the number of calls, much
-# work by the cache. Measured.
+# (least size, L): how many steps to take in one product when x(k) of all tracks holds at least so many floats. Small
+# products cost calls, large ones leave the cache. Measured.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
 
 
-class Coefficients(NamedTuple):
-    """A (n, n) and B (n, m) of one step and the covariance P (n, n) after it; of N steps, with a first axis N."""
+class Step(NamedTuple):
+    """One step of a filter: its coefficients A (n, n) and B (n, m), and the covariance P (n, n) after it."""
 
     A: np.ndarray
     B: np.ndarray
@@ -62,8 +65,8 @@ def product_of_steps(A, B):
 def run(steps, seen, x0, z):
     """Return x(1) ... x(N) of many tracks, (N, n, M): the same as `recursion`, several steps in one product.
 
-    steps are the Coefficients of the N steps, seen (N, m) says which measurements count, x0 is (n, M), z is (N, m, M).
-    A measurement that does not count may be NaN.
+    steps is a list of N Steps, where a filter that has converged repeats one object. x0 is (n, M), z is (N, m, M). seen
+    (N, m) says which measurements are there; B has zero columns for the others, which may be NaN in z.
     """
     N, m, M = z.shape
     n = len(x0)
@@ -72,35 +75,34 @@ def run(steps, seen, x0, z):
     x = np.empty((N, n, M))
     for tracks in tiles(M, TILE):
         inputs = np.zeros((n + L * m, tracks.stop - tracks.start))
-        state, measured = inputs[:n], inputs[n:].reshape(L, m, -1)
+        state, measured = inputs[:n], inputs[n:].reshape(L, m, -1)  # views: what is written to them are the inputs
         state[:] = x0[:, tracks]
-        W, made_of = None, ()
+        W, block_of_W = None, ()
         for i, block in enumerate(blocks):
-            rows = slice(i * L, i * L + len(block))
-            if not _same(block, made_of):
+            epochs = slice(i * L, i * L + len(block))
+            if not _are_the_same_objects(block, block_of_W):
                 W = product_of_steps([step.A for step in block], [step.B for step in block])
-                made_of = block
-            measured[: len(block)] = z[rows, :, tracks]
-            if not seen[rows].all():
-                measured[: len(block)][~seen[rows]] = 0
-            out = x[rows].reshape(-1, M)[:, tracks]
+                block_of_W = block
+            measured[: len(block)] = z[epochs, :, tracks]
+            if not seen[epochs].all():
+                measured[: len(block)][~seen[epochs]] = 0  # a zero column of B does not remove NaN
+            out = x[epochs].reshape(-1, M)[:, tracks]
             np.matmul(W, inputs[: W.shape[1]], out=out)
             state[:] = out[-n:]
     return x
 
 
-def _same(block, other):
-    """Tell whether two blocks are made of the same objects: a filter at rest repeats one."""
+def _are_the_same_objects(block, other):
     return len(block) == len(other) and all(a is b for a, b in zip(block, other, strict=True))
 
 
-def steps_per_product(numbers):
-    """Return how many steps to take in one product when a state of all tracks holds so many numbers.
+def steps_per_product(size):
+    """Return how many steps to take in one product when the state of all tracks holds `size` floats.
 
-    >>> [steps_per_product(numbers) for numbers in (2, 200, 400, 20_000, 200_000)]
+    >>> [steps_per_product(size) for size in (2, 200, 400, 20_000, 200_000)]
     [32, 16, 8, 4, 2]
     """
-    return next(L for least, L in STEPS_PER_PRODUCT if numbers >= least)
+    return next(L for least, L in STEPS_PER_PRODUCT if size >= least)
 
 
 def tiles(M, width):

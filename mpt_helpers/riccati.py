@@ -1,6 +1,8 @@
-"""Steady-state covariances: two Riccati equations and two solvers that share nothing but the model.
+"""Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
 
-Each solver checks its result against its own equation, at unit variances, and refuses a model that has no steady state.
+The two solvers share no algorithm, so that their agreement is a result. Each checks its solution against its own
+equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter stand here too,
+since its Riccati equation is made of them.
 """
 
 from typing import NamedTuple
@@ -11,19 +13,20 @@ from scipy.linalg import solve_discrete_are
 from . import checks
 from .model import LinearModel, predicted_covariance, square_root
 
-# Relative distance at which a mode still counts as undetectable or unstabilizable: the rounding of an eigenvalue of F,
-# with room for n up to some hundreds.
+# A mode whose distance from being undetectable or unstabilizable is below this, relative to the matrix, counts as such:
+# the rounding of an eigenvalue of F, with room for n up to some hundreds.
 MODE_ROUNDING = 1e-12
-# A multiple eigenvalue is computed as a ring around it, of relative size 1e-8 for a double one, 6e-6 for a triple.
-RING = 1e-4
-# A double eigenvalue on the unit circle is computed to the square root of the machine precision.
+# Rounding turns a double eigenvalue into two at a relative distance of 1e-8, a triple one into three at 6e-6. Computed
+# eigenvalues that are nearer than this are averaged: the mean is as accurate as a simple eigenvalue.
+NEAR = 1e-4
+# Rounding moves a double eigenvalue on the unit circle by up to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
-# How far P may move, in standard deviations, when its equation is applied once more or solved anew: six digits hold.
+# By how much a solution P may miss its equation, relative to the standard deviations: six digits hold.
 RESIDUAL = 1e-6
-# The same before the refinement of scipy's solution: what moves more was no solution.
+# The same for scipy's solution before it is refined. One that misses by more was no solution.
 UNREFINED = 1e-3
-# Doubling 64 times covers more steps than a double can count.
-DOUBLINGS = 64
+# Each round doubles the number of steps: 2^64 are more than any filter needs to converge.
+ROUNDS = 64
 
 
 class LainiotisMatrices(NamedTuple):
@@ -41,8 +44,8 @@ def lainiotis_matrices(model, H=None, R=None):
 
         A = [H Q Hᵀ + R]⁻¹,   K_n = Q Hᵀ A,   K_m = Fᵀ Hᵀ A,   F_n = F - K_n H F,   P_n = Q - K_n H Q,   O_n = K_m H F
 
-    H and R are those of the model unless others are given. P_n is computed as the square of a root, in Joseph's form,
-    which keeps its digits where R is far smaller than Q.
+    H and R are those of the model unless others are given. P_n is computed as a product G Gᵀ, which keeps its digits
+    where R is far smaller than Q.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
@@ -64,8 +67,8 @@ def innovation_weights(P, H, R):
     """Return Hᵀ [H P Hᵀ + R]⁻¹ (n×m): P times it is the Kalman gain.
 
     Where two sensors of very unequal precision see the same state, the sum in brackets rounds the better one away. So
-    the measurements are first joined into at most n with unit noise: with R = L Lᵀ and L⁻¹ H = E H₁, where E has
-    orthonormal columns, the result is H₁ᵀ [H₁ P H₁ᵀ + I]⁻¹ Eᵀ L⁻¹.
+    the measurements are first combined into at most n measurements of unit noise: with R = L Lᵀ and L⁻¹ H = E H₁, where
+    E has orthonormal columns, the result is H₁ᵀ [H₁ P H₁ᵀ + I]⁻¹ Eᵀ L⁻¹.
 
     >>> innovation_weights(P=np.eye(1), H=np.array([[1.0]]), R=np.array([[3.0]])).round(12)
     array([[0.25]])
@@ -91,7 +94,8 @@ def rekf(model):
     """
     _require_steady_state(model)
     # scipy is silently wrong where R is very small or very large, and fails where the variances of the states differ
-    # much: it gets states and measurements of unit variance. Near the unit circle it loses more digits than need be.
+    # much, so it gets states and measurements of unit variance. Where the filter converges slowly it loses digits, so
+    # its solution is refined.
     unit = _units(model)
     F = model.F * unit / unit[:, None]
     Q = model.Q / unit[:, None] / unit
@@ -99,10 +103,10 @@ def rekf(model):
     try:
         P = solve_discrete_are(F.T, H.T, Q, np.eye(model.m))
         for largest in (UNREFINED, RESIDUAL):
-            step = _newton_step(P, F, H, Q)
-            P = P + (step + step.T) / 2
+            change = _newton_step(P, F, H, Q)
+            P = P + (change + change.T) / 2
             sigma = np.sqrt(np.maximum(np.diag(P), 1))  # at least the noise of n steps, which is 1 in these units
-            if not (np.abs(step) <= largest * np.outer(sigma, sigma)).all():
+            if not (np.abs(change) <= largest * np.outer(sigma, sigma)).all():
                 _refuse_unsolved(model)
     except np.linalg.LinAlgError:
         _refuse_unsolved(model)
@@ -110,16 +114,19 @@ def rekf(model):
 
 
 def _newton_step(P, F, H, Q):
-    """Return what Newton's method adds to P, a solution of the REKF with R = I: Σ Aⁱ D Aᵀⁱ where P misses it by D."""
+    """Return what Newton's method adds to P, a solution of the REKF with R = I.
+
+    It is the sum of Aⁱ D Aᵀⁱ, i = 0, 1, ..., where D is what P misses in the equation.
+    """
     identity = np.eye(len(H))
     K = P @ innovation_weights(P, H, identity)
     update = np.eye(len(P)) - K @ H
     A = F @ update
-    step = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
+    D = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
     with np.errstate(over="ignore", invalid="ignore"):  # where A is not stable, the sum has no end
-        for _ in range(DOUBLINGS):
-            A, step = A @ A, step + A @ step @ A.T
-    return step
+        for _ in range(ROUNDS):
+            A, D = A @ A, D + A @ D @ A.T
+    return D
 
 
 def relf(model):
@@ -127,9 +134,9 @@ def relf(model):
 
         P_e = P_n + F_n [I + P_e O_n]⁻¹ P_e F_nᵀ
 
-    Round i composes 2^i steps of the Lainiotis recursion from P = 0 into one of the same form, so that it converges
-    quadratically (D. G. Lainiotis, N. D. Assimakis and S. K. Katsikas, J. Math. Anal. Appl. 186, 1994). The REKF is not
-    used. Raises ValueError when there is no steady state, naming the condition that fails and the mode of F.
+    Each round composes two stretches of the Lainiotis recursion from P = 0 into one of the same form, so that round i
+    covers 2^i steps (D. G. Lainiotis, N. D. Assimakis and S. K. Katsikas, J. Math. Anal. Appl. 186, 1994). Raises
+    ValueError when there is no steady state, naming the condition that fails and the mode of F.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> relf(gsm_axis(dt=1.0, q=0.01, r=0.1)).round(4)
@@ -138,16 +145,30 @@ def relf(model):
     """
     _require_steady_state(model)
     Fn, _, _, Pn, On = lainiotis_matrices(model)
-    for _ in range(DOUBLINGS):
-        A = lainiotis_transition(Pn, Fn, On)
-        P = Pn + A @ Pn @ Fn.T
-        P = (P + P.T) / 2
-        if np.array_equal(P, Pn):  # no entry moves any more: an entry of a small variance may settle last
-            break
-        On = On + Fn.T @ On @ np.linalg.solve(np.eye(model.n) + Pn @ On, Fn)
-        Pn, Fn = P, A @ Fn
-    _require_solution_of_relf(model, P)
+    F_i, P, O_i = Fn, Pn, On  # of 2^i steps
+    with np.errstate(over="ignore", invalid="ignore"):  # where double precision does not resolve the steady state
+        for _ in range(ROUNDS):
+            A = lainiotis_transition(P, F_i, O_i)
+            longer = P + A @ P @ F_i.T
+            longer = (longer + longer.T) / 2
+            if np.array_equal(longer, P):  # no entry moves: one of a small variance may be the last to settle
+                break
+            O_i = O_i + F_i.T @ O_i @ np.linalg.solve(np.eye(model.n) + P @ O_i, F_i)
+            P, F_i = longer, A @ F_i
+    if not (np.isfinite(P).all() and _solves_relf(P, Fn, Pn, On)):
+        _refuse_unsolved(model)
     return P
+
+
+def _solves_relf(P, Fn, Pn, On):
+    """Tell whether P solves the RELF to six digits and its filter forgets the start."""
+    A = lainiotis_transition(P, Fn, On)
+    sigma = np.sqrt(np.diag(P))
+    terms = np.abs(Pn) + np.abs(A) @ np.abs(P) @ np.abs(Fn.T)
+    rounding = 100 * np.finfo(float).eps * terms  # of some 100 products; all there is where a variance is zero
+    missed = np.abs(Pn + A @ P @ Fn.T - P)
+    closed_loop = np.abs(np.linalg.eigvals(A)).max()
+    return closed_loop < 1 and bool((missed <= RESIDUAL * np.outer(sigma, sigma) + rounding).all())
 
 
 def lainiotis_transition(P, Fn, On):
@@ -160,19 +181,11 @@ def lainiotis_transition(P, Fn, On):
     return np.linalg.solve(bracket.swapaxes(-1, -2), Fn.T).swapaxes(-1, -2)
 
 
-def _require_solution_of_relf(model, P):
-    Fn, _, _, Pn, On = lainiotis_matrices(model)
-    A = lainiotis_transition(P, Fn, On)
-    closed_loop = np.abs(np.linalg.eigvals(A)).max()
-    sigma = np.sqrt(np.diag(P))
-    rounding = 100 * np.finfo(float).eps * (np.abs(Pn) + np.abs(A) @ np.abs(P) @ np.abs(Fn.T))  # of some 100 terms
-    residual = np.abs(Pn + A @ P @ Fn.T - P)
-    if not (closed_loop < 1 and (residual <= RESIDUAL * np.outer(sigma, sigma) + rounding).all()):
-        _refuse_unsolved(model)
-
-
 def _units(model):
-    """Return how far the noise of n steps moves each state, to a power of two: in these units entries compare."""
+    """Return how far the noise of n steps moves each state, rounded to a power of two so that scaling is exact.
+
+    In these units the entries of a matrix can be compared.
+    """
     variance = np.diag(predicted_covariance(model, model.Q, model.n - 1))
     moved = variance > 0
     exponent = np.log2(variance, out=np.zeros(model.n), where=moved) / 2
@@ -180,43 +193,45 @@ def _units(model):
     return np.exp2(np.round(np.where(moved, exponent, usual)))
 
 
-def _modes(model):
-    """Yield (margin, condition, mode) for each mode of F on or outside the unit circle, by the PBH rank test."""
+def _margins(model):
+    """Yield (margin, condition, mode) for each mode of F on or outside the unit circle, by the PBH rank test.
+
+    The margin says how far the mode is from violating the condition.
+    """
     unit = _units(model)
     F = model.F * unit / unit[:, None]
     H = _at_the_size_of(F, model.H * unit)
     G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
-    # The mean of a ring of computed eigenvalues is as good as a simple one.
-    means = [modes[np.abs(modes - mode) <= RING * abs(mode)].mean() for mode in modes]
-    for mode in [*means, *modes]:
+    means = [modes[np.abs(modes - mode) <= NEAR * abs(mode)].mean() for mode in modes]
+    for mode in [*means, *modes]:  # eigenvalues near each other may be one or several: both are tried
         if abs(mode) >= ON_CIRCLE:
             shifted = mode * np.eye(model.n) - F
-            yield _margin(np.vstack([shifted, H])), "[F, H] is not detectable", mode
-            yield _margin(np.hstack([shifted, G])), "[F, G] with G Gᵀ = Q is not stabilizable", mode
+            yield _distance_from_rank_loss(np.vstack([shifted, H])), "[F, H] is not detectable", mode
+            yield _distance_from_rank_loss(np.hstack([shifted, G])), "[F, G] with G Gᵀ = Q is not stabilizable", mode
 
 
-def _margin(pencil):
+def _distance_from_rank_loss(pencil):
     """Return how far a matrix is from losing rank, relative to its size."""
     singular = np.linalg.svd(pencil, compute_uv=False)
     return singular[-1] / singular[0] if singular[0] else 0.0
 
 
 def _at_the_size_of(F, matrix):
-    """Return the matrix scaled to the largest entry of F: whether a mode is seen or driven depends on no unit."""
+    """Return the matrix scaled to the largest entry of F, so that the rank test depends on no unit of H or Q."""
     size = np.abs(matrix).max()
     return matrix * (np.abs(F).max() / size) if size else matrix
 
 
 def _require_steady_state(model):
     checks.instance("model", model, LinearModel)
-    for margin, condition, mode in _modes(model):
+    for margin, condition, mode in _margins(model):
         if margin < MODE_ROUNDING:
             raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
 
 
 def _refuse_unsolved(model):
-    margin, condition, mode = min(_modes(model), default=(1, "no condition fails", 0), key=lambda found: found[0])
+    margin, condition, mode = min(_margins(model), default=(1, "no condition fails", 0), key=lambda found: found[0])
     nearest = f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
     raise ValueError(f"model: needs a steady state that double precision can resolve; {nearest}")
 

@@ -76,7 +76,7 @@ class SteadyStateFilter(RecursiveFilter):
         """P(0/0), the covariance of the steady state."""
         return self.P
 
-    def gains(self, P, seen):
+    def next_step(self, P, seen):
         """Return A, B and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n); F, zero and F P Fᵀ + Q for a missed epoch."""
         P_predicted = predicted_covariance(self.model, P)
         if not seen.any():
@@ -85,7 +85,7 @@ class SteadyStateFilter(RecursiveFilter):
         update = np.eye(self.model.n) - self.B @ self.model.H
         return self.A, self.B, update @ P_predicted @ update.T + self.B @ self.model.R @ self.B.T
 
-    def _epochs_of_own_gaps(self, z, seen):
+    def _epochs_of_different_gaps(self, z, seen):
         _require_whole_rows(seen)
         return columns.constant_gain_epochs(self.model, self.B, self.P, z)
 
