@@ -1,4 +1,4 @@
-"""Filters made of filters: the mean of two, and several side by side."""
+"""Filters made of filters: the mean of two, and one for each axis."""
 
 from dataclasses import dataclass
 
@@ -6,18 +6,20 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import checks
-from .filters import Filter, KalmanFilter, LainiotisFilter
+from .filters import Filter, KalmanFilter, LainiotisFilter, one_measurement
 from .model import stack
 from .steady import SteadyStateFilter
 
 
 @dataclass(frozen=True, eq=False)
 class JoinFilter(Filter):
-    """The mean of two filters of one model: JKLF and JSSKLF (2014 Eqs. 8, 16; 2015 Eqs. 4-5, 13).
+    """The mean of two filters of one model (2014 Eqs. 8, 16; 2015 Eqs. 4-5, 13).
 
-        x(k/k) = [x_1(k/k) + x_2(k/k)] / 2,   and the same of the covariances
+        x(k/k) = [x_1(k/k) + x_2(k/k)] / 2,   P(k/k) = [P_1(k/k) + P_2(k/k)] / 2
 
-    Raises ValueError where the models differ or the filters predict unequally far, TypeError for what is no filter.
+    The papers join the Kalman and the Lainiotis filter, JKLF, and both steady-state filters, JSSKLF. P is theirs: it is
+    the covariance of the mean's error where both filters are equal. Raises TypeError for anything but two filters, and
+    ValueError where their models differ or one predicts further ahead than the other.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
@@ -42,6 +44,11 @@ class JoinFilter(Filter):
         return self.first.model
 
     @property
+    def steps_ahead(self):
+        """How far both filters predict."""
+        return self.first.steps_ahead
+
+    @property
     def P0(self):
         """The mean of both P(0/0)."""
         return (self.first.P0 + self.second.P0) / 2
@@ -51,10 +58,10 @@ class JoinFilter(Filter):
         return (self.first.covariances(z) + self.second.covariances(z)) / 2
 
     def step(self, x, P, z_k):
-        """Return the mean of what both filters make of x (n,), P (n, n) and one measurement z_k (m,).
+        """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
-        A loop of steps is `filter` where both filters have the same gains, as the papers' two pairs have: between
-        unlike filters one x does not hold what both remember.
+        Repeated steps equal `filter` where both filters have the same gains, as in the papers' pairs. Otherwise each
+        filter would need a state of its own, and this keeps one.
         """
         x_1, P_1 = self.first.step(x, P, z_k)
         x_2, P_2 = self.second.step(x, P, z_k)
@@ -71,10 +78,10 @@ class JoinFilter(Filter):
 
 @dataclass(frozen=True, eq=False, init=False)
 class Separate(Filter):
-    """Filters side by side, each on its own part of the state: model B of the papers (2014 Section 5, Eqs. 17-18).
+    """One filter for each axis: the papers' model B (2014 Section 5, Eqs. 17-18).
 
-    Each filter sees its own rows of z. Raises ValueError when no filter is given or they predict unequally far,
-    TypeError for what is no filter.
+    The states of the filters follow one another, as in `stack`, and each filter takes its own rows of z. Raises
+    TypeError for anything but filters, and ValueError for none and where one predicts further ahead than another.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> kf = KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1))
@@ -93,6 +100,7 @@ class Separate(Filter):
             _require_equally_far_ahead(f"filters[{i}]", filters[0], each)
         object.__setattr__(self, "filters", filters)
         object.__setattr__(self, "model", stack(*(each.model for each in filters)))
+        object.__setattr__(self, "steps_ahead", filters[0].steps_ahead)
 
     def __reduce__(self):
         return Separate, self.filters
@@ -111,14 +119,14 @@ class Separate(Filter):
 
     def step(self, x, P, z_k):
         """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its rows of z_k (m,)."""
-        z_k = np.asarray(z_k, float)
-        steps = [each.step(x[i], P[i, i], z_k[rows]) for each, i, rows in self._parts()]
-        return np.concatenate([x for x, _ in steps]), block_diag(*(P for _, P in steps))
+        z_k = one_measurement(z_k, self.model.m)
+        after = [each.step(x[i], P[i, i], z_k[rows]) for each, i, rows in self._parts()]
+        return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))
 
     def epochs(self, z):
         """Yield x (n, M) and P (n, n, 1 or M), block diagonal, of what the filters' `epochs` yield."""
-        for steps in zip(*(each.epochs(z[:, rows]) for each, _, rows in self._parts()), strict=True):
-            yield np.concatenate([x for x, _ in steps]), _diagonal([P[None] for _, P in steps])[0]
+        for epoch in zip(*(each.epochs(z[:, rows]) for each, _, rows in self._parts()), strict=True):
+            yield np.concatenate([x for x, _ in epoch]), _diagonal([P[None] for _, P in epoch])[0]
 
     def _estimates(self, z):
         x = np.empty((len(z), self.model.n, z.shape[2]))
@@ -136,9 +144,9 @@ class Separate(Filter):
 
 
 def _require_equally_far_ahead(name, first, other):
-    ahead, also = getattr(first, "steps", 0), getattr(other, "steps", 0)
-    if ahead != also:
-        checks.refuse(name, f"a filter {ahead} steps ahead, as the first", f"one {also} steps ahead")
+    if first.steps_ahead != other.steps_ahead:
+        need, got = (f"one {each.steps_ahead} steps ahead" for each in (first, other))
+        checks.refuse(name, f"{need}, as the first", got)
 
 
 def _diagonal(blocks):

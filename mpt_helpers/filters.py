@@ -35,6 +35,8 @@ class Coefficients(NamedTuple):
 class Filter(Immutable):
     """A filter of measurements z. A subclass has a `model`, and `_estimates(z)`: x (N, n, M) for z (N, m, M)."""
 
+    steps_ahead = 0  # of the last measurement that an estimate takes; more in a predictor
+
     def filter(self, z):
         """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
 
@@ -103,7 +105,7 @@ class RecursiveFilter(Filter):
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`.
         """
-        z_k = _one_measurement(z_k, self.model.m)
+        z_k = one_measurement(z_k, self.model.m)
         seen = ~np.isnan(z_k)
         A, B, P = self.next_step(P, seen)
         x = A @ x + B @ np.where(seen, z_k, 0)
@@ -202,7 +204,8 @@ def _has_not_moved(before, after):
     return bool((np.abs(after - before) <= CONVERGED * np.outer(sigma, sigma)).all())
 
 
-def _one_measurement(z_k, m):
+def one_measurement(z_k, m):
+    """Return z_k as a vector of floats of length m, or raise."""
     z_k = np.asarray(z_k, float)
     if z_k.shape != (m,):
         checks.refuse("z_k", f"a vector of length {m}", f"shape {z_k.shape}")
@@ -249,7 +252,7 @@ class KalmanFilter(RecursiveFilter):
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`.
         """
-        z_k = _one_measurement(z_k, self.model.m)
+        z_k = one_measurement(z_k, self.model.m)
         F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
         seen = ~np.isnan(z_k)
         if not seen.all():

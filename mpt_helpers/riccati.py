@@ -44,8 +44,7 @@ def lainiotis_matrices(model, H=None, R=None):
 
         A = [H Q Hᵀ + R]⁻¹,   K_n = Q Hᵀ A,   K_m = Fᵀ Hᵀ A,   F_n = F - K_n H F,   P_n = Q - K_n H Q,   O_n = K_m H F
 
-    H and R are those of the model unless others are given. P_n is computed as a product G Gᵀ, which keeps its digits
-    where R is far smaller than Q.
+    H and R are those of the model unless others are given.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
@@ -59,8 +58,7 @@ def lainiotis_matrices(model, H=None, R=None):
     Kn = Q @ HtA
     Km = F.T @ HtA
     update = np.eye(model.n) - Kn @ H
-    root = np.hstack([update @ square_root(Q), Kn @ np.linalg.cholesky(R)])
-    return LainiotisMatrices(Fn=update @ F, Kn=Kn, Km=Km, Pn=root @ root.T, On=Km @ H @ F)
+    return LainiotisMatrices(Fn=update @ F, Kn=Kn, Km=Km, Pn=corrected_covariance(Q, Kn, H, R), On=Km @ H @ F)
 
 
 def innovation_weights(P, H, R):
@@ -77,6 +75,19 @@ def innovation_weights(P, H, R):
     E, H_1 = np.linalg.qr(np.linalg.solve(L, H))
     S = H_1 @ P @ H_1.T + np.eye(len(H_1))
     return H_1.T @ np.linalg.solve(S, np.linalg.solve(L.T, E).T)
+
+
+def corrected_covariance(P, K, H, R):
+    """Return (I - K H) P (I - K H)ᵀ + K R Kᵀ (n×n): Joseph's form, as a product G Gᵀ.
+
+    It is positive semidefinite and keeps its digits where R is far smaller than P.
+
+    >>> corrected_covariance(P=np.eye(1), K=np.array([[0.5]]), H=np.eye(1), R=np.eye(1))
+    array([[0.5]])
+    """
+    update = np.eye(len(P)) - K @ H
+    G = np.hstack([update @ square_root(P), K @ np.linalg.cholesky(R)])
+    return G @ G.T
 
 
 def rekf(model):

@@ -7,25 +7,27 @@ import numpy as np
 
 from . import checks, columns, riccati
 from .filters import Filter, RecursiveFilter
-from .model import LinearModel, predicted_covariance, square_root
+from .model import LinearModel, predicted_covariance
 from .recursion import TILE, tiles
 
-# How far A may be from (I - B H) F, relative to the size of the terms: what solvers at the edge of doubles leave.
+# How far A may be from (I - B H) F, relative to the size of the terms: room for the rounding of the solvers.
 SAME_A = 1e-6
-# A FIR filter of more taps is refused: the steady-state filter does the same in one step.
-LONGEST = 1_000_000
+# The most taps of a FIR filter: the steady-state filter does in one step what takes so many.
+MOST_TAPS = 1_000_000
+# Steps of a FIR filter in one product.
+FIR_STEPS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyStateFilter(RecursiveFilter):
-    """A filter with constant coefficients A (n×n), B (n×m) and the error covariance P (n×n) of its steady state.
+    """A filter with constant coefficients: A (n×n), B (n×m), and the error covariance P (n×n) of its steady state.
 
     2014 Eqs. 9-15, 2015 Eqs. 6-12, 2016 Eqs. 8-12. Made by `from_kalman` or `from_lainiotis`, which solve different
     Riccati equations: that they agree (2014 Eq. 15) is a result.
 
-    Its covariance starts at P and stays there; after a missed epoch it is the covariance of the true error. A row of z
-    that is partly NaN is refused, since a constant gain does not fit it. Raises ValueError for arrays of another shape
-    and for an A that is not (I - B H) F.
+    While nothing is missing, its covariance is P. Through a gap it grows, and afterwards it returns to P as the true
+    error does. A row of z that is partly NaN is refused, since the gain is that for a whole row. Raises ValueError for
+    arrays of another shape and for an A that is not (I - B H) F.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1)).B.round(4)
@@ -56,9 +58,8 @@ class SteadyStateFilter(RecursiveFilter):
         """
         P = riccati.rekf(model)
         K = P @ riccati.innovation_weights(P, model.H, model.R)
-        update = np.eye(model.n) - K @ model.H
-        root = np.hstack([update @ square_root(P), K @ np.linalg.cholesky(model.R)])  # of the Joseph form of P_e
-        return cls(model, A=update @ model.F, B=K, P=root @ root.T)
+        A = (np.eye(model.n) - K @ model.H) @ model.F
+        return cls(model, A=A, B=K, P=riccati.corrected_covariance(P, K, model.H, model.R))
 
     @classmethod
     def from_lainiotis(cls, model):
@@ -77,7 +78,7 @@ class SteadyStateFilter(RecursiveFilter):
         return self.P
 
     def next_step(self, P, seen):
-        """Return A, B and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n); F, zero and F P Fᵀ + Q for a missed epoch."""
+        """Return the Step from P(k/k), (n, n) or (M, n, n). In a missed epoch A is F, B is zero and P is F P Fᵀ + Q."""
         P_predicted = predicted_covariance(self.model, P)
         if not seen.any():
             return self.model.F, np.zeros_like(self.B), P_predicted
@@ -96,8 +97,9 @@ class SteadyStatePredictor(Filter):
 
         x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
 
-    `steady` is the SteadyStateFilter whose A and B these are, `steps` is N. Since A_N is similar to A, the prediction
-    is Fᴺ x(k/k): it is computed so, and needs no F⁻ᴺ. Raises TypeError or ValueError for arguments of another kind.
+    `steady` is the SteadyStateFilter with A and B, `steps` is N. The prediction is Fᴺ x(k/k), and computed so: the
+    recursion above is that of the filter in other coordinates. Raises TypeError or ValueError for another kind of
+    argument.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -117,6 +119,11 @@ class SteadyStatePredictor(Filter):
     def model(self):
         """The model of the steady-state filter."""
         return self.steady.model
+
+    @property
+    def steps_ahead(self):
+        """N."""
+        return self.steps
 
     @cached_property
     def F_N(self):
@@ -141,23 +148,23 @@ class SteadyStatePredictor(Filter):
     def covariances(self, z):
         """Return the covariances of the predictions' errors, in the shapes of `SteadyStateFilter.covariances`."""
         P = self.steady.covariances(z)
-        columns = P.reshape(*P.shape[:3], -1)  # (N, n, n, M), M = 1 for one track
-        ahead = predicted_covariance(self.model, columns.transpose(0, 3, 1, 2), self.steps)
-        return ahead.transpose(0, 2, 3, 1).reshape(P.shape)
+        tracks_first = np.moveaxis(P, 3, 1) if P.ndim == 4 else P  # (N, M, n, n)
+        predicted = predicted_covariance(self.model, tracks_first, self.steps)
+        return np.moveaxis(predicted, 1, 3) if P.ndim == 4 else predicted
 
     def _estimates(self, z):
         return self.F_N @ self.steady._estimates(z)
 
 
 def _require_whole_rows(seen):
-    """Raise a ValueError where a row of seen (m,) or (N, m, M) is partly true: a constant gain does not fit it."""
-    axis = max(0, seen.ndim - 2)
-    if (seen.any(axis=axis) != seen.all(axis=axis)).any():
+    """Raise a ValueError where a row of seen, (m,) or (N, m, M), is partly true: a constant gain is for a whole row."""
+    axis_of_m = 0 if seen.ndim == 1 else 1
+    if (seen.any(axis=axis_of_m) != seen.all(axis=axis_of_m)).any():
         checks.refuse("z", "rows all of numbers or all of NaN, as the gain is constant", "a row that is partly NaN")
 
 
 def fir_order(A, tol, norm=2):
-    """Return the FIR order M: the first power with ‖Aᴹ‖ < tol (2014 Section 7).
+    """Return the FIR order: the first power M with ‖Aᴹ‖ < tol (2014 Section 7).
 
     A is n×n, tol is the paper's ε, norm is 1, 2 (the spectral norm), inf, "fro" or "nuc", as in `numpy.linalg.norm`.
     Raises ValueError for tol outside (0, 1] and for an A whose powers do not fall below tol within a million steps.
@@ -165,22 +172,20 @@ def fir_order(A, tol, norm=2):
     >>> fir_order([[0.5]], tol=0.1)
     4
     """
-    A = checks.array("A", A, (len(A), len(A)))
+    n = len(checks.real_numbers("A", A, "a square matrix").ravel()) ** 0.5
+    A = checks.array("A", A, (int(n), int(n)))
     tol = checks.number("tol", tol, "a number in (0, 1]", lambda tol: 0 < tol <= 1)
     radius = np.abs(np.linalg.eigvals(A)).max()
-    # ‖Aᴹ‖ is at least the spectral radius to the power M: no lower power can be below tol.
-    least = 1 if radius < tol else np.log(tol) / np.log(radius) if radius < 1 else np.inf
-    if least > LONGEST:
-        checks.refuse(
-            "A", f"powers that fall below {tol:g} within {LONGEST:,} steps", f"a spectral radius of {radius:g}"
-        )
-    order = max(1, int(least * (1 - 1e-9)))  # one part in 1e9 for the rounding of the logarithms
+    if radius >= 1:
+        checks.refuse("A", "a spectral radius below 1", f"{radius:.6g}")
+    # No norm of Aᴹ is below the spectral radius to the power M, so lower powers than this need not be tried. One part
+    # in 1e9 is for the rounding of the logarithms.
+    least = np.log(tol) / np.log(radius) * (1 - 1e-9) if radius > 0 else 1
+    if least > MOST_TAPS:
+        checks.refuse("A", f"powers that fall below {tol:g} within {MOST_TAPS:,} steps", f"a radius of {radius:.9f}")
+    order = max(1, int(least))
     power = np.linalg.matrix_power(A, order)
     while np.linalg.norm(power, norm) >= tol:
-        if order >= LONGEST:
-            checks.refuse(
-                "A", f"powers that fall below {tol:g} within {LONGEST:,} steps", "powers that fall more slowly"
-            )
         power = power @ A
         order += 1
     return order
@@ -188,13 +193,14 @@ def fir_order(A, tol, norm=2):
 
 @dataclass(frozen=True, eq=False)
 class FIRFilter(Filter):
-    """The FIR form of a steady-state filter (2014 Section 7, Eqs. 20-22): a weighted sum of the last M measurements.
+    """The FIR form of a steady-state filter (2014 Section 7, Eqs. 20-22): a weighted sum of the last measurements.
 
-        x(k/k) = Σ taps[j] z(k-j), j = 0 ... M-1,   taps[j] = Aʲ B
+        x(k/k) = Σ taps[j] z(k-j),   taps[j] = Aʲ B,   j = 0 ... order - 1
 
-    taps is (M, n, m). The start x0 and older measurements are forgotten. A missed epoch is predicted, F x(k-1/k-1), and
-    its measurement replaced by the predicted one, H F x(k-1/k-1): the same happens in the steady-state filter. The
-    filter has no covariances. Raises TypeError or ValueError for anything but a model and such an array.
+    taps is (order, n, m). x0 is not used, but where the first epochs are missed. A missed epoch is predicted,
+    F x(k-1/k-1), and its measurement replaced by the predicted one, H F x(k-1/k-1): the steady-state filter, too, takes
+    from the predicted measurement what it would have predicted anyway. The filter has no covariances. Raises TypeError
+    or ValueError for anything but a model and such an array.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> steady = SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1))
@@ -207,12 +213,12 @@ class FIRFilter(Filter):
 
     def __post_init__(self):
         checks.instance("model", self.model, LinearModel)
-        order = max(1, len(self.taps))
+        order = max(1, len(checks.real_numbers("taps", self.taps, "an (order, n, m) array")))
         object.__setattr__(self, "taps", checks.array("taps", self.taps, (order, self.model.n, self.model.m)))
 
     @classmethod
     def from_steady_state(cls, steady, tol=1e-3):
-        """Cut the impulse response Aʲ B of a steady-state filter where the spectral norm of Aᴹ falls below tol."""
+        """Cut the impulse response Aʲ B of a steady-state filter where the spectral norm of Aʲ falls below tol."""
         checks.instance("steady", steady, SteadyStateFilter)
         taps = [steady.B]
         for _ in range(fir_order(steady.A, tol) - 1):
@@ -225,35 +231,35 @@ class FIRFilter(Filter):
         return len(self.taps)
 
     def _estimates(self, z):
-        lost = np.isnan(z)
-        missed = lost.all(axis=1)
-        if (lost.any(axis=1) != missed).any():
-            checks.refuse(
-                "z", "rows all of numbers or all of NaN, as the taps are constant", "a row that is partly NaN"
-            )
-        x = self._convolve(np.where(lost, 0, z) if lost.any() else z)
+        if np.isfinite(z).all():
+            return self._convolved(z)
+        checks.no_infinity(z)
+        seen = ~np.isnan(z)
+        _require_whole_rows(seen)
+        missed = ~seen.any(axis=1)
+        x = self._convolved(np.where(seen, z, 0))
         F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]
         for k in np.flatnonzero(missed.any(axis=1)):
             predicted = F @ (x[k - 1] if k > 0 else x0)
-            replaced = np.where(missed[k], H @ predicted, 0)
-            x[k : k + self.order] += self.taps[: len(x) - k] @ replaced
+            predicted_z = np.where(missed[k], H @ predicted, 0)
+            x[k : k + self.order] += self.taps[: len(x) - k] @ predicted_z
             x[k] = np.where(missed[k], predicted, x[k])
         return x
 
-    def _convolve(self, z):
-        """Return Σ taps[j] z(k-j) for all k, (N, n, M): eight steps in one product, as in `recursion.run`."""
+    def _convolved(self, z):
+        """Return Σ taps[j] z(k-j) for all k, (N, n, M), of z (N, m, M): some steps in one product with shifted taps."""
         (N, m, M), n = z.shape, self.model.n
-        L, before = min(8, N), self.order - 1
-        W = np.zeros((L, n, before + L, m))
-        for i in range(L):
+        older = self.order - 1
+        W = np.zeros((FIR_STEPS, n, older + FIR_STEPS, m))
+        for i in range(FIR_STEPS):
             W[i, :, i : i + self.order] = self.taps[::-1].swapaxes(0, 1)
-        W = W.reshape(L * n, (before + L) * m)
+        W = W.reshape(FIR_STEPS * n, (older + FIR_STEPS) * m)
         x = np.empty((N, n, M))
         measured = np.ascontiguousarray(z).reshape(N * m, M)
         for tracks in tiles(M, TILE):
-            for k in range(0, N, L):
-                first, last = max(k - before, 0), min(k + L, N)
-                weights = W[: (last - k) * n, (first - k + before) * m : (last - k + before) * m]
+            for k in range(0, N, FIR_STEPS):
+                first, last = max(k - older, 0), min(k + FIR_STEPS, N)
+                weights = W[: (last - k) * n, (first - k + older) * m : (last - k + older) * m]
                 out = x[k:last].reshape(-1, M)[:, tracks]
                 np.matmul(weights, measured[first * m : last * m, tracks], out=out)
         return x
