@@ -37,6 +37,11 @@ class Filter(Immutable):
 
     steps_ahead = 0  # of the last measurement that an estimate takes; more in a predictor
 
+    @property
+    def P0(self):
+        """P(0/0); raises TypeError for a filter whose estimates have no covariance."""
+        raise TypeError(f"needs a filter with a covariance of its estimates, got a {type(self).__name__}")
+
     def filter(self, z):
         """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
 
@@ -114,7 +119,7 @@ class RecursiveFilter(Filter):
     def epochs(self, z):
         """Yield x(k/k) (n, M) and P(k/k), (n, n, 1) or (n, n, M), for k = 1 ... N of tracks z (N, m, M).
 
-        P is (n, n, 1) where all tracks have the same gaps. The next epoch may write over the arrays.
+        P is (n, n, 1) where all tracks have the same gaps.
         """
         seen = ~np.isnan(z)
         if not _all_alike(seen):
@@ -142,6 +147,7 @@ class RecursiveFilter(Filter):
         x = np.repeat(self.model.x0[None], z.shape[2], axis=0)  # tracks come first here: a stack of vectors
         P = np.repeat(self.P0[None], z.shape[2], axis=0)
         for z_k, seen_k in zip(np.where(seen, z, 0), seen, strict=True):
+            x, P = x.copy(), P.copy()
             for pattern in np.unique(seen_k, axis=1).T:
                 tracks = np.flatnonzero((pattern == seen_k.T).all(axis=1))
                 A, B, P[tracks] = self.next_step(P[tracks], pattern)

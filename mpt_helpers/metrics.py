@@ -35,17 +35,17 @@ def rms(values, axis=None):
 
 
 class Innovations(NamedTuple):
-    """What is new in each measurement, (N, m) or (N, m, M), and its covariance S, (N, m, m) or (N, m, m, M)."""
+    """The innovations z(k) - H x(k/k-1), (N, m) or (N, m, M), and their covariance S, (N, m, m) or (N, m, m, M)."""
 
     values: np.ndarray
     S: np.ndarray
 
 
-def innovations(each, z):
+def innovations(estimator, z):
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N of a filter over measurements z.
 
-    `each` is a filter with covariances, z is (N, m) or (N, m, M). `values` has the shape of z and is NaN where z is. S
-    is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many tracks.
+    `estimator` is a filter with covariances, z is (N, m) or (N, m, M). `values` has the shape of z and is NaN where z is.
+    S is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many tracks.
 
     Raises ValueError or TypeError for measurements of another kind, and TypeError for a filter that has no innovations:
     a predictor or a FIR filter.
@@ -56,21 +56,20 @@ def innovations(each, z):
     array([[1.   ],
            [1.239]])
     """
-    if not (isinstance(each, Filter) and hasattr(each, "epochs")):
-        checks.refuse("each", "a filter that has innovations", type(each).__name__, TypeError)
-    model = each.model
+    checks.instance("estimator", estimator, Filter)
+    model = estimator.model
     z = checks.measurements(z, model.m)
     checks.no_infinity(z)
     tracks = z if z.ndim == 3 else z[..., None]
     N, m, M = tracks.shape
-    new, S = np.empty((N, m, M)), np.empty((N, m, m, M))
+    values, S = np.empty((N, m, M)), np.empty((N, m, m, M))
     for tile in tiles(M, TILE_OF_COVARIANCES):
-        expected, S_next = _next_measurement(model, model.x0[:, None], each.P0[..., None])
-        for k, (x, P) in enumerate(each.epochs(tracks[..., tile])):
-            new[k, :, tile] = tracks[k, :, tile] - expected
+        expected, S_next = _next_measurement(model, model.x0[:, None], estimator.P0[..., None])
+        for k, (x, P) in enumerate(estimator.epochs(tracks[..., tile])):
+            values[k, :, tile] = tracks[k, :, tile] - expected
             S[k, ..., tile] = S_next
             expected, S_next = _next_measurement(model, x, P)
-    return Innovations(new, S) if z.ndim == 3 else Innovations(new[..., 0], S[..., 0])
+    return Innovations(values, S) if z.ndim == 3 else Innovations(values[..., 0], S[..., 0])
 
 
 def _next_measurement(model, x, P):
@@ -80,24 +79,24 @@ def _next_measurement(model, x, P):
     return HF @ x, np.einsum("ia,abM,jb->ijM", HF, P, HF) + noise[..., None]
 
 
-def nis(each, z):
+def nis(estimator, z):
     """Return the normalised innovation squared of each epoch, (N,) or (N, M), NaN where nothing was measured.
 
-    Over the measurements that are there, its mean is their number for a consistent filter. Raises as `innovations`.
+    For a consistent filter its mean is the number of measurements in the epoch. Raises as `innovations`.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> nis(SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [2.0]]).round(2)
     array([4.51, 6.93])
     """
-    new = innovations(each, z)
-    whitened, _ = _whitened(*new)
-    return np.where(np.isnan(new.values).all(axis=1), np.nan, np.square(whitened).sum(axis=1))
+    values, S = innovations(estimator, z)
+    whitened, _ = _whitened(values, S)
+    return np.where(np.isnan(values).all(axis=1), np.nan, np.square(whitened).sum(axis=1))
 
 
-def log_likelihood(each, z):
+def log_likelihood(estimator, z):
     """Return the logarithm of the probability density of measurements z, a number or, for many tracks, (M,).
 
-    It is the sum over the epochs of the density of the innovations that are there. For a filter with a constant gain it
+    It is the sum of the log densities of the innovations. For a filter with a constant gain it
     is a quasi-likelihood: its S is the covariance of the true error, but its innovations are correlated after the start
     and after gaps. Raises as `innovations`.
 
@@ -106,16 +105,16 @@ def log_likelihood(each, z):
     >>> round(float(log_likelihood(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [np.nan]])), 4)
     -4.6228
     """
-    new = innovations(each, z)
-    whitened, log_det = _whitened(*new)
-    there = np.isfinite(new.values).sum(axis=1)
-    return -0.5 * (np.square(whitened).sum(axis=1) + log_det + there * np.log(2 * np.pi)).sum(axis=0)
+    values, S = innovations(estimator, z)
+    whitened, log_det = _whitened(values, S)
+    count = np.isfinite(values).sum(axis=1)
+    return -0.5 * (np.square(whitened).sum(axis=1) + log_det + count * np.log(2 * np.pi)).sum(axis=0)
 
 
 def _whitened(values, S):
     """Return innovations at unit covariance, zero where missing, and log det S of those that are there.
 
-    values is (N, m) or (N, m, M); the results have its shape, and that without m.
+    The first has the shape of values, (N, m) or (N, m, M), the second is (N,) or (N, M).
     """
     there = np.isfinite(values)
     shape = values.shape
@@ -133,7 +132,7 @@ def _whitened(values, S):
 def nees(errors, P):
     """Return the normalised estimation error squared eᵀ P⁻¹ e of each step, (N,) or (N, M).
 
-    errors is (N, n) or (N, n, M). P is the covariance that the filter states: (n, n), (N, n, n) or (N, n, n, M). The
+    errors is (N, n) or (N, n, M). P is the covariance that the filter reports: (n, n), (N, n, n) or (N, n, n, M). The
     mean over steps or tracks is n when the errors have mean zero and covariance P.
 
     Raises ValueError for other shapes and for a P that is not symmetric and positive definite.

@@ -9,24 +9,25 @@ from tqdm import tqdm
 
 from . import checks
 
-# Runs that share a stream of random numbers and are filtered together: part of what a seed means.
+# Runs that share a stream of random numbers and are filtered together. Another number gives other results from a seed.
 BLOCK = 200
-NEED = f"a result of M = {BLOCK} columns, (..., M)"
-# Slightly below the largest block of memory that glibc keeps for later: else it goes back to the kernel after each run.
-KEPT = 2**25 - 2**16
+RESULT = f"a result of M = {BLOCK} columns, (..., M)"
+# glibc returns memory to the kernel after each block, and asks for it again, until it has seen one array of this size
+# freed: then it keeps up to as much.
+KEPT_MEMORY = 2**25 - 2**16
 
 
 def study(experiment, runs, seed, *, workers=1):
     """Return the statistics of many runs of an experiment, (..., runs).
 
-    experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs. It is
-    called for blocks of 200 runs, each with its own stream of the seed, so that no result depends on the workers, and
-    the first runs of a longer study are those of a shorter one. Only the statistics are kept.
+    experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs. M is
+    always 200: each block of 200 runs has its own stream of the seed, so that no result depends on the workers, and the
+    first runs of a longer study are those of a shorter one. What is more than `runs` is dropped.
 
-    runs is a positive count, seed an integer that is not negative. workers is a number of threads, or a map-like
-    callable, such as the `map` of a `concurrent.futures` executor; the experiment must be something that this callable
-    can send to its workers. A progress bar runs on a terminal, and nowhere else. An interrupt ends the study with the
-    blocks at work.
+    runs is a positive count, seed an integer that is not negative. workers is a number of threads, or a callable like
+    `map` that keeps the order, such as the `map` of a `concurrent.futures` executor, to whose workers the experiment
+    can be sent. A progress bar runs on a terminal, and nowhere else. An interrupt ends the study once the running
+    blocks are done.
 
     Raises ValueError or TypeError for bad arguments and for an experiment that does not return M columns.
 
@@ -41,7 +42,7 @@ def study(experiment, runs, seed, *, workers=1):
     with _mapper(workers) as mapper, tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
         for part in mapper(partial(_run_block, experiment), streams):
             parts.append(part)
-            bar.update(BLOCK)
+            bar.update(min(BLOCK, runs - bar.n))
     if len(parts) != len(streams):
         checks.refuse("workers", "a callable like map", f"one that gives {len(parts)} of {len(streams)} results")
     shapes = {part.shape[:-1] for part in parts}
@@ -51,18 +52,18 @@ def study(experiment, runs, seed, *, workers=1):
 
 
 def _run_block(experiment, stream):
-    np.empty(KEPT, np.uint8)  # freed at once: from then on the C library reuses memory of up to this size
+    np.empty(KEPT_MEMORY, np.uint8)
     part = np.asarray(experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK))
     if part.dtype.kind not in "biuf":
-        checks.refuse("experiment", NEED, f"an array of {part.dtype} data", TypeError)
+        checks.refuse("experiment", RESULT, f"an array of {part.dtype} data", TypeError)
     if part.ndim == 0 or part.shape[-1] != BLOCK:
-        checks.refuse("experiment", NEED, f"shape {part.shape}")
+        checks.refuse("experiment", RESULT, f"shape {part.shape}")
     return part.copy()  # an experiment may return the same buffer again
 
 
 @contextmanager
 def _mapper(workers):
-    """Give a map-like callable; one of our own threads starts no block after an interrupt."""
+    """Give a callable like `map`. Threads of our own start no further block after an interrupt."""
     if callable(workers):
         yield workers
     elif checks.count("workers", workers) == 1:
