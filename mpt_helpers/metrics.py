@@ -44,8 +44,8 @@ class Innovations(NamedTuple):
 def innovations(estimator, z):
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N of a filter over measurements z.
 
-    `estimator` is a filter with covariances, z is (N, m) or (N, m, M). `values` has the shape of z and is NaN where z is.
-    S is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many tracks.
+    `estimator` is a filter with covariances, z is (N, m) or (N, m, M). `values` has the shape of z, and is NaN where z
+    is. S is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many tracks.
 
     Raises ValueError or TypeError for measurements of another kind, and TypeError for a filter that has no innovations:
     a predictor or a FIR filter.
