@@ -19,11 +19,11 @@ from . import __version__
 from .files import write_together, write_whole
 from .ledger import keys, published, shipped_verdicts, stored_verdicts
 from .ledger.tables import Table
-from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, HOLDS
+from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, HOLDS, WRONG
 
 NOTEBOOKS, FIGURES, LEDGER = Path("notebooks"), Path("figures"), Path("mpt_helpers") / "ledger"
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
-READ_BY_NOTEBOOKS = Path("benchmarks") / "results.json"  # the clock was read on another day: outputs must not change
+READ_BY_NOTEBOOKS = Path("benchmarks") / "results.json"  # times measured once, so that outputs do not change
 CELL_TIMEOUT = 600  # seconds; the slowest cell takes some ten
 
 
@@ -192,15 +192,14 @@ def readme(verdicts):
     tally = verdicts.tally()
     others = "".join(f", {count} {words}" for words, count in tally.claims_bar() if words != "hold")
     words = f"**{tally.claims_text()}**{others}. {tally.values_text()}. What is wrong: {tally.causes_text()}."
-    kinds = ("slip", "wording", "finding")
     rows = []
     for paper in [*dict.fromkeys(each.paper for each in verdicts), "all"]:
         own = tally if paper == "all" else verdicts.of(paper).tally()
         row = [paper if paper == "all" else f"[{paper}]({NOTEBOOKS}/{paper}.ipynb)"]
-        row += [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in kinds]
+        row += [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in WRONG]
         row += [f"{sum(counts[each] for each in HOLDS)} of {counts.total()}" for counts in (own.claims, own.values)]
         rows.append([*row, own.claims[CANNOT_BE_CHECKED] + own.values[CANNOT_BE_CHECKED]])
-    header = ["paper", *(f"{kind}s (cells)" for kind in kinds), "claims hold", "numbers, formulas, figures agree"]
+    header = ["paper", *(f"{kind}s (cells)" for kind in WRONG), "claims hold", "numbers, formulas, figures agree"]
     return f"{words}\n\n{Table([*header, 'cannot be checked'], rows).markdown()}"
 
 

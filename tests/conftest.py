@@ -73,10 +73,11 @@ meaning = "Nothing."
 # What a notebook on it computes: a seed, and a verdict on each item.
 VERDICTS = """\
 import random
+from pathlib import Path
 SEED = 1
 random.seed(SEED)
 from mpt_helpers.ledger import read_paper
-paper = read_paper("small", open("small.toml").read())
+paper = read_paper("small", Path("small.toml").read_text())
 paper.check("count", 17)
 paper.check("ratio", 1.3, basis="simulation", band=(1.28, 1.31))
 paper.check("wrong", 336, cause="one-missing", against=["count"])

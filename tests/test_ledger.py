@@ -179,7 +179,7 @@ def full(paper):
 def test_a_report_is_one_line_and_a_folded_table(paper):
     report = full(paper)
     data = report._repr_mimebundle_()
-    summary = "5 verdicts: 3 reproduced, 1 erratum, 1 cannot be checked (1 slip, 1 loss of our copy)"
+    summary = "5 verdicts: 3 reproduced, 1 erratum, 1 cannot be checked (1 slip)"
     assert data["text/plain"].splitlines()[0] == summary
     assert max(map(len, data["text/plain"].splitlines())) <= 110
     assert data["text/html"].startswith(f"<details><summary>{summary}</summary>\n<table>")
@@ -196,8 +196,9 @@ def test_causes_are_counted_with_their_cells_and_claims_apart(paper):
     tally = twice.tally()
     assert tally.claims_text() == "2 of 2 claims hold"
     assert tally.values_text() == "2 of 5 numbers, formulas and figures agree"
-    assert tally.causes_text() == "1 slip (2 cells), 1 loss of our copy (1 cell)"
+    assert tally.causes_text() == "1 slip (2 cells); our copy has lost 1 cell"
     assert tally.cause_text("finding") == "none"
+    assert Verdicts([]).tally().causes_text() == "nothing wrong"
 
 
 def test_the_bar_of_claims_has_every_claim_once(paper):

@@ -10,14 +10,16 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import chdir
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from conftest import ROOT, VERDICTS, write_notebook
 
 import mpt_helpers as mpt
-from mpt_helpers.__main__ import main
-from mpt_helpers.ledger import keys, shipped_verdicts, stored_verdicts
+from mpt_helpers.__main__ import as_json, main, readme
+from mpt_helpers.ledger import Verdicts, keys, shipped_verdicts, stored_verdicts
 from mpt_helpers.ledger.verdicts import FIELDS
 
 PLOTS = """\
@@ -44,6 +46,7 @@ def test_reproduce_executes_in_place_and_stores_the_verdicts(project, capfd):
     made = ["figures/small_fig1.png", "figures/small_fig1.svg", "mpt_helpers/ledger/small.json"]
     assert sorted(files(project)) == sorted([*before, *made])
     notebook = json.loads((project / SMALL).read_text())
+    assert notebook["metadata"]["language_info"] == {"name": "python"}
     assert [cell["execution_count"] for cell in notebook["cells"]] == [1, 2]
     assert not [cell["metadata"] for cell in notebook["cells"] if cell["metadata"]]
     assert list(shipped_verdicts()) == list(stored_verdicts(SMALL))
@@ -126,7 +129,7 @@ def test_an_interrupt_leaves_everything_as_it_was(project):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('open("small.toml").read()', '"items = ["', "ValueError: small.toml: "),
+        ('Path("small.toml").read_text()', '"items = ["', "ValueError: small.toml: "),
         ('basis="simulation", band', 'basis="gut", band', "ValueError: small, 'ratio': needs one of the bases"),
     ],
 )
@@ -259,14 +262,16 @@ def test_the_version(capsys):
 
 
 @pytest.fixture
-def reproduced(project, capsys):
-    """A project whose notebook was executed."""
-    assert main(["reproduce"]) == 0
-    capsys.readouterr()
-    return project
+def shipped(project):
+    """The verdicts that the made-up paper's notebook gives, as the package ships them."""
+    given = {}
+    with chdir("notebooks"):
+        exec(VERDICTS.removesuffix("paper.report()"), given)
+    (project / "mpt_helpers/ledger/small.json").write_text(as_json(given["paper"].report()))
+    return shipped_verdicts()
 
 
-def test_verdicts_are_printed_from_any_folder_without_jupyter(reproduced, tmp_path_factory, monkeypatch, capsys):
+def test_verdicts_are_printed_from_any_folder_without_jupyter(shipped, tmp_path_factory, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
     monkeypatch.setitem(sys.modules, "nbclient", None)
     assert main(["verdicts", "--json"]) == 0
@@ -277,13 +282,13 @@ def test_verdicts_are_printed_from_any_folder_without_jupyter(reproduced, tmp_pa
     assert list(csv.DictReader(io.StringIO(capsys.readouterr().out))) == records
 
 
-def test_the_summary_of_verdicts_comes_first_in_lines_of_the_terminal(reproduced, monkeypatch, capsys):
+def test_the_summary_of_verdicts_comes_first_in_lines_of_the_terminal(shipped, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "60")
     assert main(["verdicts"]) == 0
     summary = capsys.readouterr().out
     assert summary.replace("\n    ", " ").splitlines() == [
         "small: 1 of 1 claims hold; 2 of 4 numbers, formulas and",
-        "figures agree; 1 slip (1 cell), 1 loss of our copy (1 cell).",
+        "figures agree; 1 slip (1 cell); our copy has lost 1 cell.",
         "  slip one-missing (1): One is missing: 326 for 336. Count ten more.",
         "  copy our-copy (1): Our copy has lost the cell. Nothing.",
     ]
@@ -318,30 +323,31 @@ def test_verdicts_into_head_end_silently():
     assert (run.stdout, run.stderr, run.returncode) == ("line\n", "", 0)
 
 
-def test_after_jupyter_execute_tidy_leaves_outputs_only(reproduced):
-    before = files(reproduced)
+def test_after_jupyter_execute_tidy_leaves_outputs_only(project):
+    main(["reproduce"])
+    before = files(project)
     subprocess.run([sys.executable, "-m", "jupyter", "execute", "--inplace", SMALL], check=True, capture_output=True)
-    assert files(reproduced) != before  # the version of Python, the times of the cells
+    assert files(project) != before  # the version of Python, the times of the cells
     assert main(["tidy"]) == 0
-    assert files(reproduced) == before
+    assert files(project) == before
 
 
-def test_the_readme_gets_the_counts(reproduced, capsys):
-    readme = reproduced / "README.md"
+def test_the_readme_gets_the_counts(shipped, project, capsys):
+    path = project / "README.md"
     assert main(["readme"]) == 1
     assert "README.md: No such file" in capsys.readouterr().err
-    readme.write_text("words\n")
+    path.write_text("words\n")
     assert main(["readme"]) == 1
     assert "README.md: needs one place for the verdicts, got 0" in capsys.readouterr().err
-    assert readme.read_text() == "words\n"
-    readme.write_text("above\n<!-- verdicts: here -->\nold\n<!-- end of verdicts -->\nbelow\n")
+    assert path.read_text() == "words\n"
+    path.write_text("above\n<!-- verdicts: here -->\nold\n<!-- end of verdicts -->\nbelow\n")
     assert main(["readme"]) == 0
-    assert readme.read_text().splitlines() == [
+    assert path.read_text().splitlines() == [
         "above",
         "<!-- verdicts: here -->",
         "",
         "**1 of 1 claims hold**. 2 of 4 numbers, formulas and figures agree. "
-        "What is wrong: 1 slip (1 cell), 1 loss of our copy (1 cell).",
+        "What is wrong: 1 slip (1 cell); our copy has lost 1 cell.",
         "",
         "| paper | slips (cells) | wordings (cells) | findings (cells) | claims hold "
         "| numbers, formulas, figures agree | cannot be checked |",
@@ -352,6 +358,13 @@ def test_the_readme_gets_the_counts(reproduced, capsys):
         "<!-- end of verdicts -->",
         "below",
     ]
+
+
+def test_the_readme_counts_claims_that_cannot_be_checked(shipped):
+    *_, lost = shipped
+    text = readme(Verdicts([*shipped, replace(lost, kind="claim")], shipped.causes))
+    assert text.startswith("**1 of 2 claims hold**, 1 cannot be checked. ")
+    assert text.endswith("| 1 of 2 | 2 of 4 | 2 |")
 
 
 def test_the_committed_notebooks_and_figures_come_out_byte_for_byte(tmp_path):

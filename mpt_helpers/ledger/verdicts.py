@@ -15,7 +15,8 @@ HOLDS = (REPRODUCED, WITHIN_BAND)
 FAILS = (IN_PART, DIFFERS, ERRATUM)
 
 BASES = ("identity", "arithmetic", "exact", "simulation", "recording", "reading")
-CAUSE_KINDS = ("slip", "wording", "finding", "copy")
+WRONG = ("slip", "wording", "finding")
+CAUSE_KINDS = (*WRONG, "copy")
 
 # The output of a notebook cell in which `python -m mpt_helpers` and the site find the verdicts.
 MIME = "application/vnd.mpt-helpers.verdicts+json"
@@ -37,7 +38,6 @@ PLURALS = {
     "slip": "slips",
     "wording": "wordings",
     "finding": "findings",
-    "copy": "losses of our copy",
     "cell": "cells",
     "verdict": "verdicts",
 }
@@ -49,9 +49,7 @@ def counted(number, word):
     >>> counted(1, "erratum"), counted(2, "erratum"), counted(3, "reproduced")
     ('1 erratum', '2 errata', '3 reproduced')
     """
-    if number == 1:
-        return f"1 {'loss of our copy' if word == 'copy' else word}"
-    return f"{number} {PLURALS.get(word, word)}"
+    return f"{number} {word if number == 1 else PLURALS.get(word, word)}"
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ class Tally:
 
     def claims_text(self):
         """Return how many claims hold, as in "107 of 130 claims hold"."""
-        return f"{self.claims[REPRODUCED] + self.claims[WITHIN_BAND]} of {self.claims.total()} claims hold"
+        return f"{self.claims[REPRODUCED]} of {self.claims.total()} claims hold"
 
     def values_text(self):
         """Return how many numbers, formulas and figures agree."""
@@ -104,9 +102,7 @@ class Tally:
 
     def claims_bar(self):
         """Return the claims by outcome, [("hold", 107), ...]: what a bar of claims shows."""
-        held = Counter(self.claims)
-        held[REPRODUCED] += held.pop(WITHIN_BAND, 0)
-        return [(words, held[verdict]) for verdict, words in OF_CLAIMS.items() if held[verdict]]
+        return [(words, self.claims[verdict]) for verdict, words in OF_CLAIMS.items() if self.claims[verdict]]
 
     def cause_text(self, kind):
         """Return the causes of one kind with their cells in brackets, as in "6 slips (85 cells)"."""
@@ -116,8 +112,11 @@ class Tally:
         return f"{counted(len(cells), kind)} ({counted(cells.total(), 'cell')})"
 
     def causes_text(self):
-        """Return the causes of all kinds in words."""
-        return ", ".join(self.cause_text(kind) for kind in CAUSE_KINDS if self.causes[kind])
+        """Return what is wrong in the paper, and what our copy of it has lost."""
+        parts = [self.cause_text(kind) for kind in WRONG if self.causes[kind]]
+        text = ", ".join(parts) or "nothing wrong"
+        lost = self.causes["copy"].total()
+        return f"{text}; our copy has lost {counted(lost, 'cell')}" if lost else text
 
 
 class Verdicts(Sequence):
@@ -172,7 +171,7 @@ class Verdicts(Sequence):
         given = Counter(each.verdict for each in self)
         parts = [counted(given[verdict], verdict) for verdict in VERDICTS if given[verdict]]
         causes = self.tally().causes
-        why = ", ".join(counted(len(cells), kind) for kind, cells in causes.items() if cells)
+        why = ", ".join(counted(len(causes[kind]), kind) for kind in WRONG if causes[kind])
         return f"{counted(len(self), 'verdict')}: {', '.join(parts)}" + (f" ({why})" if why else "")
 
     def __repr__(self):
