@@ -23,7 +23,6 @@ from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, HOLDS, WRONG
 
 NOTEBOOKS, FIGURES, LEDGER = Path("notebooks"), Path("figures"), Path("mpt_helpers") / "ledger"
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
-READ_BY_NOTEBOOKS = Path("benchmarks") / "results.json"  # times measured once, so that outputs do not change
 CELL_TIMEOUT = 600  # seconds; the slowest cell takes some ten
 
 
@@ -75,14 +74,11 @@ def reproduce(some):
 
 @contextmanager
 def staged(root):
-    """Give a folder with the notebooks and what they read, where they run and from which nothing is kept."""
+    """Give a copy of the project's notebooks/ (with their data) and an empty figures/, in which notebooks run."""
     with TemporaryDirectory(prefix=".reproduce-", dir=root) as place:
         stage = Path(place)
         stage.joinpath(FIGURES).mkdir()
         shutil.copytree(root / NOTEBOOKS, stage / NOTEBOOKS)
-        if root.joinpath(READ_BY_NOTEBOOKS).exists():
-            stage.joinpath(READ_BY_NOTEBOOKS).parent.mkdir()
-            shutil.copy(root / READ_BY_NOTEBOOKS, stage / READ_BY_NOTEBOOKS)
         yield stage
 
 

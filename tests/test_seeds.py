@@ -71,5 +71,5 @@ def test_a_verdict_that_moves_with_the_seed_is_counted(project, monkeypatch, cap
     ]  # fmt: skip
     shown = capsys.readouterr().out
     assert "small, seed 2: equal, part differs; " in shown
-    assert "  a cell failed: AssertionError: " in shown
+    assert "  1 cells failed, the first with AssertionError: " in shown
     assert {path: path.read_bytes() for path in project.rglob("*") if path.is_file() and path != table} == before
