@@ -190,10 +190,6 @@ CASES = [
     ),
     ("rho: needs a number in [0, 1], got 2", lambda: trials.repeated_row_covariances(THREE_ROWS, 2, 5)),
     # burden, metrics, tables, figures
-    ("n: needs an integer of at least 1, got 0", lambda: mpt.burden.kalman(0, 1)),
-    ("M: needs an integer of at least 1, got 0", lambda: mpt.burden.fir(2, 1, M=0)),
-    ("M: needs a variable of", lambda: mpt.burden.kalman(2, 1, M=3)),
-    ("text: needs a formula", lambda: mpt.burden.Polynomial.parse("2n +")),
     ("a: needs the shape of b", lambda: mpt.metrics.relative_gap([1.0], [1.0, 2.0])),
     ("a: needs the shape of b, which is not all zero", lambda: mpt.metrics.relative_gap([1.0], [0.0])),
     ("name: needs letters, digits and underscores", lambda: mpt.save_figure(Figure(), "../fig")),
@@ -303,7 +299,6 @@ WRONG_TYPES = [
     ("filters[0]: needs a filter that states its", lambda: METRICS.nis(mpt.Separate(FIR, KF), [[1.0, 1.0]])),
     ("filters[1]: needs a filter", lambda: mpt.Separate(KF, AXIS)),
     ("tol: needs a number in (0, 1], got '1'", lambda: mpt.FIRFilter.from_steady_state(STEADY, tol="1")),
-    ("n: needs an integer of at least 1, got 2.0", lambda: mpt.burden.kalman(2.0, 1)),
     ("ranges: needs a vector of length 8 of real numbers", fix(ranges=["1"] * 8)),
     ("smallest: needs an integer of at least 2, got 2.0", window(smallest=2.0)),
     ("threshold: needs a positive number, got '3'", window(threshold="3")),

@@ -221,16 +221,6 @@ def test_a_grid_is_one_item_for_each_cell_that_holds_one():
     assert items["t.2.3"].where == "Table 5, row 2, column 3"
 
 
-def test_the_numbers_behind_a_grid_of_ratios_are_found():
-    paper = read_paper("test", GRID)
-    # 10/20 = 0.50 and 60/10, 60/20 leave 60 alone; without knowing 20 every number that rounds right is kept.
-    assert paper.implied("t", {"1": 10, "2": 20}) == {"3": [60]}
-    assert paper.implied("t", {"1": 10}) == {"2": [20], "3": [60]}
-    below = GRID.replace('"2.00"', '"?"').replace('"3.00"', '"?"').replace('"6.00"', '"?"')
-    assert read_paper("test", below).implied("t", {"1": 10})["2"] == [20]
-    assert paper.implied("t", {"1": 1000})["2"] == list(range(1995, 2006))  # 1995 and 2005 are ties
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

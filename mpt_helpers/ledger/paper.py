@@ -173,30 +173,6 @@ class Paper:
             raise ValueError(f"{self.key}.toml and its notebook: {'; '.join(parts)}")
         return verdicts
 
-    def implied(self, grid, known, limit=10_000):
-        """Return from which whole numbers a grid of ratios follows.
-
-        Entry "{grid}.{i}.{j}" is printed as value i over value j. known maps some of the indices, as text, to their
-        values; the result maps each other index to the whole numbers up to `limit` that agree with every legible
-        ratio to a known value.
-        """
-        legible = {}
-        for id, item in self.items.items():
-            name, *indices = id.split(".")
-            if name == grid and item.printed != LOST:
-                legible[tuple(indices)] = item
-        found = {}
-        for index in dict.fromkeys(i for pair in legible for i in pair if i not in known):
-            above = [(item, known[j]) for (i, j), item in legible.items() if i == index and j in known]
-            below = [(item, known[i]) for (i, j), item in legible.items() if j == index and i in known]
-            found[index] = [
-                number
-                for number in range(1, limit + 1)
-                if all(item.agrees(number / other) for item, other in above)
-                and all(item.agrees(other / number) for item, other in below)
-            ]
-        return found
-
     def causes_by_paper(self):
         """Return the causes as {(key of the paper, id): Cause}, as Verdicts take them."""
         return {(self.key, id): cause for id, cause in self.causes.items()}

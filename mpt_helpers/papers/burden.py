@@ -1,0 +1,176 @@
+"""The papers' calculation burdens (2014 and 2015 Table 2, 2016 Table 2), itemised operation by operation.
+
+A burden is the number of scalar additions, multiplications and divisions of one iteration. n is the dimension of the
+state, m that of the measurement. 2014 and 2015 print totals only, 2016 itemises one filter: every entry of a product of
+p columns costs p multiplications and p - 1 additions, and zeros are not exploited. The other two rules are inferred.
+They give exactly the printed totals: of a symmetric result only the upper triangle is computed, and a p×p inverse costs
+(16p³ - 3p² - p)/6.
+
+Each filter is a function that returns its operations as a list of (operation, burden).
+"""
+
+import itertools
+import re
+from fractions import Fraction
+
+
+def product(p, q, r):
+    """(p×q)·(q×r): each of p r entries takes q multiplications and q - 1 additions.
+
+    >>> product(4, 4, 1)
+    28
+    """
+    return p * r * (2 * q - 1)
+
+
+def symmetric_product(p, q):
+    """(p×q)·(q×p) with a symmetric result: p (p + 1) / 2 entries."""
+    return p * (p + 1) // 2 * (2 * q - 1)
+
+
+def symmetric_sum(p):
+    """(p×p) + (p×p) with a symmetric result, or a symmetric (p×p) matrix times a number."""
+    return p * (p + 1) // 2
+
+
+def inverse(p):
+    """(p×p)⁻¹, by the bracket that stands in the printed total of the Kalman filter."""
+    return (16 * p**3 - 3 * p**2 - p) // 6
+
+
+def kalman(n, m):
+    """Return the operations of one step of the Kalman filter (2014 Eq. 4).
+
+    >>> total(kalman(n=4, m=2))
+    509
+    """
+    return [
+        ("F x(k/k)", product(n, n, 1)),
+        ("F P(k/k)", product(n, n, n)),
+        ("F P(k/k) · Fᵀ", symmetric_product(n, n)),
+        ("P(k+1/k) = GQGᵀ + F P(k/k) Fᵀ", symmetric_sum(n)),
+        ("H P(k+1/k)", product(m, n, n)),
+        ("H P(k+1/k) · Hᵀ", symmetric_product(m, n)),
+        ("H P(k+1/k) Hᵀ + R", symmetric_sum(m)),
+        ("[H P(k+1/k) Hᵀ + R]⁻¹", inverse(m)),
+        ("K = P(k+1/k) Hᵀ · [H P(k+1/k) Hᵀ + R]⁻¹", product(n, m, m)),
+        ("K H", product(n, m, n)),
+        ("I - K H", n),
+        ("[I - K H] x(k+1/k)", product(n, n, 1)),
+        ("K z(k+1)", product(n, m, 1)),
+        ("x(k+1/k+1) = [I - K H] x(k+1/k) + K z(k+1)", n),
+        ("P(k+1/k+1) = [I - K H] P(k+1/k)", symmetric_product(n, n)),
+    ]
+
+
+def lainiotis(n, m):
+    """Return the operations of one step of the Lainiotis filter (2014 Eqs. 5-6); the matrices of Eq. 7 are known.
+
+    >>> total(lainiotis(n=4, m=2))
+    670
+    """
+    return [
+        ("P(k/k) Oₙ", product(n, n, n)),
+        ("I + P(k/k) Oₙ", n),
+        ("[I + P(k/k) Oₙ]⁻¹", inverse(n)),
+        ("A = Fₙ · [I + P(k/k) Oₙ]⁻¹", product(n, n, n)),
+        ("Kₙ z(k+1)", product(n, m, 1)),
+        ("Kₘ z(k+1)", product(n, m, 1)),
+        ("P(k/k) · Kₘ z(k+1)", product(n, n, 1)),
+        ("P(k/k) Kₘ z(k+1) + x(k/k)", n),
+        ("A · [P(k/k) Kₘ z(k+1) + x(k/k)]", product(n, n, 1)),
+        ("x(k+1/k+1) = Kₙ z(k+1) + A [P(k/k) Kₘ z(k+1) + x(k/k)]", n),
+        ("A · P(k/k)", product(n, n, n)),
+        ("A P(k/k) · Fₙᵀ", symmetric_product(n, n)),
+        ("P(k+1/k+1) = Pₙ + A P(k/k) Fₙᵀ", symmetric_sum(n)),
+    ]
+
+
+def join(n, m):
+    """Return the operations that average two filters (2014 Eq. 8)."""
+    return [
+        ("x_KF + x_LF", n),
+        ("½ (x_KF + x_LF)", n),
+        ("P_KF + P_LF", symmetric_sum(n)),
+        ("½ (P_KF + P_LF)", symmetric_sum(n)),
+    ]
+
+
+def steady_state(n, m):
+    """Return the operations of one step of either steady-state filter (2014 Eqs. 9 and 12)."""
+    return [
+        ("A x(k/k)", product(n, n, 1)),
+        ("B z(k+1)", product(n, m, 1)),
+        ("x(k+1/k+1) = A x(k/k) + B z(k+1)", n),
+    ]
+
+
+def join_steady_state(n, m):
+    """Return the operations that average two steady-state filters, which have no covariances (2014 Eq. 16)."""
+    return [("x_SSKF + x_SSLF", n), ("½ (x_SSKF + x_SSLF)", n)]
+
+
+def prediction(n, m):
+    """Return the operations of one prediction (2016 Eq. 19; its Table 2 prints x(k/k-1) and z(k+1))."""
+    return [
+        ("A_N x(k+N-1/k-1)", product(n, n, 1)),
+        ("B_N z(k)", product(n, m, 1)),
+        ("x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k)", n),
+    ]
+
+
+def fir(n, m, M):
+    """Return the operations of one FIR estimate, Aʲ B known (2014 Eq. 22; Table 5 prints another formula)."""
+    return [("AʲB z(k-j) for j = 0 ... M-1", M * product(n, m, 1)), ("their sum", (M - 1) * n)]
+
+
+def lifted(n, m, M):
+    """Return the operations of M steps of the steady-state filter as one product, Aᴹ and Aʲ B known (2014 Eq. 21)."""
+    return [("Aᴹ x(k-M/k-M)", product(n, n, 1)), *fir(n, m, M), ("the sum of both", n)]
+
+
+def total(operations):
+    """Return the sum of the burdens of some operations."""
+    return sum(burden for _, burden in operations)
+
+
+def twelve(axes):
+    """Return the total of each implementation of 2014 and 2015 Table 1, by its name and in the order of the table.
+
+    Model A is one filter of all axes, model B one filter for each axis.
+
+    >>> twelve(axes=2)["JKLF B"]
+    336
+    """
+    burdens = {}
+    for model, n, m, filters in (("A", 2 * axes, axes, 1), ("B", 2, 1, axes)):
+        kf, lf, ss = (filters * total(of(n, m)) for of in (kalman, lainiotis, steady_state))
+        joint = kf + lf + filters * total(join(n, m))
+        joint_steady = ss + ss + filters * total(join_steady_state(n, m))
+        burdens |= {f"KF {model}": kf, f"LF {model}": lf, f"JKLF {model}": joint}
+        burdens |= {f"SSKF {model}": ss, f"SSLF {model}": ss, f"JSSKLF {model}": joint_steady}
+    return burdens
+
+
+def value(formula, **letters):
+    """Return a formula, written as the papers print it, for whole numbers in place of its letters, exactly.
+
+    >>> value("2n² + 2nm - n + (M - 1)n", n=4, m=2, M=17)
+    Fraction(108, 1)
+    """
+    text = formula.replace("²", "**2").replace("³", "**3")
+    text = re.sub(r"(?<=[\dA-Za-z)])(?=[A-Za-z(])", "*", text)
+    text = re.sub(r"\d+(\.\d+)?", r"number('\g<0>')", text)
+    return eval(text, {"__builtins__": {}, "number": Fraction, **letters})
+
+
+def formula_holds(formula, operations, letters="nm"):
+    """Return whether a printed formula is the total of some operations, for all of n, m (and M) from 1 to 8.
+
+    Two polynomials of degree 3 in each letter are equal if they agree on four values of each.
+
+    >>> formula_holds("2n² + 2nm - n", steady_state), formula_holds("2n²", steady_state)
+    (True, False)
+    """
+    sizes = (dict(zip(letters, each, strict=True)) for each in itertools.product(range(1, 9), repeat=len(letters)))
+    return all(value(formula, **each) == total(operations(**each)) for each in sizes)

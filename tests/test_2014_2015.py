@@ -1,0 +1,127 @@
+"""The filters and recursions that the notebooks on 2014 and 2015 write out, against what shares nothing with them."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from scipy.linalg import solve_discrete_are
+
+import mpt_helpers as mpt
+
+TRACKS, STEPS = 20_000, 60
+
+
+def source(cell):
+    return "".join(cell["source"])
+
+
+def cells_of(key):
+    return json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8"))["cells"]
+
+
+@pytest.fixture(scope="module")
+def taught():
+    """The names that the teaching cells of the notebook on 2014 define."""
+    wanted = ["setup", "model", "kalman", "lainiotis", "run", "fir", "four", "joint"]
+    code = {cell["id"]: source(cell) for cell in cells_of("2014_gsm_2d")}
+    names = {}
+    exec("\n".join(code[id] for id in wanted), names)
+    return names
+
+
+@pytest.fixture(scope="module")
+def tracks(taught):
+    """True states (STEPS, 2, TRACKS) and measurements with both H's, drawn without the package."""
+    rng = np.random.default_rng(1)
+    x, states = np.zeros((2, TRACKS)), []
+    for _ in range(STEPS):
+        x = taught["F"] @ x + taught["G"] * np.sqrt(taught["q"]) * rng.standard_normal(TRACKS)
+        states.append(x)
+    states = np.array(states)
+    noise = np.sqrt(taught["r"]) * rng.standard_normal((STEPS, TRACKS))
+    return states, states[:, 0] + states[:, 1] + noise, states[:, 0] + noise
+
+
+def run_all(step, z):
+    """Run a filter P -> (A, B, P) over many tracks of measurements (STEPS, TRACKS)."""
+    x, P, estimates = np.zeros((2, z.shape[1])), np.zeros((2, 2)), []
+    for z_k in z:
+        A, B, P = step(P)
+        x = A @ x + B * z_k
+        estimates.append(x)
+    return np.array(estimates)
+
+
+def test_lainiotis_equals_kalman(taught):
+    for P in (np.zeros((2, 2)), np.eye(2), np.array([[3.0, 1.0], [1.0, 2.0]])):
+        for ours, theirs in zip(taught["lainiotis"](P), taught["kalman"](P), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-14)
+
+
+def test_the_limit_solves_the_riccati_equation(taught):
+    F, H, Q, R = (taught[name] for name in "FHQR")
+    P_p = solve_discrete_are(F.T, H.T, Q, R)
+    for step in (taught["kalman"], taught["lainiotis"]):
+        _, _, P_e = taught["limit"](step)
+        np.testing.assert_allclose(F @ P_e @ F.T + Q, P_p, rtol=1e-10)
+
+
+def test_filters_of_the_notebook_are_those_of_the_package(taught):
+    model = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
+    _, z = mpt.simulate(model, 40, np.random.default_rng(3))
+    np.testing.assert_allclose(taught["run"](taught["kalman"], z), mpt.KalmanFilter(model).filter(z), atol=1e-13)
+    A, B, _ = taught["limit"](taught["kalman"])
+    steady = mpt.SteadyStateFilter.from_kalman(model)
+    fir = mpt.FIRFilter.from_steady_state(steady, tol=1e-3)
+    M = taught["fir_order"](A, 1e-3)
+    assert M == fir.order == 17
+    np.testing.assert_allclose(taught["run_fir"](A, B, M, z), fir.filter(z), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("data", "own"), [("paper", "paper"), ("usual", "usual"), ("usual", "paper"), ("paper", "usual")]
+)
+def test_the_error_of_the_wrong_H_is_that_of_simulated_tracks(taught, tracks, data, own):
+    states, ahead, positions = tracks
+    choices = {"paper": (taught["H"], ahead), "usual": (np.array([[1, 0]]), positions)}
+    late, rest, stated = taught["true_error"](choices[data][0], choices[own][0])
+    A, B, P = taught["limit"](lambda P: taught["kalman"](P, choices[own][0]))
+    error = (states - run_all(lambda P: (A, B, P), choices[data][1]))[30:, 0]
+    rest_of_error = error - float(late.split()[0]) * states[30:, 1]
+    assert abs(rest_of_error.mean()) < 0.005
+    assert rest_of_error.std() == pytest.approx(float(rest), abs=0.002)
+    assert float(stated) == pytest.approx(np.sqrt(P[0, 0]), abs=0.0005)
+
+
+def test_the_joint_covariance_is_that_of_simulated_tracks(taught, tracks):
+    states, z, _ = tracks
+    A, B, P = taught["limit"](taught["kalman"])
+    both = [run_all(step, z) for step in (taught["kalman"], lambda _: (A, B, P))]
+    exact = taught["joint"](taught["kalman"], lambda _: (A, B, P), STEPS, np.zeros((2, 2)))
+    for k in (0, 1, 4, 20):
+        seen = np.cov(np.vstack([states[k], both[0][k], both[1][k]]))
+        np.testing.assert_allclose(seen, exact[k], atol=0.05 * np.abs(exact[k]).max())
+        gap = np.std(both[0][k] - both[1][k], axis=1)
+        C = np.kron([[0, 1, -1]], np.eye(2))
+        np.testing.assert_allclose(gap, np.sqrt(np.diag(C @ exact[k] @ C.T)), rtol=0.05)
+
+
+def test_the_gap_of_2014_is_that_of_2015(taught):
+    model = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
+    A, B, P = taught["limit"](taught["kalman"])
+    exact = taught["joint"](taught["kalman"], lambda _: (A, B, P), STEPS, np.zeros((2, 2)))
+    C = np.kron([[0, 1, -1]], np.eye(2))
+    steady = mpt.SteadyStateFilter.from_kalman(model)
+    difference = mpt.metrics.error_moments(steady, model, STEPS).covariance - mpt.KalmanFilter(model).covariances(STEPS)
+    np.testing.assert_allclose(C @ exact @ C.T, difference, atol=1e-11)
+
+
+@pytest.mark.parametrize(("key", "most", "words"), [("2014_gsm_2d", 60, 2000), ("2015_mpt_3d", 25, 800)])
+def test_a_notebook_is_an_article(key, most, words):
+    cells = cells_of(key)
+    prose = [source(cell) for cell in cells if cell["cell_type"] == "markdown"]
+    assert len(cells) <= most
+    assert sum(len(text.split()) for text in prose) <= words
+    assert len(prose[0].partition("**What we found.**")[2].split()) <= 150
+    assert max(len(source(cell).splitlines()) for cell in cells if cell["cell_type"] == "code") <= 15
