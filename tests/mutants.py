@@ -19,10 +19,10 @@ from mpt_helpers.ledger.tables import Table
 ROOT = Path(__file__).parent.parent
 LEAST = 0.95  # of the mutants must be caught
 # What `make test` runs, the fast part first: a mutant is caught by the first test that fails.
-SLOW = ("tests/test_notebooks.py", "tests/test_reproduce.py")
+SLOW = ("tests/test_exact.py", "tests/test_reproduce.py", "tests/test_seeds.py")
 STAGES = (
     ["-m", "pytest", "-x", *(f"--ignore={path}" for path in (*SLOW, "tests/test_mutants.py"))],  # it reads the source
-    ["-m", "pytest", "-x", "--nbval", "notebooks"],
+    ["-m", "pytest", "-x", "-p", "tests.exact", "--nbval", "--nbval-current-env", "notebooks"],
     ["-m", "pytest", "-x", *SLOW],
 )
 

@@ -5,7 +5,6 @@ import errno
 import io
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,11 +14,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, VERDICTS, write_notebook
+from conftest import VERDICTS, write_notebook
 
 import mpt_helpers as mpt
 from mpt_helpers.__main__ import as_json, main, readme
-from mpt_helpers.ledger import Verdicts, keys, shipped_verdicts, stored_verdicts
+from mpt_helpers.ledger import Verdicts, shipped_verdicts, stored_verdicts
 from mpt_helpers.ledger.verdicts import FIELDS
 
 PLOTS = """\
@@ -365,17 +364,3 @@ def test_the_readme_counts_claims_that_cannot_be_checked(shipped):
     text = readme(Verdicts([*shipped, replace(lost, kind="claim")], shipped.causes))
     assert text.startswith("**1 of 2 claims hold**, 1 cannot be checked. ")
     assert text.endswith("| 1 of 2 | 2 of 4 | 2 |")
-
-
-def test_the_committed_notebooks_and_figures_come_out_byte_for_byte(tmp_path):
-    if {each.paper for each in shipped_verdicts()} != set(keys()):
-        pytest.skip("some notebooks still have the verdicts of the ledger before this one")
-    for folder in ("notebooks", "figures", "benchmarks"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns(".ipynb_checkpoints"))
-    before = files(tmp_path)
-    for path in tmp_path.glob("figures/*"):
-        path.unlink()
-    subprocess.run([sys.executable, "-m", "mpt_helpers", "reproduce"], cwd=tmp_path, check=True)
-    after = files(tmp_path)
-    assert sorted(after) == sorted(before)
-    assert [name for name in before if after[name] != before[name]] == []

@@ -1,0 +1,119 @@
+"""`make test` runs each notebook once, under nbval with the plugin `exact`: whatever a reader sees goes red."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from conftest import ROOT, write_notebook
+from exact import every_change_is_described
+
+from mpt_helpers import plots
+from mpt_helpers.__main__ import main
+
+FIRST = """\
+from mpt_helpers import plots
+from mpt_helpers.ledger import Table
+def draw(name):
+    fig, ax = plots.panels([["a"]])
+    ax["a"].plot([1, 2, 3], label="a")
+    plots.finish(ax["a"], "k", "A line")
+    return fig"""
+TABLE = 'Table(["a"], [["one"]])'
+
+
+def figure(name):
+    return f'fig = draw("{name}")\nplots.save_figure(fig, "small_{name}")'
+
+
+# What a cell holds, and what is done to it after it was executed.
+CELLS = {
+    "imports": (FIRST, None),
+    "text": ("print(17)", lambda cell, folder: cell["outputs"][0].update(text=["18\n"])),
+    "html": (TABLE, lambda cell, folder: cell["outputs"][0]["data"].update({"text/html": ["<b>one</b>"]})),
+    "gone": ("print(1)", lambda cell, folder: cell.update(outputs=[])),
+    "png": (figure("png"), lambda cell, folder: cell["outputs"][0]["data"].update({"image/png": "AAAA"})),
+    "alt": (figure("alt"), lambda cell, folder: cell["outputs"][0]["metadata"]["image/png"].update(alt="a curve")),
+    "words": (figure("words"), lambda cell, folder: cell["outputs"][0]["data"].update({"text/plain": "words"})),
+    "png_file": (figure("png_file"), lambda cell, folder: (folder / "small_png_file.png").write_bytes(b"other")),
+    "svg_file": (figure("svg_file"), lambda cell, folder: (folder / "small_svg_file.svg").write_text("<svg/>")),
+    "no_file": (figure("no_file"), lambda cell, folder: (folder / "small_no_file.svg").unlink()),
+    "left": (figure("left"), None),
+    "names": ("[name for name in dir() if name in ('os', 're', 'pytest', 'exact', 'watch')]", None),
+}
+
+
+@pytest.fixture
+def executed(tmp_path, monkeypatch):
+    """A project whose one notebook was executed."""
+    for folder in ("notebooks", "figures"):
+        (tmp_path / folder).mkdir()
+    write_notebook(tmp_path / "notebooks" / "small.ipynb", *(source for source, _ in CELLS.values()))
+    monkeypatch.chdir(tmp_path)
+    assert main(["reproduce"]) == 0
+    return tmp_path
+
+
+def failures(project):
+    """Return the names of the cells that fail, and what is printed."""
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "tests.exact",
+        "-p",
+        "no:cacheprovider",
+        "--rootdir",
+        project,
+    ]
+    command += ["--nbval", "--nbval-current-env", "notebooks"]
+    here = os.environ | {"PYTHONPATH": str(ROOT)}
+    run = subprocess.run(command, cwd=project, env=here, capture_output=True, text=True)
+    names = list(CELLS)
+    return [names[int(number)] for number in re.findall(r"(?m)^FAILED .*::Cell (\d+)", run.stdout)], run.stdout
+
+
+def test_all_that_a_reader_sees_is_compared(executed):
+    path = executed / "notebooks" / "small.ipynb"
+    notebook = json.loads(path.read_text())
+    for cell, (_, change) in zip(notebook["cells"], CELLS.values(), strict=True):
+        if change:
+            change(cell, executed / "figures")
+    path.write_text(json.dumps(notebook))
+    failed, shown = failures(executed)
+    assert failed == [name for name, (_, change) in CELLS.items() if change], shown
+    assert "figures/small_svg_file.svg is not what this cell draws" in shown
+
+
+class DescribesTitlesOnly:
+    """Stands for `plots`, with a description that no number changes."""
+
+    QUANTUM = plots.QUANTUM
+
+    @staticmethod
+    def describe(fig):
+        return str([ax.get_title() for ax in fig.axes])
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda ax: ax.plot([1, 2, 3]),
+        lambda ax: ax.fill_between([1, 2], [1, 2]),
+        lambda ax: ax.bar([1, 2], [3, 4]),
+        lambda ax: ax.scatter([1, 2], [3, 4]),
+        lambda ax: ax.imshow([[1, 2], [3, 4]]),
+        lambda ax: ax.inset_axes([0.5, 0.5, 0.4, 0.4]).plot([1, 2, 3]),
+    ],
+    ids=["line", "area", "bars", "points", "image", "inset"],
+)
+def test_a_drawing_that_the_description_leaves_out_is_seen(draw):
+    fig, ax = plots.panels([["a"]])
+    draw(ax["a"])
+    every_change_is_described(fig, plots)
+    with pytest.raises(AssertionError, match="1 % more is not described"):
+        every_change_is_described(fig, DescribesTitlesOnly)
