@@ -9,7 +9,7 @@ from numbers import Real
 import numpy as np
 
 # A covariance scaled to unit variances has entries of order one and comes out of a few products of doubles: asymmetry
-# or negative eigenvalues below this are rounding, above it they are a mistake.
+# or negative eigenvalues below this are rounding, above it they are a mistake; and a definite matrix has none below it.
 ROUNDING = 1e-12
 # The same for a covariance that a solver has made, for a model at the edge of double precision.
 SOLVED = 1e-6
@@ -21,13 +21,12 @@ def refuse(name, need, got, error=ValueError):
 
 
 def instance(name, value, kind):
-    """Return `value` if it is a `kind`, or raise a TypeError."""
+    """Raise a TypeError if `value` is not a `kind`."""
     if not isinstance(value, kind):
         refuse(name, f"a {kind.__name__}", f"{type(value).__name__} {value!r:.40}", TypeError)
-    return value
 
 
-def number(name, value, need="a number", accept=lambda value: True):
+def number(name, value, need, accept):
     """Return a finite real scalar as a float, or raise.
 
     `accept` says whether the argument can take a finite value, and `need` says the same in words.

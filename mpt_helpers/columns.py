@@ -3,7 +3,7 @@
 Tracks are columns, and so are their covariances: P is (n, n, M). Three ideas keep the Kalman filter free of branches
 and of loops over tracks:
 
-- A missing measurement is one of infinite variance: its gain vanishes, and nothing else has to be done about it.
+- A missing measurement has a gain of zero, and nothing else has to be done about it.
 - A linear map x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all tracks.
 - Measurements are taken one after the other, each in a basis in which it measures one component of the state alone:
   for H = [1 dt] the state [s v] becomes [s + v dt, v]. There the update needs no matrix inverse, and the row of P that
@@ -11,9 +11,6 @@ and of loops over tracks:
 """
 
 import numpy as np
-
-# Stands for an infinite variance: far above any variance, and finite, so that no product with it is NaN.
-MISSING = 1e200
 
 
 def can_run(model, z):
@@ -57,14 +54,12 @@ def _corrected(x, P, z, variance, i):
     difference. P is written over.
     """
     lost = np.isnan(z)
-    v = np.where(lost, MISSING, variance)
-    innovation = np.where(lost, 0, z - x[i])
     c = P[i].copy()
-    S = c[i] + v
-    gain = c / S
+    S = c[i] + variance
+    gain = np.where(lost, 0, c / S)
     P -= gain[:, None] * c
-    P[i] = P[:, i] = c * (v / S)
-    return x + gain * innovation, P
+    P[i] = P[:, i] = c * np.where(lost, 1, variance / S)
+    return x + gain * np.where(lost, 0, z - x[i]), P
 
 
 def constant_gain_epochs(model, B, P0, z):

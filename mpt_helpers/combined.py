@@ -17,9 +17,9 @@ class JoinFilter(Filter):
 
         x(k/k) = [x_1(k/k) + x_2(k/k)] / 2,   P(k/k) = [P_1(k/k) + P_2(k/k)] / 2
 
-    The papers join the Kalman and the Lainiotis filter, JKLF, and both steady-state filters, JSSKLF. P is theirs: it is
-    the covariance of the mean's error where both filters are equal. Raises TypeError for anything but two filters, and
-    ValueError where their models differ or one predicts further ahead than the other.
+    The papers join the Kalman and the Lainiotis filter, JKLF, and both steady-state filters, JSSKLF. P is the papers'
+    formula: it is the covariance of the mean's error only where both filters are equal. Raises TypeError for anything
+    but two filters, and ValueError where their models differ or one predicts further ahead than the other.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
@@ -76,7 +76,6 @@ class JoinFilter(Filter):
         return (self.first._estimates(z) + self.second._estimates(z)) / 2
 
 
-@dataclass(frozen=True, eq=False, init=False)
 class Separate(Filter):
     """One filter for each axis: the papers' model B (2014 Section 5, Eqs. 17-18).
 
@@ -90,20 +89,18 @@ class Separate(Filter):
            [0.5557, 0.4681, 0.1164, 0.06  ]])
     """
 
-    filters: tuple
-
     def __init__(self, *filters):
         if not filters:
             checks.refuse("filters", "at least one filter", "none")
         for i, each in enumerate(filters):
             checks.instance(f"filters[{i}]", each, Filter)
             _require_equally_far_ahead(f"filters[{i}]", filters[0], each)
-        object.__setattr__(self, "filters", filters)
-        object.__setattr__(self, "model", stack(*(each.model for each in filters)))
-        object.__setattr__(self, "steps_ahead", filters[0].steps_ahead)
+        self.filters = filters
+        self.model = stack(*(each.model for each in filters))
+        self.steps_ahead = filters[0].steps_ahead
 
     def __reduce__(self):
-        return Separate, self.filters
+        return type(self), self.filters
 
     @property
     def P0(self):

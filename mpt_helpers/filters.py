@@ -8,7 +8,6 @@ equation holds as printed, also when all measurements of an epoch are missing.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import filterpy.kalman
 import numpy as np
@@ -22,14 +21,6 @@ from .riccati import lainiotis_matrices, lainiotis_transition
 KEPT_STEPS = 256
 # A filter has converged when no P_ij moves by more than this times σ_i σ_j: the rounding of doubles.
 CONVERGED = 4e-16
-
-
-class Coefficients(NamedTuple):
-    """A (N, n, n), B (N, n, m) and the error covariance P (N, n, n) of steps 1 to N."""
-
-    A: np.ndarray
-    B: np.ndarray
-    P: np.ndarray
 
 
 class Filter(Immutable):
@@ -82,13 +73,13 @@ class RecursiveFilter(Filter):
     def coefficients(self, N):
         """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing."""
         steps = self._steps(np.ones((checks.count("N", N), self.model.m), bool))
-        return Coefficients(*map(np.array, zip(*steps, strict=True)))
+        return Step(*map(np.array, zip(*steps, strict=True)))
 
     def covariances(self, z):
         """Return P(1/1) ... P(N/N) for the gaps that z has.
 
-        The result is (N, n, n) for z of shape (N, m), and (N, n, n, M) for z of shape (N, m, M): read-only where all
-        tracks have the same gaps. With an integer N for z, nothing is missing. Raises as `filter` does.
+        The result is (N, n, n) for z of shape (N, m), and (N, n, n, M) for z of shape (N, m, M); the latter is
+        read-only where all tracks have the same gaps. With an integer N for z, nothing is missing. Raises as `filter`.
         """
         if np.ndim(z) == 0:
             return self.coefficients(z).P
@@ -111,6 +102,7 @@ class RecursiveFilter(Filter):
         NaN stands for a missing measurement. The start is `model.x0` and `P0`.
         """
         z_k = one_measurement(z_k, self.model.m)
+        checks.no_infinity(z_k)
         seen = ~np.isnan(z_k)
         A, B, P = self.next_step(P, seen)
         x = A @ x + B @ np.where(seen, z_k, 0)
@@ -119,7 +111,7 @@ class RecursiveFilter(Filter):
     def epochs(self, z):
         """Yield x(k/k) (n, M) and P(k/k), (n, n, 1) or (n, n, M), for k = 1 ... N of tracks z (N, m, M).
 
-        P is (n, n, 1) where all tracks have the same gaps.
+        P is (n, n, 1) where all tracks have the same gaps. The arrays are not to be written to.
         """
         seen = ~np.isnan(z)
         if not _all_alike(seen):
@@ -136,6 +128,8 @@ class RecursiveFilter(Filter):
         x0 = np.broadcast_to(self.model.x0[:, None], (self.model.n, z.shape[2]))
         x = run(self._steps(seen), seen, x0, z)
         others = np.flatnonzero(_has_other_gaps(x, z, seen))
+        if len(others):
+            checks.no_infinity(z)
         for tile in tiles(len(others), TILE_OF_COVARIANCES):
             tracks = others[tile]
             for k, (x_k, _) in enumerate(self.epochs(z[..., tracks])):
@@ -154,16 +148,15 @@ class RecursiveFilter(Filter):
                 x[tracks] = (A @ x[tracks, :, None] + B @ z_k.T[tracks, :, None])[..., 0]
             yield x.T, P.transpose(1, 2, 0)
 
-    @cached_property
-    def _first_steps(self):
-        with np.errstate(all="ignore"):  # a covariance may overflow in steps that nobody asks for
-            return self._continued([], np.ones((KEPT_STEPS, self.model.m), bool))
-
     def _steps(self, seen):
         """Return a list of the Steps of the epochs of seen (N, m). A filter that has converged repeats one object."""
         gaps = np.flatnonzero(~seen.all(axis=1))
         first_gap = gaps[0] if len(gaps) else len(seen)
-        return self._continued(self._first_steps[:first_gap], seen)
+        kept = vars(self).get("_kept_steps", [])
+        steps = self._continued(kept[:first_gap], seen)
+        if first_gap > len(kept):
+            vars(self)["_kept_steps"] = steps[: min(first_gap, KEPT_STEPS)]
+        return steps
 
     def _continued(self, steps, seen):
         """Return these first Steps, followed by those of the remaining epochs of seen (N, m)."""
@@ -175,8 +168,11 @@ class RecursiveFilter(Filter):
                 steps.append(steps[-1])
                 continue
             P = steps[-1].P if steps else self.P0
-            steps.append(Step(*self.next_step(P, seen[k])))
-            converged = _has_not_moved(P, steps[-1].P)
+            step = Step(*self.next_step(P, seen[k]))
+            for array in step:
+                array.flags.writeable = False
+            steps.append(step)
+            converged = _has_not_moved(P, step.P)
         return steps
 
 
@@ -186,7 +182,7 @@ def _all_alike(seen):
 
 
 def _usual_gaps(z):
-    """Guess from some ten tracks which measurements (N, m) are there in most: those that one of the ten has.
+    """Guess which measurements (N, m) most tracks have: those that at least one of some ten tracks has.
 
     Tracks for which the guess is wrong are found by `_has_other_gaps`.
     """
@@ -197,8 +193,8 @@ def _usual_gaps(z):
 def _has_other_gaps(x, z, seen):
     """Tell which tracks (M,) have other gaps than seen (N, m), after a run that gave the estimates x.
 
-    A NaN where seen is true shows in the last estimate, since NaN stays to the end. A number where it is false must be
-    looked for.
+    A track that lacks a measurement of seen ends in NaN. A track that has one more was filtered without it, so z must
+    be searched for that.
     """
     nan_in_the_end = ~np.isfinite(x[-1]).all(axis=0)
     number_in_a_gap = ~np.isnan(z[~seen]).all(axis=0)
@@ -212,14 +208,15 @@ def _has_not_moved(before, after):
 
 def one_measurement(z_k, m):
     """Return z_k as a vector of floats of length m, or raise."""
-    z_k = np.asarray(z_k, float)
+    need = f"a vector of length {m}"
+    z_k = checks.real_numbers("z_k", z_k, need).astype(float)
     if z_k.shape != (m,):
-        checks.refuse("z_k", f"a vector of length {m}", f"shape {z_k.shape}")
+        checks.refuse("z_k", need, f"shape {z_k.shape}")
     return z_k
 
 
-def without_missing_rows(model, seen):
-    """Return H and R for the measurements of seen (m,): zeros in H, and rows of the identity in R, for the others."""
+def neutralised(model, seen):
+    """Return H and R with zeros in H, and rows of the identity in R, for the measurements that seen (m,) lacks."""
     H = model.H * seen[:, None]
     R = np.where(np.outer(seen, seen), model.R, np.diag(~seen))
     return H, R
@@ -248,22 +245,20 @@ class KalmanFilter(RecursiveFilter):
         kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=self.model.m)
         kf.x, kf.P = np.zeros(self.model.n), P
         kf.F, kf.Q = self.model.F, self.model.Q
-        kf.H, kf.R = without_missing_rows(self.model, seen)
+        kf.H, kf.R = neutralised(self.model, seen)
         kf.predict()
         kf.update(np.zeros(self.model.m))
         return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K, kf.P
 
     def step(self, x, P, z_k):
-        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
-
-        NaN stands for a missing measurement. The start is `model.x0` and `P0`.
-        """
+        """Return x(k+1/k+1) and P(k+1/k+1), as in RecursiveFilter: the textbook's equations, Joseph's form for P."""
         z_k = one_measurement(z_k, self.model.m)
         F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
-        seen = ~np.isnan(z_k)
+        seen = np.isfinite(z_k)
         if not seen.all():
+            checks.no_infinity(z_k)
             z_k = np.where(seen, z_k, 0)
-            H, R = without_missing_rows(self.model, seen)
+            H, R = neutralised(self.model, seen)
         # `dot` takes half the time of `@` on matrices as small as these.
         x = F.dot(x)
         P = F.dot(P).dot(F.T) + Q
@@ -295,7 +290,7 @@ class LainiotisFilter(RecursiveFilter):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n), with the measurements seen (m,)."""
         Fn, Kn, Km, Pn, On = self._matrices
         if not seen.all():
-            Fn, Kn, Km, Pn, On = lainiotis_matrices(self.model, *without_missing_rows(self.model, seen))
+            Fn, Kn, Km, Pn, On = lainiotis_matrices(self.model, *neutralised(self.model, seen))
         A = lainiotis_transition(P, Fn, On)
         B = Kn + A @ P @ Km
         P = Pn + A @ P @ Fn.T

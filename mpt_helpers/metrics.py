@@ -31,7 +31,7 @@ def rms(values, axis=None):
     >>> float(rms([3.0, -3.0]))
     3.0
     """
-    return np.sqrt(np.mean(np.square(values), axis=axis))
+    return np.sqrt(np.mean(np.square(np.asarray(values, float)), axis=axis))
 
 
 class Innovations(NamedTuple):
@@ -135,7 +135,7 @@ def nees(errors, P):
     errors is (N, n) or (N, n, M). P is the covariance that the filter reports: (n, n), (N, n, n) or (N, n, n, M). The
     mean over steps or tracks is n when the errors have mean zero and covariance P.
 
-    Raises ValueError for other shapes and for a P that is not symmetric and positive definite.
+    Raises ValueError for other shapes, for NaN, and for a P that is not symmetric and positive definite.
 
     >>> nees([[1.0, 2.0]], [[1.0, 0.0], [0.0, 4.0]])
     array([2.])
@@ -147,7 +147,10 @@ def nees(errors, P):
             "P", f"an (n, n), (N, n, n) or (N, n, n, M) array for errors of {errors.shape}", f"shape {P.shape}"
         )
     P = np.moveaxis(P, (1, 2), (-2, -1)) if P.ndim == 4 else P[..., None, :, :]  # (..., M or 1, n, n)
-    if (np.abs(P - P.swapaxes(-1, -2)) > checks.SOLVED * np.abs(P).max(axis=(-2, -1), keepdims=True)).any():
+    if not (np.isfinite(P).all() and np.isfinite(errors).all()):
+        checks.refuse("errors, P", "finite numbers", "NaN or infinity")
+    sigma = np.sqrt(np.abs(np.diagonal(P, axis1=-2, axis2=-1)))
+    if (np.abs(P - P.swapaxes(-1, -2)) > checks.SOLVED * sigma[..., None] * sigma[..., None, :]).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
     try:
         root = np.linalg.cholesky(P)
@@ -197,6 +200,7 @@ def error_moments(steady, truth, N, steps=0):
            [11.187, 10.485]])
     """
     _require_same_motion(steady, truth)
+    steps = checks.count("steps", steps, least=0)
     mean, P = [], []
     noise = _noise_of_a_step(steady, truth)
     e, C = truth.x0 - steady.model.x0, truth.P0
@@ -222,6 +226,7 @@ def error_covariance(steady, truth, steps=0):
     True
     """
     _require_same_motion(steady, truth)
+    steps = checks.count("steps", steps, least=0)
     radius = np.abs(np.linalg.eigvals(steady.A)).max()
     if radius >= 1:
         checks.refuse("steady", "a filter whose A has a spectral radius below 1", f"{radius:.6g}")

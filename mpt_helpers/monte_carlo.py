@@ -12,8 +12,8 @@ from . import checks
 # Runs that share a stream of random numbers and are filtered together. Another number gives other results from a seed.
 BLOCK = 200
 RESULT = f"a result of M = {BLOCK} columns, (..., M)"
-# glibc returns memory to the kernel after each block, and asks for it again, until it has seen one array of this size
-# freed: then it keeps up to as much.
+# Once an array of this size has been freed, glibc keeps up to as much memory for the next block, in place of returning
+# it to the kernel.
 KEPT_MEMORY = 2**25 - 2**16
 
 

@@ -18,13 +18,16 @@ import numpy as np
 TILE = 16_384
 # Tracks per tile where each track has a covariance of its own, which takes more room.
 TILE_OF_COVARIANCES = 4_096
-# (least size, L): how many steps to take in one product when x(k) of all tracks holds at least so many floats. Small
+# (size, L): how many steps to take in one product when n times the tracks of a tile is at least the size. Small
 # products cost calls, large ones leave the cache. Measured.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
 
 
 class Step(NamedTuple):
-    """One step of a filter: its coefficients A (n, n) and B (n, m), and the covariance P (n, n) after it."""
+    """One step of a filter: its coefficients A (n, n) and B (n, m), and the covariance P (n, n) after it.
+
+    With a first axis N, the steps 1 to N.
+    """
 
     A: np.ndarray
     B: np.ndarray

@@ -17,7 +17,7 @@ from .model import LinearModel, predicted_covariance, square_root
 # the rounding of an eigenvalue of F, with room for n up to some hundreds.
 MODE_ROUNDING = 1e-12
 # Rounding turns a double eigenvalue into two at a relative distance of 1e-8, a triple one into three at 6e-6. Computed
-# eigenvalues that are nearer than this are averaged: the mean is as accurate as a simple eigenvalue.
+# eigenvalues that are nearer than this may be one: their mean, as accurate as a simple eigenvalue, is tried too.
 NEAR = 1e-4
 # Rounding moves a double eigenvalue on the unit circle by up to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)

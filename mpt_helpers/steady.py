@@ -93,7 +93,7 @@ class SteadyStateFilter(RecursiveFilter):
 
 @dataclass(frozen=True, eq=False)
 class SteadyStatePredictor(Filter):
-    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): row k of `filter(z)` is x(k+1+N / k+1).
+    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): `filter(z)` returns x(1+N/1), x(2+N/2), ...
 
         x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
 
@@ -186,6 +186,8 @@ def fir_order(A, tol, norm=2):
     order = max(1, int(least))
     power = np.linalg.matrix_power(A, order)
     while np.linalg.norm(power, norm) >= tol:
+        if order == MOST_TAPS:
+            checks.refuse("A", f"powers that fall below {tol:g} within {MOST_TAPS:,} steps", "powers that fall later")
         power = power @ A
         order += 1
     return order
@@ -197,10 +199,10 @@ class FIRFilter(Filter):
 
         x(k/k) = Σ taps[j] z(k-j),   taps[j] = Aʲ B,   j = 0 ... order - 1
 
-    taps is (order, n, m). x0 is not used, but where the first epochs are missed. A missed epoch is predicted,
-    F x(k-1/k-1), and its measurement replaced by the predicted one, H F x(k-1/k-1): the steady-state filter, too, takes
-    from the predicted measurement what it would have predicted anyway. The filter has no covariances. Raises TypeError
-    or ValueError for anything but a model and such an array.
+    taps is (order, n, m). x0 is used only where the first epochs are missed. A missed epoch is predicted,
+    F x(k-1/k-1), and its measurement replaced by the predicted one, H F x(k-1/k-1): fed with that, the steady-state
+    filter returns its prediction. The filter has no covariances. Raises TypeError or ValueError for anything but a
+    model and such an array.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> steady = SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1))
