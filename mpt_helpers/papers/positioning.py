@@ -1,0 +1,380 @@
+"""Least squares of the paper of 2007: a position from pseudoranges (Eqs. 1-7), a line from positions (Eqs. 8-10).
+
+Positions are in metres, in coordinates that turn with the Earth (ECEF, WGS 84). A state X is [x y z D']: the position,
+and the receiver's clock shift as a length.
+"""
+
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import toeplitz
+from scipy.special import gammaincc
+
+EARTH_RADIUS = 6_378_137.0  # m, at the equator
+FLATNESS = 6.69437999014e-3  # e² of the WGS 84 ellipsoid
+ORBIT_RADIUS = 26_560e3  # m
+INCLINATION = np.radians(55.0)
+SIDEREAL_DAY = 86_164.0905  # s; a satellite takes half of it for a revolution
+# The nominal constellation of the GPS SPS Performance Standard (2001), Table 3-1: the right ascension of the node of
+# the planes A to F, and the argument of latitude of their four satellites, in degrees at 0000Z on 1 July 1993.
+NODES = (272.847, 332.847, 32.847, 92.847, 152.847, 212.847)
+ARGUMENTS = (
+    (268.126, 161.786, 11.676, 41.806),
+    (80.956, 173.336, 309.976, 204.376),
+    (111.876, 11.796, 339.666, 241.556),
+    (135.226, 265.446, 35.136, 167.356),
+    (197.046, 302.596, 66.066, 333.686),
+    (238.886, 345.226, 105.206, 135.346),
+)
+GREENWICH = 279.06  # degrees, the hour angle of Greenwich at that time: 18 h 36 min 14.4 s
+# m: pseudoranges are 1.9e7 to 4.3e7, with a clock off by up to 1e7 (30 ms); so are distances from the Earth's centre.
+NEAREST, FARTHEST = 9e6, 1e8
+DEGENERATE = 1e-6  # smallest over largest singular value: with a DOP of 1e6, errors of a metre become 1,000 km
+CONVERGED = 1e-4  # m: a correction below this ends the iteration; the next one would be rounding
+STEPS = 50  # from 300 km the iteration takes 3 to 5
+
+
+class DegenerateGeometryError(ValueError):
+    """The satellites and the position do not determine a fix."""
+
+
+def place(latitude, longitude, height=0.0):
+    """Return the position (3,) in metres at a latitude and longitude in degrees and a height above the ellipsoid.
+
+    >>> place(0.0, 90.0).round()
+    array([      0., 6378137.,       0.])
+    """
+    phi, lam = np.radians(latitude), np.radians(longitude)
+    across = EARTH_RADIUS / np.sqrt(1 - FLATNESS * np.sin(phi) ** 2)
+    out = (across + height) * np.cos(phi)
+    return np.array([out * np.cos(lam), out * np.sin(lam), (across * (1 - FLATNESS) + height) * np.sin(phi)])
+
+
+def local_axes(x):
+    """Return the unit vectors east, north and up at a position (3,) near the ground: the rows of a 3×3 matrix.
+
+    Up is the normal of the ellipsoid; at a height of 10 km it is off by 1e-5 rad. On the Earth's axis there is no east.
+    """
+    x = np.asarray(x, dtype=float)
+    if np.hypot(x[0], x[1]) <= 1e-9 * np.abs(x[2]):
+        raise ValueError(f"x: needs a position that is not on the Earth's axis, got {x}")
+    up = x / [1, 1, 1 - FLATNESS]
+    up = up / np.linalg.norm(up)
+    east = np.array([-up[1], up[0], 0.0]) / np.hypot(up[0], up[1])
+    return np.array([east, np.cross(up, east), up])
+
+
+def constellation(t):
+    """Return where the 24 satellites of the nominal GPS constellation are, (24, 3) in metres.
+
+    t is in seconds after 0000Z on 1 July 1993. The orbits are circles of 26,560 km in six planes of 55 degrees.
+    """
+    node = np.repeat(np.radians(np.array(NODES) - GREENWICH), 4) - 2 * np.pi * t / SIDEREAL_DAY
+    u = np.radians(np.ravel(ARGUMENTS)) + 4 * np.pi * t / SIDEREAL_DAY
+    along, across = np.cos(u), np.sin(u) * np.cos(INCLINATION)
+    x = along * np.cos(node) - across * np.sin(node)
+    y = along * np.sin(node) + across * np.cos(node)
+    return ORBIT_RADIUS * np.column_stack([x, y, np.sin(u) * np.sin(INCLINATION)])
+
+
+def elevation(satellites, x):
+    """Return the elevation (m,) in degrees of satellites (m, 3) above the horizon of a position (3,)."""
+    away = satellites - x
+    sine = away @ local_axes(x)[2] / np.linalg.norm(away, axis=1)
+    return np.degrees(np.arcsin(np.clip(sine, -1, 1)))
+
+
+def sky(x, t, mask=10.0):
+    """Return the satellites of the nominal constellation above the mask (degrees) at a position and time, (m, 3)."""
+    satellites = constellation(t)
+    return satellites[elevation(satellites, x) > mask]
+
+
+def pseudoranges(satellites, X):
+    """Return the pseudoranges P(X) without errors, (m,) in metres (2007 Eq. 5): distances plus clock shift."""
+    return np.linalg.norm(satellites - X[:3], axis=1) + X[3]
+
+
+def linearised(satellites, X):
+    """Return H (m, 4), the derivatives of the pseudoranges by [x y z D'] at X (2007 Eq. 6).
+
+    >>> linearised(np.array([[3.0, 4.0, 0.0]]), np.array([0.0, 0.0, 0.0, 10.0]))
+    array([[-0.6, -0.8, -0. ,  1. ]])
+    """
+    away = satellites - X[:3]
+    return np.column_stack([-away / np.linalg.norm(away, axis=1)[:, None], np.ones(len(away))])
+
+
+def dilution(satellites, X):
+    """Return the dilution of precision east, north, up and of the clock, (4,): standard errors for unit errors.
+
+    They are the square roots of the diagonal of (HᵀH)⁻¹ in local axes. Their norm is the GDOP, that of the first three
+    the PDOP. Raises DegenerateGeometryError, a ValueError.
+
+    >>> X = np.array([*place(56.95, 24.1), 0.0])
+    >>> np.linalg.norm(dilution(sky(X[:3], t=0.0), X)).round(2)
+    np.float64(2.49)
+    """
+    H = linearised(satellites, X)
+    H[:, :3] = H[:, :3] @ local_axes(X[:3]).T
+    _require_determined(np.linalg.svd(H, compute_uv=False))
+    return np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
+
+
+def position_steps(satellites, ranges, start, steps):
+    """Return the iterates of the rough position (2007 Eq. 7), (steps + 1, 4); the first one is the start.
+
+    satellites is (m, 3), ranges their pseudoranges (m,), start the known [x y z D'], all in metres. Raises ValueError
+    for fewer than four satellites, ranges that cannot be, and a degenerate geometry.
+
+    >>> X = np.array([*place(56.95, 24.1), 5e3])
+    >>> satellites = sky(X[:3], t=0.0)
+    >>> path = position_steps(satellites, pseudoranges(satellites, X), X + [3e5, 0, 0, -5e3], steps=2)
+    >>> print(*(f"{gap:.0e}" for gap in np.linalg.norm(path - X, axis=1)))
+    3e+05 2e+03 5e-02
+    """
+    satellites, ranges, sigma = _door(satellites, ranges, 1.0)
+    path = [np.asarray(start, dtype=float)]
+    for _ in range(steps):
+        path.append(path[-1] + _correction(satellites, ranges, sigma, path[-1]))
+    return np.array(path)
+
+
+def _correction(satellites, ranges, sigma, X):
+    """Return (HᵀH)⁻¹Hᵀ (ranges - P(X)), the step of Eq. 7, with each range in units of its sigma."""
+    H = linearised(satellites, X) / sigma[:, None]
+    step, _, _, singular = np.linalg.lstsq(H, (ranges - pseudoranges(satellites, X)) / sigma, rcond=None)
+    _require_determined(singular)
+    return step
+
+
+class Fix(NamedTuple):
+    """A position [x y z D'], its covariance, and whether the ranges agree with each other.
+
+    P (4, 4) holds for the variances that were stated. residuals (m,) are measured minus computed ranges, excluded
+    satellites too; used (m,) says which satellites made the fix. chi_square is the sum of their squared residuals over
+    the variances, probability how often chance makes it as large: nan with four.
+    """
+
+    X: np.ndarray
+    P: np.ndarray
+    residuals: np.ndarray
+    used: np.ndarray
+    chi_square: float
+    probability: float
+
+
+def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, false_alarm=None):
+    """Return the `Fix` to which the iteration of `position_steps` converges, by default from the Earth's centre.
+
+    variance is that of a range (m²), one number or one for each. With a false_alarm, such as 1e-3, a fix whose
+    probability is lower is tried again without each of its satellites in turn, and the most probable of these fixes is
+    returned if it passes (receiver autonomous integrity monitoring, RAIM). That takes six satellites, since four always
+    agree. Where nothing passes, the fix of all is returned, with its low probability.
+
+    Raises ValueError for fewer than four satellites, ranges that are zero, NaN or absurd, and where the iteration does
+    not converge; DegenerateGeometryError, which is one, where the satellites do not determine a position.
+
+    >>> X = np.array([*place(56.95, 24.1), 5e3])
+    >>> satellites = sky(X[:3], t=0.0)
+    >>> ranges = pseudoranges(satellites, X)
+    >>> ranges[2] -= 100
+    >>> fix = position(satellites, ranges, false_alarm=1e-3)
+    >>> np.flatnonzero(~fix.used), bool(np.abs(fix.X - X).max() < 1e-6)
+    (array([2]), True)
+    """
+    satellites, ranges, sigma = _door(satellites, ranges, variance)
+    fix = _fix(satellites, ranges, sigma, np.asarray(start, dtype=float), np.full(len(ranges), True))
+    if false_alarm is None or not fix.probability < false_alarm:
+        return fix
+    without = []
+    for faulty in range(len(ranges)):
+        with suppress(ValueError):
+            without.append(_fix(satellites, ranges, sigma, fix.X, np.arange(len(ranges)) != faulty))
+    best = max(without, key=lambda fix: fix.probability, default=fix)
+    return best if best.probability >= false_alarm else fix
+
+
+def _fix(satellites, ranges, sigma, X, used):
+    for _ in range(STEPS):
+        step = _correction(satellites[used], ranges[used], sigma[used], X)
+        X = X + step
+        if np.abs(step).max() < CONVERGED:
+            break
+    else:
+        raise ValueError(f"start: needs a position from which the iteration converges, got a last correction of {step}")
+    H = linearised(satellites[used], X) / sigma[used, None]
+    residuals = ranges - pseudoranges(satellites, X)
+    chi_square = float(np.sum((residuals[used] / sigma[used]) ** 2))
+    redundant = used.sum() - 4
+    probability = float(gammaincc(redundant / 2, chi_square / 2)) if redundant else np.nan
+    return Fix(X, np.linalg.inv(H.T @ H), residuals, used, chi_square, probability)
+
+
+def _door(satellites, ranges, variance):
+    satellites, ranges = np.asarray(satellites, dtype=float), np.asarray(ranges, dtype=float)
+    if satellites.ndim != 2 or satellites.shape[1] != 3 or len(satellites) < 4:
+        raise ValueError(f"satellites: needs an (m, 3) array of at least 4, got shape {satellites.shape}")
+    if ranges.shape != (len(satellites),):
+        raise ValueError(f"ranges: needs one for each of {len(satellites)} satellites, got shape {ranges.shape}")
+    _require_plausible("satellites", "positions", np.linalg.norm(satellites, axis=1))
+    _require_plausible("ranges", "pseudoranges", ranges)
+    sigma = np.sqrt(np.broadcast_to(np.asarray(variance, dtype=float), ranges.shape))
+    if not (np.isfinite(sigma) & (sigma > 0)).all():
+        raise ValueError(f"variance: needs a positive number, or one for each range, got {variance}")
+    return satellites, ranges, sigma
+
+
+def _require_plausible(name, what, values):
+    bad = np.argwhere(~((values >= NEAREST) & (values <= FARTHEST)))
+    if len(bad):
+        got = f"{values[tuple(bad[0])]:g} at index {bad[0].tolist()} (leave out what was not measured)"
+        raise ValueError(f"{name}: needs {what} of {NEAREST:.0e} to {FARTHEST:.0e} m, got {got}")
+
+
+def _require_determined(singular):
+    if singular[-1] <= DEGENERATE * singular[0]:
+        raise DegenerateGeometryError("satellites: needs a geometry that determines a position, got a degenerate one")
+
+
+class Track(NamedTuple):
+    """The estimates X (N, 4) of a filter over N epochs, and their covariances P (N, 4, 4)."""
+
+    X: np.ndarray
+    P: np.ndarray
+
+
+def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisations=1):
+    """Return the `Track` of an extended Kalman filter over epochs of pseudoranges (2007 Eqs. 6, 11).
+
+    ranges is (N, m), with NaN where a satellite was not measured; satellites is (N, m, 3), or (m, 3) where they stand
+    still; variance is that of a range (m²): a number, (m,) or (N, m). start (4,) and P0 (4, 4) belong to the step
+    before the first epoch, and Q (4, 4) is added before each, so that the last X and P of one track start the next. H
+    is linearised at the prediction; more linearisations are at the epoch's estimates so far (the iterated filter).
+    Raises ValueError for ranges that are zero or absurd.
+    """
+    ranges = np.asarray(ranges, dtype=float)
+    _require_plausible("ranges", "pseudoranges", np.where(np.isnan(ranges), NEAREST, ranges))
+    sigmas = np.sqrt(np.broadcast_to(variance, ranges.shape))
+    satellites = np.broadcast_to(satellites, (*ranges.shape, 3))
+    X, P, estimates, covariances = np.asarray(start, dtype=float), np.asarray(P0, dtype=float), [], []
+    for here, measured, sigma in zip(satellites, ranges, sigmas, strict=True):
+        P = P + Q
+        seen = ~np.isnan(measured)
+        if seen.any():
+            X, P = _update(here[seen], measured[seen], sigma[seen], X, P, linearisations)
+        estimates.append(X)
+        covariances.append(P)
+    return Track(np.array(estimates), np.array(covariances))
+
+
+def _update(satellites, ranges, sigma, predicted, P, linearisations):
+    """Eq. 11 as least squares of prediction and measurements: its own form loses digits where P is 1e11 times R."""
+    prior = np.linalg.cholesky(np.linalg.inv(P)).T
+    X = predicted
+    for _ in range(linearisations):
+        A = np.vstack([prior, linearised(satellites, X) / sigma[:, None]])
+        new = np.append(prior @ (predicted - X), (ranges - pseudoranges(satellites, X)) / sigma)
+        X = X + np.linalg.lstsq(A, new, rcond=None)[0]
+    return X, np.linalg.inv(A.T @ A)
+
+
+class Line(NamedTuple):
+    """A line through points i = 1 ... n: its position at i = 0, one step before the first, and its velocity (m/s)."""
+
+    start: np.ndarray
+    velocity: np.ndarray
+
+
+def line_fit(x, dt):
+    """Return the least-squares line through n >= 2 positions, dt seconds apart (2007 Eqs. 8-10).
+
+    x is (n,) or (n, ...), in metres. Eq. 9 gives a displacement for each step; it is divided by dt.
+
+    >>> line_fit(np.array([1.0, 3.0, 5.0]), dt=0.5)
+    Line(start=np.float64(-1.0), velocity=np.float64(4.0))
+    """
+    n = len(x)
+    i = np.arange(1, n + 1)
+    sum_i, sum_ii, sum_x, sum_ix = i.sum(), i @ i, x.sum(axis=0), np.tensordot(i, x, 1)
+    d = n * sum_ii - sum_i**2
+    return Line((sum_ii * sum_x - sum_i * sum_ix) / d, (n * sum_ix - sum_i * sum_x) / d / dt)
+
+
+def line_sigma(n, i, autocorrelation=None):
+    """Return the standard error of the fitted position at point i of n, in units of that of one position.
+
+    For independent errors it is sqrt(1/n + 12 (i - (n + 1)/2)² / (n (n² - 1))): 1/sqrt(n) in the middle of the window,
+    and nowhere else. i = 0 is Eq. 8, i = n the newest point, i = n + 1 the expected position. For errors whose
+    autocorrelation (1, ρ1, ρ2, ...) is given for at least n lags it is sqrt(cᵀ R c), with the weights c of the fit and
+    R of the entries ρ_|j-k|. i is a number or an array.
+
+    >>> line_sigma(100, np.array([0, 50.5, 100])).round(3)
+    array([0.202, 0.1  , 0.199])
+    >>> line_sigma(100, 100, autocorrelation=0.99 ** np.arange(100)).round(3)
+    np.float64(1.064)
+    """
+    if n < 2 or (autocorrelation is not None and len(autocorrelation) < n):
+        raise ValueError(f"n: needs at least 2 points, and an autocorrelation for each, got {n}")
+    off = np.asarray(i, dtype=float)[..., None] - (n + 1) / 2
+    c = 1 / n + 12 * off * (np.arange(1, n + 1) - (n + 1) / 2) / (n * (n**2 - 1))
+    R = np.eye(n) if autocorrelation is None else toeplitz(np.asarray(autocorrelation, dtype=float)[:n])
+    return np.sqrt(np.sum((c @ R) * c, axis=-1))
+
+
+class Tracked(NamedTuple):
+    """Positions and velocities (N, 2 m) or (N, 2 m, M), [x v y v ...], and the lengths (N,) or (N, M) of the window."""
+
+    x: np.ndarray
+    n: np.ndarray
+
+
+def adaptive_line(z, dt, threshold, smallest, largest, *, fall=None, from_measured=False):
+    """Return the newest point and the velocity of a line fit whose window adapts itself (2007, after Eq. 10).
+
+    A position that is more than `threshold` (the paper's Δx, metres) from the expected one, x_n + V dt, takes `fall`
+    epochs from the window, but leaves `smallest` (the paper's 2...5); by default it takes all the others. One that is
+    nearer adds an epoch, up to `largest`, and so does a missed one. The paper's x_n is the fitted position, or the
+    measured one if from_measured. A threshold of infinity grows the window only.
+
+    z is (N, m) or (N, m, M): m coordinates, which share a window, of M tracks. A row with NaN is a missed epoch, at
+    which the line goes on. There is no line (NaN) before `smallest` epochs, and from fewer than two measured ones.
+
+    >>> z = np.array([[0.0], [1.0], [2.0], [3.0], [14.0], [15.0]])
+    >>> adaptive_line(z, dt=1.0, threshold=3.0, smallest=2, largest=100).n
+    array([2, 2, 3, 4, 2, 2])
+    """
+    if not 2 <= smallest <= largest:
+        raise ValueError(f"smallest: needs 2 or more, and at most largest, got {smallest} and {largest}")
+    one = np.ndim(z) == 2
+    z = np.array(z, dtype=float).reshape(*np.shape(z)[:2], -1)
+    measured = ~np.isnan(z).any(axis=1)
+    z = np.where(measured[:, None], z, 0.0)
+    N, m, M = z.shape
+    x, windows = np.full((N, m, 2, M), np.nan), np.full((N, M), smallest)
+    for k in range(smallest - 1, N):
+        if k >= smallest:
+            place, velocity = x[k - 1].swapaxes(0, 1)
+            last = np.where(measured[k - 1], z[k - 1], place) if from_measured else place
+            off = measured[k] & (np.linalg.norm(z[k] - last - velocity * dt, axis=0) > threshold)
+            fallen = np.maximum(windows[k - 1] - (fall or largest), smallest)
+            windows[k] = np.where(off, fallen, np.minimum(windows[k - 1] + 1, largest))
+        block = slice(max(k + 1 - largest, 0), k + 1)
+        age = np.arange(k - block.start, -1, -1)[:, None]
+        x[k] = _newest_point(z[block], -age * dt, (age < windows[k]) & measured[block])
+    x = x.reshape(N, 2 * m, M)
+    return Tracked(x[..., 0], windows[:, 0]) if one else Tracked(x, windows)
+
+
+def _newest_point(z, t, inside):
+    """Return position and velocity (m, 2, M) at t = 0 of the lines through the points (L, m, M) that are inside (L, M).
+
+    Both sums are about the mean of the window, so that no digits cancel however long a track is.
+    """
+    weight = inside / np.maximum(inside.sum(axis=0), 1)
+    middle, mean = (weight * t).sum(axis=0), np.einsum("lm,lcm->cm", weight, z)
+    lever = weight * (t - middle)
+    spread = (lever * t).sum(axis=0)
+    velocity = np.einsum("lm,lcm->cm", lever, z - mean) / np.where(spread > 0, spread, np.nan)
+    return np.stack([mean - velocity * middle, velocity], axis=1)

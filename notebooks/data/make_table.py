@@ -1,0 +1,159 @@
+"""Make a table of corrected GPS ranges from a day of RINEX: observations and broadcast ephemerides of one station.
+
+    pip install "mpt_helpers[gps]"
+    python make_table.py OBSERVATIONS.crx.gz NAVIGATION.rnx.gz table.csv.gz
+
+One row for each epoch and GPS satellite above 10 degrees:
+
+    epoch         seconds of the receiver's clock since the first epoch's midnight (GPS time)
+    satellite     its number
+    x, y, z       where it was at transmission (m), turned with the Earth until reception
+    range         C1C, corrected for satellite clock, group delay, ionosphere and troposphere (m)
+    elevation     degrees above the ellipsoid's horizon
+    troposphere   what was taken from `range` for it (m): add it for the range without that correction
+    dual          what to add to `range` for the ionosphere-free combination of C1C and C2W (m); nan without C2W
+
+So `range` is the distance to (x, y, z) plus the receiver's clock, and errors. The formulas are those of IS-GPS-200
+(orbit 20.3.3.4.3, clock and group delay 20.3.3.3.3, ionosphere 20.3.3.5.2.5) and of Saastamoinen (1972).
+"""
+
+import argparse
+import gzip
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+C = 299_792_458.0  # m/s
+MU = 3.986005e14  # m³/s², of the Earth
+EARTH_RATE = 7.2921151467e-5  # rad/s
+RELATIVITY = -4.442807633e-10  # s/√m
+L1, L2 = 1575.42e6, 1227.60e6  # Hz
+MASK = 10.0  # degrees
+WEEK = 604_800.0  # s
+COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual"
+FORMAT = "%d,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f"
+
+
+def orbit(message, t):
+    """Return a satellite's position (N, 3) at its own transmission times t (N,), and the correction of its clock.
+
+    message maps the names of georinex to arrays (N,) or numbers, t is in seconds of the week of the message. The
+    correction, in seconds, contains the relativistic term; the axes are those of the Earth at transmission.
+    """
+    m = message
+    a = m["sqrtA"] ** 2
+    since = (t - m["Toe"] + WEEK / 2) % WEEK - WEEK / 2
+    mean = m["M0"] + (np.sqrt(MU / a**3) + m["DeltaN"]) * since
+    E = mean
+    for _ in range(10):  # Kepler's equation; with e below 0.03 each step gains a digit and a half
+        E = mean + m["Eccentricity"] * np.sin(E)
+    true = np.arctan2(np.sqrt(1 - m["Eccentricity"] ** 2) * np.sin(E), np.cos(E) - m["Eccentricity"])
+    u = true + m["omega"]
+    cos2, sin2 = np.cos(2 * u), np.sin(2 * u)
+    r = a * (1 - m["Eccentricity"] * np.cos(E)) + m["Crs"] * sin2 + m["Crc"] * cos2
+    i = m["Io"] + m["IDOT"] * since + m["Cis"] * sin2 + m["Cic"] * cos2
+    u = u + m["Cus"] * sin2 + m["Cuc"] * cos2
+    node = m["Omega0"] + (m["OmegaDot"] - EARTH_RATE) * since - EARTH_RATE * m["Toe"]
+    along, across = r * np.cos(u), r * np.sin(u)
+    x = along * np.cos(node) - across * np.cos(i) * np.sin(node)
+    y = along * np.sin(node) + across * np.cos(i) * np.cos(node)
+    clock = m["SVclockBias"] + m["SVclockDrift"] * since + m["SVclockDriftRate"] * since**2
+    return np.column_stack([x, y, across * np.sin(i)]), clock + RELATIVITY * m["Eccentricity"] * m["sqrtA"] * np.sin(E)
+
+
+def turned(positions, seconds):
+    """Return positions (N, 3) in the axes of an Earth that has turned for so many seconds (N,) since."""
+    angle = EARTH_RATE * seconds
+    x = positions[:, 0] * np.cos(angle) + positions[:, 1] * np.sin(angle)
+    y = positions[:, 1] * np.cos(angle) - positions[:, 0] * np.sin(angle)
+    return np.column_stack([x, y, positions[:, 2]])
+
+
+def klobuchar(coefficients, latitude, longitude, azimuth, elevation, t):
+    """Return the delay of L1 in the ionosphere (m). Angles are in degrees, t in seconds of the day (GPS time)."""
+    e, lat, lon = elevation / 180, latitude / 180, longitude / 180  # semicircles, as the formula has it
+    angle = 0.0137 / (e + 0.11) - 0.022
+    lat = np.clip(lat + angle * np.cos(np.radians(azimuth)), -0.416, 0.416)
+    lon = lon + angle * np.sin(np.radians(azimuth)) / np.cos(np.pi * lat)
+    lat = lat + 0.064 * np.cos(np.pi * (lon - 1.617))
+    alpha, beta = (np.polynomial.polynomial.polyval(lat, each) for each in np.reshape(coefficients, (2, 4)))
+    phase = 2 * np.pi * ((43_200 * lon + t) % 86_400 - 50_400) / np.maximum(beta, 72_000)
+    day = np.where(np.abs(phase) < 1.57, np.maximum(alpha, 0) * (1 - phase**2 / 2 + phase**4 / 24), 0)
+    return C * (1 + 16 * (0.53 - e) ** 3) * (5e-9 + day)
+
+
+def saastamoinen(height, elevation):
+    """Return the delay in the troposphere (m) at a height (m) in the standard atmosphere, half saturated."""
+    kelvin, pressure = 288.15 - 6.5e-3 * height, 1013.25 * (1 - 2.2557e-5 * height) ** 5.2568
+    vapour = 0.5 * 6.108 * np.exp((17.15 * kelvin - 4684) / (kelvin - 38.45))
+    slant = np.cos(np.radians(90 - elevation))
+    return 0.0022768 * (pressure + (1255 / kelvin + 0.05) * vapour) / slant
+
+
+def message_at(navigation, satellite, t):
+    """Return the message of a satellite whose time of ephemeris is nearest, for each t (N,), as name -> (N,)."""
+    own = navigation.sel(sv=satellite).dropna("time", how="all", subset=["Toe"])
+    week = own["time"].values.astype("datetime64[s]").astype(float) - own["Toe"].values
+    toe = own["Toe"].values + WEEK * np.round((week - week[0]) / WEEK)
+    nearest = np.abs(t[:, None] - toe).argmin(axis=1)
+    return {name: own[name].values[nearest] for name in own.data_vars if own[name].dims == ("time",)}
+
+
+def rows_of(satellite, observations, navigation, station, coefficients):
+    """Return the table's rows (N, 9) of one satellite."""
+    from pymap3d import ecef2aer, ecef2geodetic
+
+    own = observations.sel(sv=satellite)
+    seen = own["C1C"].values > 0  # a missing observation is zero or NaN
+    time, measured = own["time"].values[seen].astype("datetime64[ns]"), own["C1C"].values[seen]
+    second = own["C2W"].values[seen]
+    midnight = observations["time"].values[0].astype("datetime64[D]")
+    epoch = (time - midnight) / np.timedelta64(1, "s")
+    sunday = np.datetime64("1980-01-06") + (midnight - np.datetime64("1980-01-06")) // np.timedelta64(7, "D") * 7
+    t = epoch + (midnight - sunday) / np.timedelta64(1, "s")
+    message = message_at(navigation, satellite, t)
+    _, clock = orbit(message, t - measured / C)
+    at_transmission, clock = orbit(message, t - measured / C - clock)
+    travel = np.linalg.norm(at_transmission - station, axis=1) / C
+    position = turned(at_transmission, travel)
+    latitude, longitude, height = ecef2geodetic(*station)
+    azimuth, elevation, _ = ecef2aer(*position.T, latitude, longitude, height)
+    ionosphere = klobuchar(coefficients, latitude, longitude, azimuth, elevation, epoch)
+    troposphere = saastamoinen(height, elevation)
+    corrected = measured + C * (clock - message["TGD"]) - ionosphere - troposphere
+    free = (L1**2 * measured - L2**2 * np.where(second > 0, second, np.nan)) / (L1**2 - L2**2)
+    dual = free + C * clock - troposphere - corrected
+    number = np.full(len(epoch), int(satellite[1:]))
+    rows = np.column_stack([epoch, number, position, corrected, elevation, troposphere, dual])
+    return rows[(elevation > MASK) & (message["health"] == 0)]
+
+
+def main():
+    """Read the two files that the command line names and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("observations", type=Path)
+    parser.add_argument("navigation", type=Path)
+    parser.add_argument("table", type=Path)
+    names = parser.parse_args()
+
+    import georinex
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # georinex: one for each message
+        observations = georinex.load(names.observations, use="G", meas=["C1C", "C2W"])
+        navigation = georinex.load(names.navigation, use="G")
+    station = np.array(observations.attrs["position"])
+    coefficients = navigation.attrs["ionospheric_corr_GPS"]
+    known = [sv for sv in observations.sv.values if sv in navigation.sv.values]
+    table = np.vstack([rows_of(sv, observations, navigation, station, coefficients) for sv in known])
+    table = table[np.lexsort([table[:, 1], table[:, 0]])]
+    lines = [",".join(FORMAT.split(",")) % tuple(row) for row in table]
+    first = ",".join(["# station", *map(str, station.tolist())])
+    text = "\n".join([first, COLUMNS, *lines, ""])
+    names.table.write_bytes(gzip.compress(text.encode(), mtime=0))
+    print(f"{names.table}: {len(table)} rows, {len(np.unique(table[:, 0]))} epochs, {len(known)} satellites")
+
+
+if __name__ == "__main__":
+    main()

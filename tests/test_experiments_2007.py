@@ -1,0 +1,218 @@
+"""The experiments of the paper of 2007, and the table of the recorded day."""
+
+import gzip
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+import mpt_helpers as mpt
+from mpt_helpers.papers import experiments_2007 as runs
+from mpt_helpers.papers import positioning
+from mpt_helpers.papers.positioning import line_sigma
+
+sys.path.insert(0, str(ROOT / "notebooks" / "data"))
+import make_table
+
+TABLE = ROOT / "notebooks" / "data" / "esbc_2020_177.csv.gz"
+SIGMAS = np.array([1.0, 0.01])
+MODEL = replace(mpt.gps_ins(0.5, 0.01, (*SIGMAS**2, 2.0)), x0=[1.0, 2.0, 3.0], P0=np.diag([100.0, 1.0, 1.0]))
+TWO = replace(MODEL, H=MODEL.H[:2], R=MODEL.R[:2, :2])
+
+
+@pytest.fixture(scope="module")
+def day():
+    return runs.recorded_day(TABLE)
+
+
+def test_random_skies_are_of_all_places_and_times():
+    rng = np.random.default_rng(13)
+    drawn = [runs.random_sky(rng) for _ in range(500)]
+    up = np.array([positioning.local_axes(X[:3])[2] for _, X in drawn])
+    # A coordinate of a uniform direction has mean 0 and variance 1/3; four standard errors of 500.
+    np.testing.assert_allclose(up.mean(axis=0), 0, atol=4 * np.sqrt(1 / 3 / 500))
+    np.testing.assert_allclose(up.var(axis=0), 1 / 3, atol=4 * np.sqrt(4 / 45 / 500))
+    at_epoch = positioning.constellation(0.0)
+    assert not any(np.isclose(satellites[:, None], at_epoch, atol=1.0).all(axis=2).any() for satellites, _ in drawn)
+
+
+def test_rough_errors_are_those_of_the_iteration():
+    errors = runs.rough_errors(np.array([3e5, 0, 0, 5e3]), 0.0, 4, np.random.default_rng(7), 20)
+    assert (errors[0] > 1).all()
+    np.testing.assert_allclose(errors[1], 3e5)
+    assert (np.diff(errors[1:4], axis=0) < 0).all()
+    assert errors[5].max() < 1e-6
+
+
+def test_the_table_is_the_day_that_its_readme_states(day):
+    assert day.ranges.shape == (2880, 32)
+    assert np.isfinite(day.ranges).sum() == 25_801
+    np.testing.assert_array_equal(np.diff(day.seconds), 30)
+    assert TABLE.stat().st_size < 1e6
+    seen = np.isfinite(day.ranges)
+    assert (np.isfinite(day.satellites).all(axis=2) == seen).all()
+    assert (day.troposphere[seen] > 2.2).all()
+    height = [positioning.elevation(day.satellites[k, s], day.station) for k, s in enumerate(seen)]
+    assert np.concatenate(height).min() > 10
+    some = [(day.satellites[k, seen[k]], day.ranges[k, seen[k]]) for k in range(0, 2880, 60)]
+    X = np.array([positioning.position(*epoch).X for epoch in some])
+    assert np.linalg.norm(X[:, :3] - day.station, axis=1).max() < 5
+
+
+def test_the_columns_of_the_table_are_those_of_its_script():
+    with gzip.open(TABLE, "rt") as lines:
+        assert next(lines).startswith("# station,3582105.291,")
+        assert next(lines).strip() == make_table.COLUMNS
+        assert len(next(lines).split(",")) == len(make_table.FORMAT.split(",")) == len(make_table.COLUMNS.split(","))
+
+
+def test_turning_with_the_earth_keeps_lengths_and_is_to_the_west():
+    x = make_table.turned(np.array([[2e7, 0.0, 1e7]]), np.array([0.07]))
+    assert np.linalg.norm(x) == pytest.approx(np.hypot(2e7, 1e7))
+    # The axes have moved to the east under the satellite, by 7.29e-5 rad/s for 0.07 s.
+    np.testing.assert_allclose(x[0], [2e7, -2e7 * 7.2921151467e-5 * 0.07, 1e7], rtol=0, atol=1e-3)
+
+
+def test_the_troposphere_is_some_2_4_m_at_the_zenith_and_ten_times_that_near_the_horizon():
+    assert make_table.saastamoinen(0.0, 90.0) == pytest.approx(2.4, abs=0.05)
+    assert make_table.saastamoinen(0.0, 10.0) == pytest.approx(2.4 / np.sin(np.radians(10)), rel=0.03)
+    assert make_table.saastamoinen(3000.0, 90.0) < 1.8
+
+
+def test_the_ionosphere_is_least_at_night_and_most_at_two_in_the_afternoon():
+    coefficients = [4.6566e-9, 1.4901e-8, -5.9605e-8, -1.1921e-7, 8.1920e4, 9.8304e4, -6.5536e4, -5.2429e5]
+    t = 3600.0 * np.arange(24)
+    delay = make_table.klobuchar(coefficients, 40.0, 0.0, 0.0, 90.0, t)
+    assert delay.min() == pytest.approx(5e-9 * make_table.C, rel=0.01)  # 1.5 m, the constant night term
+    assert t[delay.argmax()] == 14 * 3600
+    low = make_table.klobuchar(coefficients, 40.0, 0.0, 0.0, 10.0, t)
+    assert 2.4 < low.min() / delay.min() < 3
+
+
+def test_autocorrelation_is_its_sums():
+    x = np.random.default_rng(1).standard_normal(50).cumsum()
+    e = x - x.mean()
+    sums = [e[: 50 - lag] @ e[lag:] for lag in range(50)]
+    np.testing.assert_allclose(runs.autocorrelation(x), np.array(sums) / sums[0], atol=1e-12)
+
+
+def test_line_errors_have_the_standard_error_of_the_closed_form():
+    errors = np.random.default_rng(2).standard_normal(200_000)
+    found = mpt.metrics.rms(runs.line_errors(errors, 20), axis=1)
+    # Overlapping windows count as some 200,000 / 20; their rms has a relative standard error of 0.7 %; four of it.
+    np.testing.assert_allclose(found, line_sigma(20, np.array([10.5, 20])), rtol=0.03)
+
+
+def test_the_closed_form_with_a_measured_autocorrelation_is_what_the_line_makes(day):
+    seen = np.isfinite(day.ranges)
+    X = np.array([positioning.position(day.satellites[k, s], day.ranges[k, s]).X for k, s in enumerate(seen)])
+    up = X[:, :3] @ positioning.local_axes(day.station)[2]
+    up = up - up.mean()
+    measured = mpt.metrics.rms(runs.line_errors(up, 50), axis=1) / up.std()
+    rho = runs.autocorrelation(up)
+    assert rho[1] > 0.9
+    # Some 60 stretches of 25 minutes: 9 % for each of the two.
+    np.testing.assert_allclose(measured, line_sigma(50, np.array([25.5, 50]), rho), rtol=0.1)
+    assert measured[1] > 3 * line_sigma(50, 50)
+
+
+@pytest.mark.parametrize("seconds", [0, 0.5, 1, 3, 10])
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.9])
+def test_the_position_of_a_change_is_the_integral_of_its_velocity(seconds, phase):
+    track = runs.change(0.2, 5.0, seconds, 40, dt=0.5, phase=phase)
+    fine = np.linspace(0, 0.5 * 39, 390_001)
+    begin = 0.5 * (20 - phase)
+    ramp = np.clip((fine - begin) / seconds, 0, 1) if seconds else fine >= begin - 1e-9
+    velocity = 0.2 + 4.8 * ramp
+    np.testing.assert_allclose(track[:, 1], velocity[::10_000], atol=1e-3)
+    steps = (velocity[1:] + velocity[:-1]) / 2 * np.diff(fine)
+    np.testing.assert_allclose(track[:, 0], np.append(0, steps.cumsum())[::10_000], atol=1e-3)
+
+
+def test_exact_errors_are_those_of_many_runs():
+    rng = np.random.default_rng(3)
+    truth = np.column_stack([runs.change(0.2, 3.0, 2.0, 30, 0.5), np.full(30, 1.0)])
+    clean = truth[:, :2] + [0, 1.0]
+    kf = mpt.KalmanFilter(TWO)
+    mean, P = runs.error_moments(kf.filter, clean[..., None], truth[..., None], SIGMAS)
+    z = clean[..., None] + SIGMAS[:, None] * rng.standard_normal((30, 2, 20_000))
+    e = kf.filter(z) - truth[..., None]
+    sigma = np.sqrt(np.einsum("kii->ki", P))
+    np.testing.assert_allclose(e.mean(axis=2) / sigma, mean[..., 0] / sigma, atol=4 / np.sqrt(20_000))
+    # The relative standard error of a standard deviation over 20,000 runs is 0.5 %; four of it.
+    np.testing.assert_allclose(e.std(axis=2), sigma, rtol=0.02)
+    np.testing.assert_allclose(mpt.metrics.rms(e, axis=2), runs.rms(mean, P)[..., 0], rtol=0.03)
+
+
+def measured(N, M, second=False):
+    x, z = mpt.simulate(TWO, N + 1, np.random.default_rng(4), tracks=M)
+    receiver = x[:, :1] + np.sqrt(2.0) * np.random.default_rng(5).standard_normal((N + 1, 1, M))
+    return x, np.concatenate([z, receiver], axis=1) if second else z
+
+
+def begun(model):
+    """The model one step later, where row 0 of the measurements is."""
+    return replace(model, x0=model.F @ model.x0, P0=model.F @ model.P0 @ model.F.T + model.Q)
+
+
+def test_without_a_third_row_it_is_the_packages_filter():
+    _, z = measured(25, 3)
+    np.testing.assert_allclose(runs.kalman(MODEL, z), mpt.KalmanFilter(TWO).filter(z[1:]), rtol=1e-9)
+    np.testing.assert_allclose(runs.kalman_covariances(MODEL, 25), mpt.KalmanFilter(TWO).covariances(25), rtol=1e-9)
+
+
+def test_a_second_receiver_is_what_the_filter_assumes():
+    """But for the change of the velocity in the step, which is in both: with a small q it is little."""
+    model = begun(replace(MODEL, Q=np.zeros((3, 3))))
+    x, z = mpt.simulate(replace(TWO, Q=np.zeros((3, 3))), 31, np.random.default_rng(6), tracks=5000)
+    z = np.concatenate([z, x[:, :1] + np.sqrt(2.0) * np.random.default_rng(7).standard_normal((31, 1, 5000))], axis=1)
+    P = runs.kalman_covariances(model, 30, "second receiver")
+    nees = mpt.metrics.nees(runs.kalman(model, z, "second receiver") - x[1:], P).mean(axis=1)
+    low, high = mpt.metrics.chi_square_band(3, 5000, level=0.9999)
+    assert low < nees.min()
+    assert nees.max() < high
+
+
+@pytest.mark.parametrize(
+    ("reading", "third"),
+    [
+        ("GPS again", lambda z: z[:-1, 0]),
+        ("GPS - Δt INS", lambda z: z[1:, 0] - 0.5 * z[1:, 1]),
+        ("second receiver", lambda z: z[:-1, 2]),
+    ],
+)
+def test_a_reading_is_the_packages_filter_fed_with_it(reading, third):
+    _, z = measured(20, 4, second=reading == "second receiver")
+    fed = np.concatenate([z[1:, :2], third(z)[:, None]], axis=1)
+    np.testing.assert_allclose(runs.kalman(MODEL, z, reading), mpt.KalmanFilter(MODEL).filter(fed), rtol=1e-9)
+    P = mpt.KalmanFilter(MODEL).covariances(20)
+    np.testing.assert_allclose(runs.kalman_covariances(MODEL, 20, reading), P, rtol=1e-7, atol=1e-12)
+
+
+def test_the_filters_own_estimate_has_no_innovation():
+    """Against the package's steps, each fed with the last estimate."""
+    _, z = measured(20, 1)
+    kf, x, P, path = mpt.KalmanFilter(MODEL), MODEL.x0, MODEL.P0, []
+    for z_k in z[1:, :, 0]:
+        x, P = kf.step(x, P, np.append(z_k, x[0]))
+        path.append(x)
+    np.testing.assert_allclose(runs.kalman(MODEL, z, "own estimate")[..., 0], path, rtol=1e-9)
+
+
+def test_the_last_gps_position_again_carries_nothing_once_the_model_says_so():
+    """With the noise n of GPS and its last measurement y in the state, a filter of three rows is the filter of two."""
+    gps, ins = np.diag(TWO.R)
+    F, H = np.zeros((5, 5)), np.zeros((3, 5))
+    F[:3, :3], F[4, [0, 3]] = TWO.F, 1
+    H[:2, :3], H[0, 3], H[2, 4] = TWO.H, 1, 1
+    Q, P0 = (np.diag([*np.diag(first), gps, last]) for first, last in ((TWO.Q, 0.0), (TWO.P0, 0.0)))
+    P0[3, 3] = 1e6  # of the position before the first step nothing is known
+    R = np.diag([1e-6 * gps, ins, 1e-6 * gps])  # so that R stays definite
+    knows = mpt.LinearModel(F=F, H=H, Q=Q, R=R, x0=[*TWO.x0, 0, 0], P0=P0)
+    _, z = mpt.simulate(TWO, 30, np.random.default_rng(5))
+    again = np.vstack([[TWO.x0[0]], z[:-1, :1]])
+    x = mpt.KalmanFilter(knows).filter(np.hstack([z, again]))
+    # The tiny variances and the 1e-6 of information in the first position again leave some 1e-5 of errors of about 1.
+    np.testing.assert_allclose(x[:, :3], mpt.KalmanFilter(TWO).filter(z), atol=1e-3)
