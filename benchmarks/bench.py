@@ -4,26 +4,21 @@ import json
 import os
 import platform
 import random
-import shutil
 import statistics
 import subprocess
 import sys
 import time
-import tracemalloc
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import peers
 import speedups
-from line_profiler import LineProfiler
 from report import write_readme
 from tqdm import tqdm
 
 import mpt_helpers as mpt
-from mpt_helpers import recursion
 from mpt_helpers.files import write_whole
 
 HERE = Path(__file__).parent
@@ -32,8 +27,9 @@ SHORTEST = 0.02  # seconds a sample lasts at least: what takes less runs several
 ROUNDS = 9
 AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
 PLANE = mpt.stack(AXIS, AXIS)
-N, M = 1000, 10_000
-FEW = {"one filterpy loop per track": 20, "pykalman": 2, "statsmodels": 20}  # tracks run of M; the time is scaled up
+N, M = 1000, 10_000  # steps and tracks without gaps
+GAP_N, GAP_M = 200, 5000  # steps and tracks that each miss a tenth of their epochs
+FEW = 20  # tracks that the loop over filterpy runs of M; its time is scaled up
 
 
 def copy(z, n):
@@ -65,115 +61,160 @@ def measure(contenders, rounds=ROUNDS, title=""):
     return samples
 
 
-def ratio(samples, above, below, scale=1.0):
-    """Return the median over the rounds of one time over another."""
-    return scale * statistics.median(a / b for a, b in zip(samples[above], samples[below], strict=True))
+def row(samples, work, against, goal=None, scale=1.0, tracks=M):
+    """Return a row of the table. The ratio is the median over the rounds of one time over the other.
 
-
-def row(samples, work, against, goal, faster=False, scale=1.0):
-    """Return a row of the table: the ratio is ours over theirs, or theirs over ours where `faster` is the goal."""
-    value = ratio(samples, against, work, scale) if faster else ratio(samples, work, against)
+    The goal is ("<=", most), ours over theirs, or (">=", least), theirs over ours: how many times faster we are.
+    """
+    relation, number = goal or (">=", None)
+    pairs = zip(samples[work], samples[against], strict=True)
+    value = statistics.median(scale * b / a if relation == ">=" else a / (scale * b) for a, b in pairs)
+    met = None if number is None else value >= number if relation == ">=" else value <= number
     return {
         "work": work,
+        "tracks": tracks,
         "against": against,
         "ms": 1e3 * statistics.median(samples[work]),
         "against_ms": 1e3 * scale * statistics.median(samples[against]),
         "ratio": value,
-        "goal": f">= {goal} x faster" if faster else f"<= {goal}",
-        "met": value >= goal if faster else value <= goal,
+        "goal": "" if number is None else f"{relation} {number}" + (" x faster" if relation == ">=" else ""),
+        "met": met,
     }
 
 
-def require_agreement(z):
-    """Raise AssertionError unless all libraries give the same estimates."""
-    few, coefficients = np.ascontiguousarray(z[..., :3]), mpt.KalmanFilter(AXIS).coefficients(N)
-    expected = mpt.KalmanFilter(AXIS).filter(few)
-    plane = np.concatenate([z[..., 0], z[..., 1]], axis=1)
-    others = {
-        "filterpy": peers.filterpy_loop(AXIS)(few),
-        "pykalman": peers.pykalman_loop(AXIS)(few),
-        "simdkalman": peers.simdkalman_all(AXIS)(few),
-        "statsmodels": peers.statsmodels_loop(AXIS)(few),
-        "dynamax": peers.dynamax_vmap(AXIS)(few),
-        "numba": peers.numba_loop(AXIS, coefficients)(few),
-    }
-    for name, x in others.items():
-        np.testing.assert_allclose(x, expected, rtol=0, atol=AGREE * np.abs(expected).max(), err_msg=name)
-    both = mpt.KalmanFilter(PLANE).filter(plane), peers.filterpy_batch(PLANE)(plane)
-    np.testing.assert_allclose(*both, rtol=0, atol=AGREE * np.abs(both[0]).max())
-    speedups.agree(AGREE)
+def same(ours, theirs, name):
+    """Raise AssertionError unless two arrays are equal, relative to the largest entry."""
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=AGREE * np.abs(theirs).max(), err_msg=name)
 
 
-def many_tracks(z, z2):
-    """Rows for many tracks."""
+def many_tracks():
+    """Rows for many tracks without gaps."""
+    rng = np.random.default_rng(0)
+    z, z2 = rng.standard_normal((N, 1, M)), rng.standard_normal((N, 2, M))
     kf, lf, steady = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS)
-    fir, plane = mpt.FIRFilter.from_steady_state(steady, tol=1e-3), mpt.KalmanFilter(PLANE)
-    few, on_device = (
-        {name: np.ascontiguousarray(z[..., :count]) for name, count in FEW.items()},
-        peers.jax.numpy.array(z),
-    )
-    samples = measure(
-        {
-            "copy": partial(copy, z, 2),
-            "Kalman": partial(kf.filter, z),
-            "Lainiotis": partial(lf.filter, z),
-            "joint": partial(mpt.JoinFilter(kf, lf).filter, z),
-            "steady state": partial(steady.filter, z),
-            "predictor": partial(mpt.SteadyStatePredictor(steady, 3).filter, z),
-            "FIR, 17 taps": partial(fir.filter, z),
-            "Kalman, model A": partial(plane.filter, z2),
-            "separate axes": partial(mpt.Separate(kf, kf).filter, z2),
-            "dynamax": partial(peers.dynamax_vmap(AXIS), on_device),
-            "numba": partial(peers.numba_loop(AXIS, kf.coefficients(N)), z),
-            "simdkalman": partial(peers.simdkalman_all(AXIS), z),
-            "one filterpy loop per track": partial(peers.filterpy_loop(AXIS), few["one filterpy loop per track"]),
-            "pykalman": partial(peers.pykalman_loop(AXIS), few["pykalman"]),
-            "statsmodels": partial(peers.statsmodels_loop(AXIS), few["statsmodels"]),
-        },
-        title=f"{M} tracks",
-    )
-    scale = {name: M / count for name, count in FEW.items()}
-    rows = [row(samples, "Kalman", "copy", 1.5)]
-    for name, goal in {"dynamax": 8, "simdkalman": 150, "one filterpy loop per track": 5000}.items():
-        rows.append(row(samples, "Kalman", name, goal, faster=True, scale=scale.get(name, 1.0)))
-    for name in ("numba", "statsmodels", "pykalman"):
-        rows.append(
-            row(samples, "Kalman", name, 0, faster=True, scale=scale.get(name, 1.0)) | {"goal": "", "met": None}
-        )
+    few = np.ascontiguousarray(z[..., :FEW])
+    works = {
+        "copy": partial(copy, z, 2),
+        "Kalman": partial(kf.filter, z),
+        "Lainiotis": partial(lf.filter, z),
+        "joint": partial(mpt.JoinFilter(kf, lf).filter, z),
+        "steady state": partial(steady.filter, z),
+        "predictor": partial(mpt.SteadyStatePredictor(steady, 3).filter, z),
+        "FIR, 17 taps": partial(mpt.FIRFilter.from_steady_state(steady, tol=1e-3).filter, z),
+        "Kalman, model A": partial(mpt.KalmanFilter(PLANE).filter, z2),
+        "separate axes": partial(mpt.Separate(kf, kf).filter, z2),
+        "simdkalman": lambda: peers.simdkalman_all(AXIS)(z)[0],
+        "one filterpy loop per track": partial(peers.filterpy_loop(AXIS), few),
+    }
+    if peers.DYNAMAX:
+        works["dynamax"] = partial(peers.dynamax_vmap(AXIS), peers.jax.numpy.array(z))
+    for name in ("simdkalman", "dynamax"):
+        if name in works:
+            same(works[name](), kf.filter(z), name)
+    same(works["one filterpy loop per track"](), kf.filter(few), "filterpy")
+    samples = measure(works, title=f"{M} tracks")
+    rows = [row(samples, "Kalman", "copy", ("<=", 1.5))]
+    for name, goal in {"dynamax": 8, "simdkalman": 150}.items():
+        if name in works:
+            rows.append(row(samples, "Kalman", name, (">=", goal)))
+    rows.append(row(samples, "Kalman", "one filterpy loop per track", (">=", 5000), scale=M / FEW))
     for name in ("Lainiotis", "joint", "steady state", "predictor"):
-        rows.append(row(samples, name, "Kalman", 2.1 if name == "joint" else 1.1))
-    rows.append(row(samples, "separate axes", "Kalman, model A", 1.1))
-    rows.append(row(samples, "FIR, 17 taps", "copy", 4))
-    return [each | {"tracks": M} for each in rows]
-
-
-def fewer_tracks(z):
-    """Rows for a thousand tracks and for one."""
-    kf, one = mpt.KalmanFilter(AXIS), z[:, 0, :2].copy()
-    samples = measure({"copy": partial(copy, z, 2), "Kalman": partial(kf.filter, z)}, title="1000 tracks")
-    rows = [row(samples, "Kalman", "copy", 3) | {"tracks": z.shape[2]}]
-    names = "Kalman, model A, coefficients ready", "Kalman, model A, all in, fresh object", "filterpy batch_filter"
-    ready, batch = mpt.KalmanFilter(PLANE), peers.filterpy_batch(PLANE)
-    works = partial(ready.filter, one), lambda: mpt.KalmanFilter(mpt.stack(AXIS, AXIS)).filter(one), partial(batch, one)
-    samples = measure(dict(zip(names, works, strict=True)), title="1 track")
-    for name, goal in zip(names, (100, 8), strict=False):
-        rows.append(row(samples, name, names[-1], goal, faster=True) | {"tracks": 1})
+        rows.append(row(samples, name, "Kalman", ("<=", 2.1 if name == "joint" else 1.1)))
+    rows.append(row(samples, "separate axes", "Kalman, model A", ("<=", 1.1)))
+    rows.append(row(samples, "FIR, 17 taps", "copy", ("<=", 4)))
     return rows
 
 
-def missed_epochs(z):
-    """Rows for missed epochs: the same for all tracks, and two patterns in a random order of tracks."""
-    kf, some = mpt.KalmanFilter(AXIS), np.random.default_rng(0).random(M) < 0.5
-    gaps = {
-        "ten missed epochs, shared": (slice(50, None, 100), 1.1),
-        "two patterns of missed epochs, unlike from the middle on": ((500, slice(None), some), 2),
-        "two patterns of missed epochs, unlike from the start on": ((0, slice(None), some), 2),
+def one_track():
+    """Rows for one track of model A, and for one step of it."""
+    z = np.random.default_rng(0).standard_normal((N, 2))
+    ready = mpt.KalmanFilter(PLANE)
+    batch, step = peers.filterpy_batch(PLANE), peers.filterpy_steps(PLANE)
+    works = {
+        "Kalman, coefficients ready": partial(ready.filter, z),
+        "Kalman, all in, fresh object": lambda: mpt.KalmanFilter(mpt.stack(AXIS, AXIS)).filter(z),
+        "filterpy's batch_filter": partial(batch, z),
+        "`step`, a thousand times": lambda: by_steps(ready, z),
+        "filterpy's predict and update": partial(step, z),
     }
-    data = {"Kalman": z} | {name: z.copy() for name in gaps}
-    for name, (gap, _) in gaps.items():
-        data[name][gap] = np.nan
-    samples = measure({name: partial(kf.filter, each) for name, each in data.items()}, title="missed epochs")
-    return [row(samples, name, "Kalman", goal) | {"tracks": M} for name, (_, goal) in gaps.items()]
+    same(ready.filter(z), batch(z), "filterpy")
+    same(by_steps(ready, z), step(z), "step")
+    samples = measure(works, title="1 track")
+    names = list(works)
+    rows = [row(samples, names[i], names[2], (">=", goal), tracks=1) for i, goal in ((0, 30), (1, 6))]
+    return [*rows, row(samples, names[3], names[4], ("<=", 1.0), tracks=1)]
+
+
+def by_steps(kf, z):
+    """Return the estimates of one track, one step after the other."""
+    x, P, estimates = kf.model.x0, kf.P0, []
+    for z_k in z:
+        x, P = kf.step(x, P, z_k)
+        estimates.append(x)
+    return np.array(estimates)
+
+
+def own_gaps():
+    """Rows for tracks that each miss epochs of their own, with covariances."""
+    rows = []
+    for model, name, goal in ((AXIS, "2 states", 10), (PLANE, "4 states", 5)):
+        z = with_gaps(model)
+        kf, peer = mpt.KalmanFilter(model), peers.simdkalman_all(model)
+        x, P = peer(z)
+        same(kf.filter(z), x, "simdkalman")
+        same(kf.covariances(z), P, "simdkalman")
+        works = {
+            f"covariances, {name}": partial(kf.covariances, z),
+            f"estimates, then covariances, {name}": partial(estimates_and_covariances, kf, z),
+            "simdkalman, both": partial(peer, z),
+        }
+        if model is AXIS:
+            for label, each in (("Lainiotis", mpt.LainiotisFilter(AXIS)), ("steady state", steady_of(AXIS))):
+                works[f"covariances, {name}, {label}"] = partial(each.covariances, z)
+        samples = measure(works, rounds=5, title=f"own gaps, {name}")
+        for work in works:
+            if work != "simdkalman, both":
+                wanted = (">=", goal) if work == f"covariances, {name}" else None
+                rows.append(row(samples, work, "simdkalman, both", wanted, tracks=GAP_M))
+    return rows
+
+
+def layouts():
+    """Rows for tracks of different lengths and for z in another order of memory, beside the same numbers in order."""
+    kf, z = mpt.KalmanFilter(AXIS), with_gaps(AXIS)
+    ragged = np.random.default_rng(1).standard_normal(z.shape)
+    ends = np.random.default_rng(2).integers(GAP_N // 2, GAP_N, GAP_M)
+    ragged[np.arange(GAP_N)[:, None, None] >= ends] = np.nan
+    wide = np.zeros((GAP_N, 1, 2 * GAP_M))
+    wide[..., ::2] = z
+    works = {
+        "tracks of different lengths": ragged,
+        "z transposed": np.ascontiguousarray(z.transpose(2, 0, 1)).transpose(1, 2, 0),
+        "z strided": wide[..., ::2],
+        "gaps of their own, in order": z,
+    }
+    samples = measure(
+        {name: partial(estimates_and_covariances, kf, each) for name, each in works.items()}, title="layout"
+    )
+    return [row(samples, name, "gaps of their own, in order", ("<=", 1.3), tracks=GAP_M) for name in list(works)[:3]]
+
+
+def steady_of(model):
+    """Return the steady-state filter of a model."""
+    return mpt.SteadyStateFilter.from_kalman(model)
+
+
+def with_gaps(model):
+    """Return measurements of many tracks that each miss a tenth of their epochs."""
+    rng = np.random.default_rng(0)
+    z = rng.standard_normal((GAP_N, model.m, GAP_M))
+    z[np.broadcast_to(rng.random((GAP_N, 1, GAP_M)) < 0.1, z.shape)] = np.nan
+    return z
+
+
+def estimates_and_covariances(each, z):
+    """Return both, by two calls."""
+    return each.filter(z), each.covariances(z)
 
 
 def squares(kf, steps, rng, runs):
@@ -196,70 +237,20 @@ def study():
     name, against = "study of 10,000 runs", "its random numbers"
     kf, rows = mpt.KalmanFilter(AXIS), []
     for workers in (1, 2):
-        samples = measure(
-            {
-                name: partial(mpt.study, partial(squares, kf, N), M, 1, workers=workers),
-                against: partial(mpt.study, partial(numbers_only, AXIS, N), M, 1, workers=workers),
-            },
-            title=f"study, {workers} workers",
-        )
-        rows.append(row(samples, name, against, 1.25) | {"tracks": M, "work": f"{name}, workers={workers}"})
+        works = {
+            name: partial(mpt.study, partial(squares, kf, N), M, 1, workers=workers),
+            against: partial(mpt.study, partial(numbers_only, AXIS, N), M, 1, workers=workers),
+        }
+        samples = measure(works, title=f"study, {workers} workers")
+        rows.append(row(samples, name, against, ("<=", 1.25)) | {"work": f"{name}, workers={workers}"})
     return rows
 
 
-def peak(work):
-    """Return the most memory that is held during a call, in bytes, with what it returns."""
-    tracemalloc.start()
-    result = work()
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return most, result
-
-
-def memory(z):
-    """Rows for memory: beyond the estimates, and of a study as it grows."""
-    most, x = peak(partial(mpt.KalmanFilter(AXIS).filter, z))
-    extra = most / x.nbytes - 1
-    trial = partial(squares, mpt.KalmanFilter(AXIS), N)
-    few, many = (peak(partial(mpt.study, trial, runs, 1))[0] for runs in (M, 5 * M))
-    both = (
-        ("extra memory at the peak", "the estimates", extra, 0.05),
-        ("memory of a study of 50,000 runs", "one of 10,000", many / few, 1.05),
-    )
-    keys = "work", "against", "ratio", "goal"
-    return [dict(zip(keys, each, strict=True)) | {"goal": f"<= {each[3]}", "met": each[2] <= each[3]} for each in both]
-
-
-def growth():
-    """Return the nanoseconds per track and step as tracks and steps grow, and the largest rise from one to the next."""
-    rng, kf = np.random.default_rng(0), mpt.KalmanFilter(AXIS)
-    sizes = {"tracks": [(N, tracks) for tracks in (100, 1000, 10_000, 100_000)]}
-    for tracks in (1, 100, 1000):
-        sizes[f"steps of {tracks}"] = [(steps, tracks) for steps in (100, 1000, 10_000, 100_000)]
-    result = []
-    for kind, pairs in sizes.items():
-        data = {pair: rng.standard_normal((pair[0], 1, pair[1])) for pair in pairs}
-        samples = measure({pair: partial(kf.filter, z) for pair, z in data.items()}, rounds=5, title=f"more {kind}")
-        each = {pair: 1e9 * statistics.median(taken) / pair[0] / pair[1] for pair, taken in samples.items()}
-        copies = measure({pair: partial(copy, z, 2) for pair, z in data.items()}, rounds=5, title="copies")
-        floor = {pair: 1e9 * statistics.median(taken) / pair[0] / pair[1] for pair, taken in copies.items()}
-        for before, pair in zip([None, *pairs], pairs, strict=False):
-            rise = each[pair] / each[before] if before else None
-            keys = {"kind": kind, "steps": pair[0], "tracks": pair[1], "ns": each[pair], "copy_ns": floor[pair]}
-            result.append(keys | {"rise": rise, "met": rise is None or rise <= 1.2})
-    return result
-
-
-def reproduce():
-    """Return the row for `make reproduce` after set-up, in a copy of the project."""
+def commands():
+    """Return what `make clock` prints of the everyday commands, in the environment that runs them."""
     python = HERE.parent / ".venv" / "bin" / "python"
-    with TemporaryDirectory() as place:
-        for name in ("notebooks", "figures", "benchmarks"):
-            shutil.copytree(HERE.parent / name, Path(place) / name)
-        start = time.perf_counter()
-        subprocess.run([python, "-m", "mpt_helpers", "reproduce"], cwd=place, check=True, stdout=subprocess.DEVNULL)
-        taken = time.perf_counter() - start
-    return {"work": "make reproduce", "against": "one second", "ratio": taken, "goal": "<= 90", "met": taken <= 90}
+    run = subprocess.run([python, HERE.parent / "tests" / "clock.py"], capture_output=True, text=True)
+    return run.stdout.strip() if run.returncode == 0 else "not measured: one of the commands failed"
 
 
 def wall_clock():
@@ -275,35 +266,19 @@ def wall_clock():
         samples = measure(works, title=f"steps, {kind}")
         for axes, paper in ((2, "2014_gsm_2d"), (3, "2015_mpt_3d")):
             pairs = {
-                "kf-lf-a": ratio(samples, f"LF {axes}", f"KF {axes}"),
-                "kf-lf-b": ratio(samples, "LF 1", "KF 1"),
-                "kf-a-sskf-b": ratio(samples, f"KF {axes}", "SS 1", 1 / axes),  # model B runs a filter for each axis
-                "lf-a-sslf-b": ratio(samples, f"LF {axes}", "SS 1", 1 / axes),
+                "kf-lf-a": (f"LF {axes}", f"KF {axes}", 1),
+                "kf-lf-b": ("LF 1", "KF 1", 1),
+                "kf-a-sskf-b": ("SS 1", f"KF {axes}", 1 / axes),  # model B runs a filter for each axis
+                "lf-a-sslf-b": ("SS 1", f"LF {axes}", 1 / axes),
             }
-            for pair, value in pairs.items():
+            for pair, (fast, slow, scale) in pairs.items():
+                value = row(samples, fast, slow, scale=scale)["ratio"]
                 result.setdefault(paper, {}).setdefault(pair, {})[kind] = value
     return result
 
 
-def profile(z):
-    """Return the share of the time that each line of the inner loop takes, of many tracks and of one."""
-    result = {}
-    for tracks in (M, 1):
-        kf, part = mpt.KalmanFilter(AXIS), np.ascontiguousarray(z[..., :tracks])
-        kf.filter(part)
-        profiler = LineProfiler(recursion._fill)
-        for _ in range(max(1, 200 // tracks)):
-            profiler.runcall(kf.filter, part)
-        (lines,) = profiler.get_stats().timings.values()
-        source = Path(recursion.__file__).read_text().splitlines()
-        total = sum(taken for _, _, taken in lines)
-        for number, _, taken in lines:
-            result.setdefault(source[number - 1].strip(), {})[str(tracks)] = taken / total
-    return {line: shares for line, shares in result.items() if max(shares.values()) > 0.02}
-
-
 def machine():
-    """Return what the numbers were measured on."""
+    """Return what the numbers were measured on, and how busy it was."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
     models = {line.split(":")[1].strip() for line in lines if line.startswith("model name")} or {platform.processor()}
@@ -318,23 +293,15 @@ def versions():
 
 def main():
     """Measure everything, then write both files."""
-    rng = np.random.default_rng(0)
-    z, z2 = rng.standard_normal((N, 1, M)), rng.standard_normal((N, 2, M))
-    require_agreement(z)
-    rows = [
-        *many_tracks(z, z2),
-        *fewer_tracks(rng.standard_normal((N, 1, 1000))),
-        *missed_epochs(z),
-        *study(),
-        *memory(z),
-    ]
+    load = os.getloadavg()[0]
+    speedups.agree(AGREE)
+    rows = [*many_tracks(), *one_track(), *own_gaps(), *layouts(), *study()]
     results = {
-        "machine": machine(),
+        "machine": machine() | {"programs that ran at the start": f"{load:.1f}"},
         "versions": versions(),
-        "rows": [*rows, reproduce()],
-        "growth": growth(),
+        "rows": rows,
         "speedups": wall_clock(),
-        "profile": profile(z),
+        "commands": commands(),
     }
     write_whole(HERE / "results.json", (json.dumps(results, indent=1) + "\n").encode())
     write_readme()

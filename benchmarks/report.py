@@ -26,14 +26,6 @@ def tables(results):
         for each in results["rows"]
     ]
     head = "work", "tracks", "against", "ms", "its ms", "ratio", "goal", "reached"
-    grown = [
-        [f"{e['steps']:,}", f"{e['tracks']:,}", number(e["ns"]), number(e["rise"]), number(e["copy_ns"]), met[e["met"]]]
-        for e in results["growth"]
-    ]
-    lines = [
-        [f"`{line}`", *(f"{shares.get(k, 0):.0%}" for k in ("10000", "1"))]
-        for line, shares in results["profile"].items()
-    ]
     clock = [
         [paper, pair, *(number(values[kind]) for kind in ("one", "own", "shared"))]
         for paper, pairs in results["speedups"].items()
@@ -43,11 +35,8 @@ def tables(results):
     return {
         "machine": ", ".join(described) + ".",
         "rows": Table(head, rows).markdown(),
-        "growth": Table(
-            ("steps", "tracks", "ns per track and step", "rise", "copy, ns", "rise <= 1.2"), grown
-        ).markdown(),
-        "profile": Table(("line of `recursion._fill`", "10,000 tracks", "1 track"), lines).markdown(),
         "speedups": Table(("paper", "pair", "one track", "many, own covariance", "many, shared"), clock).markdown(),
+        "commands": f"```text\n{results['commands']}\n```",
     }
 
 

@@ -22,9 +22,12 @@ def can_run(model, z):
 
 def kalman_epochs(model, z):
     """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), NaN where one is missing."""
-    H, variances = model.H, np.diag(model.R)
-    if not _is_diagonal(model.R):  # with R = L diag(variances) Lᵀ, the measurements L⁻¹ z have uncorrelated noises
-        root = np.linalg.cholesky(model.R)
+    # The most precise measurement last: a further change of basis would round away the small variance that it leaves.
+    order = np.argsort((model.H**2).sum(axis=1) / np.diag(model.R), kind="stable")
+    H, R, z = model.H[order], model.R[np.ix_(order, order)], z[:, order]
+    variances = np.diag(R)
+    if not _is_diagonal(R):  # with R = L diag(variances) Lᵀ, the measurements L⁻¹ z have uncorrelated noises
+        root = np.linalg.cholesky(R)
         L, variances = root / np.diag(root), np.diag(root) ** 2
         H, z = np.linalg.solve(L, H), np.linalg.solve(L, z)
     updates, T = [], np.eye(model.n)

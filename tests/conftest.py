@@ -4,8 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import Phase, settings
 
 import mpt_helpers as mpt
+
+COMMON = {"derandomize": True, "deadline": None, "database": None, "max_examples": 20}
+settings.register_profile("properties", **COMMON)
+settings.register_profile("mutants", **COMMON, phases=[Phase.generate])  # that an example fails is enough
+settings.load_profile("properties")
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))

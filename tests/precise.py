@@ -6,7 +6,7 @@ import numpy as np
 mpmath.mp.dps = 60
 
 
-def _exact(array):
+def exact(array):
     """The doubles of an array as numbers of 60 digits."""
     return np.vectorize(mpmath.mpf, otypes=[object])(np.asarray(array, dtype=float))
 
@@ -28,21 +28,28 @@ def update(P_p, F, H, R):
 
 
 def kalman(F, H, Q, R, x0, P0, z):
-    """The estimates x (N, n), and the coefficients A, B, the covariances P, P_p and S of each step."""
-    F, H, Q, R, x, P, z = map(_exact, (F, H, Q, R, x0, P0, z))
+    """The estimates x (N, n), and the coefficients A, B, the covariances P, P_p and S of each step.
+
+    NaN in z is a missing measurement: the rows of H and R that are there are used, and B is zero for others.
+    """
+    F, H, Q, R, x, P = map(exact, (F, H, Q, R, x0, P0))
     steps = []
-    for z_k in z:
-        P_p = F @ P @ F.T + Q
-        A, B, P, S = update(P_p, F, H, R)
-        x = A @ x + B @ z_k
-        steps.append((x, A, B, P, P_p, S))
+    for z_k in np.asarray(z, float):
+        seen = np.flatnonzero(~np.isnan(z_k))
+        P_p = P = F @ P @ F.T + Q
+        B = exact(np.zeros(H.T.shape))
+        if len(seen):
+            _, B[:, seen], P, _ = update(P_p, F, H[seen], R[np.ix_(seen, seen)])
+        A = F - B @ H @ F
+        x = A @ x + B @ exact(np.nan_to_num(z_k))
+        steps.append((x, A, B, P, P_p, H @ P_p @ H.T + R))
     return [np.array(each) for each in zip(*steps, strict=True)]
 
 
 def steady(F, H, Q, R):
     """The limit of A, B, P, P_p and S: the REKF by doubling, and what it leaves in the equation is checked."""
-    F, H, Q, R = map(_exact, (F, H, Q, R))
-    A, G, P_p, identity = F.T, H.T @ _inverse(R) @ H, Q, _exact(np.eye(len(F)))
+    F, H, Q, R = map(exact, (F, H, Q, R))
+    A, G, P_p, identity = F.T, H.T @ _inverse(R) @ H, Q, exact(np.eye(len(F)))
     for _ in range(200):
         W = _inverse(identity + G @ P_p)
         step = A.T @ P_p @ W @ A
@@ -56,14 +63,14 @@ def steady(F, H, Q, R):
 
 def recursion(A, B, x0, z):
     """The estimates of given coefficients A (N, n, n), B (N, n, m), each a double."""
-    x, estimates = _exact(x0), []
-    for A_k, B_k, z_k in zip(_exact(A), _exact(B), _exact(z), strict=True):
+    x, estimates = exact(x0), []
+    for A_k, B_k, z_k in zip(exact(A), exact(B), exact(z), strict=True):
         x = A_k @ x + B_k @ z_k
         estimates.append(x)
     return np.array(estimates)
 
 
-def digits(ours, exact, unit):
+def digits(ours, reference, unit):
     """How many decimal digits of an array hold, relative to a unit for each entry: 17 where all bits do."""
-    gap = np.abs((_exact(ours) - exact).astype(float)) / unit
+    gap = np.abs((exact(ours) - reference).astype(float)) / unit
     return float(min(17.0, -np.log10(max(gap.max(), 1e-300))))

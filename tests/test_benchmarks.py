@@ -41,18 +41,8 @@ def test_the_steps_that_are_timed_are_the_same_filter():
     speedups.agree(1e-10)  # variances and estimates of order one, some ten products
 
 
-def test_the_notebooks_show_the_stored_speedups():
-    for key, pairs in RESULTS["speedups"].items():
-        cells = json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text())["cells"]
-        (cell,) = (each for each in cells if each["id"] == "clock")
-        shown = "".join(cell["outputs"][0]["data"]["text/plain"])
-        for values in pairs.values():
-            for value in values.values():
-                assert f"{value:.3g}" in shown
-
-
-def test_what_the_notebooks_say_of_the_clock_holds():
-    """The words of their captions: another machine may need others."""
+def test_the_clock_agrees_with_the_papers_counts_where_each_track_has_its_own_covariance():
+    """To a factor of two; for one track the calls cost most, and tracks that share coefficients cost all the same."""
     for key, pairs in RESULTS["speedups"].items():
         items = mpt.published(key).items
         for pair, clock in pairs.items():

@@ -1,6 +1,7 @@
 """The papers' claims as theorems, and every filter against oracles that share no code with it."""
 
 import pickle
+import time
 import tracemalloc
 from dataclasses import replace
 
@@ -10,7 +11,6 @@ from conftest import AXIS, dense_model
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
 import mpt_helpers as mpt
-from mpt_helpers import recursion
 
 # Estimates here are of order 100 and variances start at 100: sixty steps of rounding stay below 1e-12 of that.
 SAME = {"rtol": 1e-10, "atol": 1e-10}
@@ -204,18 +204,20 @@ def test_kalman_gains_are_those_of_filterpy(model, monkeypatch):
 
     monkeypatch.setattr(filterpy.kalman, "KalmanFilter", Spy)
     _, B, P = mpt.KalmanFilter(model).coefficients(10)
-    np.testing.assert_array_equal(B, [K for K, _ in gains])
-    np.testing.assert_array_equal(P, [P for _, P in gains])
+    np.testing.assert_array_equal(B, [K for K, _ in gains[:10]])  # those that the filter keeps are made at once
+    np.testing.assert_array_equal(P, [P for _, P in gains[:10]])
 
 
 @pytest.mark.parametrize("make", FILTERS)
 def test_coefficients_that_repeat_are_copied_to_the_last_bit(make, model):
-    step, P = make(model)._stepper(), model.P0
-    coefficients = make(model).coefficients(80)
+    """Where P no longer moves by its rounding, a step made anew differs from the one that is copied by no more."""
+    each, P = make(model), model.P0
+    coefficients = each.coefficients(80)
     for k in range(80):
-        A, B, P = step(P, False)
-        for ours, row in zip((A, B, P), (each[k] for each in coefficients), strict=True):
-            np.testing.assert_array_equal(ours, row)
+        A, B, P = each.next_step(P, np.ones(model.m, bool))
+        for ours, row in zip((A, B, P), (part[k] for part in coefficients), strict=True):
+            np.testing.assert_allclose(ours, row, rtol=1e-14, atol=1e-16)
+    assert len({id(step) for step in each._steps(np.ones((1000, model.m), bool))}) < 100
 
 
 @pytest.mark.parametrize("make", FILTERS)
@@ -247,48 +249,42 @@ def test_tracks_that_differ_in_one_missed_epoch_are_told_apart(make, late):
         np.testing.assert_allclose(many[..., i], make(AXIS).filter(z[..., i]), **SAME)
 
 
-def test_a_row_that_is_partly_missed_is_named_wherever_it_stands(monkeypatch):
-    monkeypatch.setattr(recursion, "CHUNK", 1)  # rows are looked at eight at a time
+@pytest.mark.parametrize(
+    "make", [*SOLVED, lambda model: mpt.FIRFilter.from_steady_state(mpt.SteadyStateFilter.from_kalman(model))]
+)
+def test_a_constant_gain_refuses_a_row_that_is_partly_missing(make):
     z = np.zeros((40, 2, 3))
     z[21, 1, 2] = np.nan
-    with pytest.raises(ValueError, match="row 21 of track 2 partly NaN"):
-        mpt.KalmanFilter(mpt.stack(AXIS, AXIS)).filter(z)
-
-
-@pytest.mark.parametrize(
-    "first", [0, 50, 70]
-)  # where the first track that differs stands: among those looked at or not
-def test_each_pattern_of_missed_epochs_takes_one_pass_at_most(monkeypatch, first):
-    _, z = mpt.simulate(AXIS, 40, np.random.default_rng(1), tracks=100)
-    z[9, :, first::5], z[30, :, first::7] = np.nan, np.nan
-    passes, fill = [], recursion._fill
-    monkeypatch.setattr(recursion, "_fill", lambda *given: [passes.append(given), fill(*given)])
-    x = mpt.KalmanFilter(AXIS).filter(z)
-    patterns = {np.isnan(z[:, 0, i]).tobytes() for i in range(100)}
-    assert len(passes) == len(patterns) == 4
-    for i in range(100):
-        np.testing.assert_allclose(x[..., i], mpt.KalmanFilter(AXIS).filter(z[..., i]), **SAME)
+    with pytest.raises(ValueError, match=r"z: needs rows all of numbers or all of NaN, .* a row that is partly NaN"):
+        make(mpt.stack(AXIS, AXIS)).filter(z)
 
 
 @pytest.mark.parametrize("gaps", [(), (5,), (0, 20, 21, 39)])
-def test_missed_epochs_that_all_tracks_share_take_no_pass_of_their_own(monkeypatch, gaps):
+@pytest.mark.parametrize("own", [False, True], ids=["shared", "one track of its own"])
+def test_tracks_of_common_gaps_are_filtered_in_common(monkeypatch, gaps, own):
+    """Epoch by epoch, with a covariance each, go only the tracks that miss other measurements than most."""
     _, z = mpt.simulate(AXIS, 40, np.random.default_rng(1), tracks=100)
     z[list(gaps)] = np.nan
-    passes, fill = [], recursion._fill
-    monkeypatch.setattr(recursion, "_fill", lambda *given: [passes.append(given), fill(*given)])
-    mpt.KalmanFilter(AXIS).filter(z)
-    assert len(passes) == 1
+    if own:
+        z[33, :, 57] = np.nan
+    apart, epochs = [], mpt.KalmanFilter.epochs
+    monkeypatch.setattr(mpt.KalmanFilter, "epochs", lambda self, z: apart.append(z.shape[2]) or epochs(self, z))
+    x = mpt.KalmanFilter(AXIS).filter(z)
+    assert sum(apart) == int(own)
+    for i in (0, 57, 99):
+        np.testing.assert_allclose(x[..., i], mpt.KalmanFilter(AXIS).filter(z[..., i]), **SAME)
 
 
-@pytest.mark.parametrize("make", [*FILTERS, *SOLVED, joint])
-def test_no_memory_is_taken_beside_the_estimates(make):
+@pytest.mark.parametrize(("make", "most"), [*((make, 1.05) for make in [*FILTERS, *SOLVED]), (joint, 2.05)])
+def test_no_memory_is_taken_beside_the_estimates(make, most):
+    """The joint filter holds the estimates of both."""
     z = np.random.default_rng(0).standard_normal((500, 1, 2000))
     each = make(AXIS)
     tracemalloc.start()
     x = each.filter(z)
-    most = tracemalloc.get_traced_memory()[1]
+    peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert most < 1.05 * x.nbytes
+    assert peak < most * x.nbytes
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 4, 31, 32, 33, 65])
@@ -357,3 +353,9 @@ def test_a_track_whose_covariance_overflows_leaves_the_others_alone(make):
 def test_a_number_beyond_doubles_is_infinite(make):
     with pytest.raises(ValueError, match=r"z: .* got an infinite value"):
         make(AXIS).filter(np.array([[1], [np.longdouble("1e400")], [2]]))
+
+
+def test_the_order_of_a_slow_fir_filter_is_found_at_once():
+    start = time.process_time()
+    assert mpt.fir_order([[1 - 1e-5]], 1e-3) == 690_773  # ln 1e-3 / ln(1 - 1e-5)
+    assert time.process_time() - start < 1

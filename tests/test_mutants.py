@@ -2,13 +2,14 @@
 
 import pytest
 from conftest import ROOT
-from mutants import mutants, mutated
+from mutants import mutants, mutated, seen_by
 
 
 @pytest.mark.parametrize("mutant", mutants(), ids=lambda each: each.what)
 def test_each_mutant_changes_one_place(mutant):
     text = (ROOT / mutant.file).read_text(encoding="utf-8")
     assert mutated(mutant, text) != text
+    assert seen_by(mutant)
 
 
 def test_the_table_is_of_these_mutants():

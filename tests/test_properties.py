@@ -11,10 +11,7 @@ from oracles import matrices, textbook_kalman
 from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
-from mpt_helpers import recursion
-
-settings.register_profile("properties", derandomize=True, deadline=None, database=None, max_examples=20)
-settings.load_profile("properties")
+from mpt_helpers import filters, recursion
 
 EPS = np.finfo(float).eps
 FILTERS = [mpt.KalmanFilter, mpt.LainiotisFilter]
@@ -167,12 +164,7 @@ def test_predictor_is_the_propagated_estimate(model, seed, steps):
     z = measured(model, seed, missed=0.2)
     steady = mpt.SteadyStateFilter.from_kalman(model)
     F_N = np.linalg.matrix_power(model.F, steps)
-    # The predictor's A_N is similar to A by F^N: its rounding errors are larger by the condition of that.
-    assert_same(
-        mpt.SteadyStatePredictor(steady, steps).filter(z),
-        steady.filter(z) @ F_N.T,
-        condition(model) * np.linalg.cond(F_N) ** 2,
-    )
+    assert_same(mpt.SteadyStatePredictor(steady, steps).filter(z), steady.filter(z) @ F_N.T, condition(model))
 
 
 @given(models(), seeds, st.floats(1e-6, 0.5))
@@ -192,14 +184,13 @@ def test_fir_goes_to_the_steady_state(model, seed, tol):
 @all_filters
 @given(models(most=5), seeds, st.integers(1, 40), st.integers(1, 30), st.sampled_from([0.0, 0.03, 0.5]))
 def test_many_tracks_are_each_track_alone(make, model, seed, N, tracks, missed):
-    """Whatever the number of tracks in a tile and in a chunk, and of steps in a product."""
+    """Whatever the number of tracks in a tile, and of steps in a product."""
     z = measured(model, seed, N, tracks, missed)
-    with patch.object(recursion, "TILE", 1 + seed % 7), patch.object(recursion, "CHUNK", 1 + seed % 5):
+    with patch.object(recursion, "TILE", 1 + seed % 7), patch.object(filters, "TILE_OF_COVARIANCES", 1 + seed % 5):
         together = make(model).filter(z)
-    allowed = condition(model) * np.linalg.cond(model.F) ** 4  # of the predictor of two steps, F² A F⁻²
     each = make(model)
-    for i in range(tracks):
-        assert_same(together[..., i], each.filter(z[..., i]), allowed)
+    for i in range(0, tracks, 1 + tracks // 5):
+        assert_same(together[..., i], each.filter(z[..., i]), condition(model))
 
 
 @settings(max_examples=3)
@@ -207,15 +198,15 @@ def test_many_tracks_are_each_track_alone(make, model, seed, N, tracks, missed):
 @given(models(), seeds)
 def test_covariances_stay_covariances(make, model, seed):
     """After 100,000 steps of which some are missed."""
-    missed = np.zeros(100_000, bool)
-    missed[np.random.default_rng(seed).integers(0, 99_000, 20)] = True
-    (_, _, P), of = make(model)._steps(missed)
+    seen = np.ones((100_000, model.m), bool)
+    seen[np.random.default_rng(seed).integers(0, 99_000, 20)] = False
+    P = np.array(list({id(step): step.P for step in make(model)._steps(seen)}.values()))
     largest = np.linalg.eigvalsh(P)[:, -1].max()
     allowed = EPS * condition(model) * largest
     assert np.abs(P - P.transpose(0, 2, 1)).max() <= allowed
     assert np.linalg.eigvalsh(P).min() >= -allowed
     # The steady state does not drift: 100,000 roundings add up no further than the closed loop lets them.
-    assert_same(P[of[-1]], mpt.SteadyStateFilter.from_kalman(model).P, condition(model))
+    assert_same(P[-1], mpt.SteadyStateFilter.from_kalman(model).P, condition(model))
 
 
 def read_only(z):

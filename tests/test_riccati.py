@@ -1,4 +1,5 @@
 import numpy as np
+import precise
 import pytest
 from conftest import AXIS
 
@@ -142,3 +143,45 @@ def test_the_units_do_not_matter(solve, unit):
     measurement = mpt.LinearModel(F=AXIS.F, H=AXIS.H * unit, Q=AXIS.Q, R=AXIS.R * unit**2)
     np.testing.assert_allclose(solve(state), solve(AXIS) * unit**2, rtol=1e-10)
     np.testing.assert_allclose(solve(measurement), solve(AXIS), rtol=1e-10)
+
+
+def residual(model, P_p):
+    """How far P_p is from solving the REKF, in standard deviations, computed in 60 digits."""
+    F, H, Q, R, P = map(precise.exact, (model.F, model.H, model.Q, model.R, P_p))
+    *_, after, _ = precise.update(P, F, H, R)
+    gap = np.abs((F @ after @ F.T + Q - P).astype(float))
+    sigma = np.sqrt(np.diag(P_p))
+    return (gap / sigma / sigma[:, None]).max()
+
+
+UNEQUAL = {
+    "of the issue": ([[1.0]], [[1e3], [1e3]], [[1e4]], [1e-4, 1]),
+    "1e16 apart": ([[1.0]], [[1.0], [1.0]], [[1.0]], [1e-8, 1e8]),
+    "two states": ([[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.1], [1.0, 0.0]], np.eye(2), [1e-9, 1.0, 1e3]),
+    "more than states": (np.diag([0.9, 1.1]), np.ones((4, 2)) + np.eye(4, 2), np.eye(2), [1e-10, 1e-2, 1.0, 1e6]),
+}
+
+
+@pytest.mark.parametrize(("F", "H", "Q", "variances"), UNEQUAL.values(), ids=UNEQUAL)
+def test_sensors_of_unequal_precision(F, H, Q, variances):
+    """Both solvers, against 60 digits, and both by their own equation's residual."""
+    model = mpt.LinearModel(F=F, H=H, Q=Q, R=np.diag(variances))
+    *_, P, P_p, _ = precise.steady(model.F, model.H, model.Q, model.R)
+    P, P_p = P.astype(float), P_p.astype(float)
+    np.testing.assert_allclose(riccati.rekf(model), P_p, rtol=1e-9, atol=1e-9 * np.abs(P_p).max())
+    assert residual(model, riccati.rekf(model)) < 1e-9
+    sigma = np.sqrt(np.diag(P))
+    for solved in (mpt.SteadyStateFilter.from_kalman(model), mpt.SteadyStateFilter.from_lainiotis(model)):
+        assert np.abs((solved.P - P) / sigma / sigma[:, None]).max() < 1e-9
+
+
+def test_the_relf_of_two_sensors_is_that_of_the_better_one():
+    model = mpt.LinearModel(F=[[1]], H=[[1e3], [1e3]], Q=[[1e4]], R=np.diag([1e-4, 1]))
+    assert riccati.relf(model)[0, 0] == pytest.approx(1.00e-10, rel=1e-3)
+
+
+def test_a_relf_that_does_not_solve_its_equation_is_refused(monkeypatch):
+    """As when the doubling ends too soon."""
+    monkeypatch.setattr(riccati, "ROUNDS", 1)
+    with pytest.raises(ValueError, match="needs a steady state that double precision can resolve"):
+        riccati.relf(AXIS)

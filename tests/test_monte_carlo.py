@@ -1,4 +1,4 @@
-"""Monte Carlo studies: the same numbers whatever the tile size and the number of workers."""
+"""Monte Carlo studies: the same numbers whatever the number of workers."""
 
 import multiprocessing
 import os
@@ -16,11 +16,15 @@ import pytest
 from conftest import MODELS_2016, ROOT
 
 import mpt_helpers as mpt
-from mpt_helpers.average_error import mean_relative_errors
-from mpt_helpers.study import BLOCK
+from mpt_helpers.monte_carlo import BLOCK
 
 STEADY = mpt.SteadyStateFilter.from_kalman(MODELS_2016["cv"])
-ERRORS = partial(mean_relative_errors, STEADY, mpt.exact_motion(STEADY.model, [0, 20]), 30, 2)
+
+
+def errors(rng, M):
+    """The rms errors of a filter's states over 30 steps of tracks that it does not start on, (2, M)."""
+    x, z = mpt.simulate(mpt.exact_motion(STEADY.model, [0, 20]), 30, rng, tracks=M)
+    return mpt.metrics.rms(STEADY.filter(z) - x, axis=0)
 
 
 def draws(rng, M):
@@ -29,31 +33,30 @@ def draws(rng, M):
 
 @pytest.fixture(scope="module")
 def expected():
-    return mpt.study(ERRORS, runs=1500, seed=4)
+    return mpt.study(errors, runs=1500, seed=4)
 
 
-@pytest.mark.parametrize("tile", [1, BLOCK, BLOCK + 1, 1000, 10_000])
-@pytest.mark.parametrize("workers", [1, 2, 5])
-def test_no_number_depends_on_tile_or_workers(expected, tile, workers):
-    np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, tile=tile, workers=workers), expected)
+@pytest.mark.parametrize("workers", [2, 5])
+def test_no_number_depends_on_the_workers(expected, workers):
+    np.testing.assert_array_equal(mpt.study(errors, 1500, 4, workers=workers), expected)
 
 
 def test_workers_may_be_a_map_of_threads_or_processes(expected):
     with ThreadPoolExecutor(2) as pool:
-        np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, workers=pool.map), expected)
+        np.testing.assert_array_equal(mpt.study(errors, 1500, 4, workers=pool.map), expected)
     with multiprocessing.get_context("spawn").Pool(2) as pool:
-        np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, workers=pool.imap), expected)
+        np.testing.assert_array_equal(mpt.study(errors, 1500, 4, workers=pool.imap), expected)
 
 
 def dies_at_the_third_call(folder, rng, M):
-    """What ERRORS gives; the process that makes the third call is killed there."""
+    """What errors gives; the process that makes the third call is killed there."""
     for call in count():
         with suppress(FileExistsError):
             folder.joinpath(str(call)).touch(exist_ok=False)
             break
     if call == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-    return ERRORS(rng, M)
+    return errors(rng, M)
 
 
 def test_workers_may_be_a_dask_cluster_and_a_killed_worker_loses_nothing(expected, tmp_path):
@@ -63,7 +66,7 @@ def test_workers_may_be_a_dask_cluster_and_a_killed_worker_loses_nothing(expecte
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
         before = set(client.run(os.getpid).values())
         cluster_map = client.get_executor().map
-        np.testing.assert_array_equal(mpt.study(ERRORS, 1500, 4, workers=cluster_map), expected)
+        np.testing.assert_array_equal(mpt.study(errors, 1500, 4, workers=cluster_map), expected)
         np.testing.assert_array_equal(mpt.study(dying, 1500, 4, workers=cluster_map), expected)
         client.wait_for_workers(2)
         assert len(before) == 2
@@ -72,7 +75,7 @@ def test_workers_may_be_a_dask_cluster_and_a_killed_worker_loses_nothing(expecte
 
 def test_a_longer_study_begins_with_the_shorter_one(expected):
     for runs in (1, BLOCK - 1, BLOCK, 777):
-        np.testing.assert_array_equal(mpt.study(ERRORS, runs, 4), expected[:, :runs])
+        np.testing.assert_array_equal(mpt.study(errors, runs, 4), expected[:, :runs])
 
 
 def test_runs_are_independent_and_seeds_matter():
@@ -111,13 +114,13 @@ def test_an_interrupt_ends_the_study_with_the_blocks_at_work(workers):
         "import signal, time, mpt_helpers as mpt\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background ignores it
         "def slow(rng, M):\n    time.sleep(0.05)\n    return rng.random(M)\n"
-        f"print('ready', flush=True)\nmpt.study(slow, 1_000_000, 1, tile=200_000, workers={workers})"
+        f"print('ready', flush=True)\nmpt.study(slow, 1_000_000, 1, workers={workers})"
     )
     run = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT)
     assert run.stdout.readline() == b"ready\n"
     time.sleep(0.3)
     run.send_signal(signal.SIGINT)
-    _, errors = run.communicate(timeout=20)  # a fraction of a second; a tile takes 50 s
+    _, errors = run.communicate(timeout=20)  # a fraction of a second; the study takes four minutes
     assert run.returncode != 0
     assert b"KeyboardInterrupt" in errors
 
@@ -137,12 +140,11 @@ def test_a_result_without_a_column_for_each_run_is_refused(result):
         mpt.study(lambda rng, M: result, 10, 1)
 
 
-@pytest.mark.parametrize("tile", [200, 400, 1000])
-def test_an_experiment_may_return_the_same_buffer_again(tile):
+def test_an_experiment_may_return_the_same_buffer_again():
     buffer = np.empty(BLOCK)
 
     def drawn(rng, M):
         buffer[:] = rng.standard_normal(M)
         return buffer
 
-    assert len(np.unique(mpt.study(drawn, 1000, 1, tile=tile))) == 1000
+    assert len(np.unique(mpt.study(drawn, 1000, 1))) == 1000

@@ -1,0 +1,234 @@
+"""What a user hands in is checked where it enters: a model made, a filter made, measurements filtered, a study.
+
+Each argument is refused by its name, with what it needs and what it got.
+"""
+
+import re
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import AXIS
+
+import mpt_helpers as mpt
+from mpt_helpers import metrics
+
+NAN, INF = np.nan, np.inf
+EYE, PLANE, CV = np.eye(2), mpt.stack(AXIS, AXIS), mpt.constant_velocity(1.0, 0.01, 0.1)
+KF, LF, STEADY = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS)
+AHEAD, FIR = mpt.SteadyStatePredictor(STEADY, 2), mpt.FIRFilter.from_steady_state(STEADY)
+RNG = np.random.default_rng(0)
+
+NO_NUMBER = [None, "1", [1.0], True, 1j, NAN, INF, KF]
+NO_POSITIVE = [*NO_NUMBER, 0, -1]
+NO_COUNT = [None, "1", [1], True, 1.0, 1.5, NAN, -1, KF]
+NO_MODEL = [None, "axis", 1, EYE, KF, mpt.LinearModel]
+NO_FILTER = [None, "KF", 1, AXIS, mpt.KalmanFilter]
+NO_STEADY = [*NO_FILTER, KF, AHEAD, FIR]
+
+
+def no_array(good):
+    """What is no array of finite numbers of this shape."""
+    good = np.array(good, float)
+    lost, infinite = good.copy(), good.copy()
+    lost.flat[-1], infinite.flat[0] = NAN, -INF
+    kinds = [good + 0j, good > 0, good.astype(str), good.astype(object), np.ma.array(good, mask=good == good)]
+    return [None, "1", 1.0, [], [[1.0], [1.0, 2.0]], good[None, ..., None], lost, infinite, *kinds]
+
+
+COVARIANCES = [-EYE, [[1.0, 0.5], [0.0, 1.0]], [[1.0, 1e-9], [0.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]]]
+COVARIANCES += [[[1.0, 1 + 1e-9], [1 + 1e-9, 1.0]], [[0.0, 1.0], [1.0, 1.0]], [[1e-300, 1e300]] * 2]
+NO_COVARIANCE = [*no_array(EYE), *COVARIANCES, [1.0, 1.0], np.eye(3)]
+START = {"x0": ([0.0, 1.0], [*no_array([0.0, 1.0])[1:], [[0.0], [1.0]]]), "P0": (EYE, NO_COVARIANCE[1:])}
+MAKER = {"dt": (1.0, NO_POSITIVE), "q": (0.01, [*NO_NUMBER, -1]), "r": (0.1, NO_POSITIVE)} | START
+NO_VARIANCES = [None, "ab", 1.0, [1.0], [1.0] * 4, [1.0, 0.0], [1.0, -1.0], [1.0, NAN], ["1", "1"], [True, True]]
+NO_MEASUREMENTS = [None, "1", 1.0, [1.0, 2.0], [], [[]], np.ones((3, 2)), np.ones((3, 1, 0)), np.ones((2, 1, 2, 2))]
+NO_MEASUREMENTS += [[[INF]], [[1.0], [-INF]], [[1j]], [["1"]], [[True]], [[1.0], [None]]]
+NO_MEASUREMENTS += [np.ma.masked_equal([[1.0], [2.0]], 2)]
+MEASURED = {"z": ([[1.0], [NAN]], [*NO_MEASUREMENTS, [[1.0], [1.0, 2.0]]])}
+
+
+NO_TAPS = [FIR.taps.T, FIR.taps[:0], NAN * FIR.taps]
+
+
+def same(rng, M):
+    return rng.standard_normal(M)
+
+
+NO_EXPERIMENT = [None, 1, "f", lambda rng, M: None, lambda rng, M: "x", lambda rng, M: np.ones(M) * 1j]
+NO_EXPERIMENT += [
+    lambda rng, M: 1.0,
+    lambda rng, M: np.ones((M, 2)),
+    lambda rng, M: np.ones((rng.integers(1, 1000), M)),
+]
+
+
+# What is called, with the good value of each argument and what that argument refuses.
+DOORS = {
+    "a model": (
+        mpt.LinearModel,
+        {
+            "F": (EYE, [*no_array(EYE), np.ones((2, 3)), [1.0, 2.0], np.ones((0, 0))]),
+            "H": ([[1.0, 0.0]], [*no_array([[1.0, 0.0]]), [1.0, 0.0], [[1.0, 0.0, 0.0]], np.ones((0, 2))]),
+            "Q": (EYE, NO_COVARIANCE),
+            "R": ([[1.0]], [*no_array([[1.0]]), [[0.0]], [[-1.0]], EYE]),
+        }
+        | START,
+    ),
+    "two sensors": (mpt.LinearModel, {"F": (EYE, []), "H": (EYE, []), "Q": (EYE, []), "R": (EYE, [np.ones((2, 2))])}),
+    "gsm_axis": (mpt.gsm_axis, MAKER),
+    "constant_velocity": (mpt.constant_velocity, MAKER),
+    "constant_acceleration": (mpt.constant_acceleration, {name: MAKER[name] for name in ("dt", "q", "r")}),
+    "gps_ins": (
+        mpt.gps_ins,
+        {name: MAKER[name] for name in ("dt", "q")} | {"r": ([1.0, 1e-4], NO_VARIANCES)},
+    ),
+    "exact_motion": (mpt.exact_motion, {"model": (CV, NO_MODEL), "x0": START["x0"]}),
+    "mean_track": (mpt.mean_track, {"model": (CV, NO_MODEL), "N": (3, [*NO_COUNT, 0])}),
+    "simulate": (
+        mpt.simulate,
+        {
+            "model": (CV, NO_MODEL),
+            "N": (3, [*NO_COUNT, 0]),
+            "rng": (RNG, [None, 1234, np.random, np.random.RandomState(1)]),
+            "tracks": (2, [*NO_COUNT[1:], 0]),
+        },
+    ),
+    "KalmanFilter": (mpt.KalmanFilter, {"model": (AXIS, NO_MODEL)}),
+    "LainiotisFilter": (mpt.LainiotisFilter, {"model": (AXIS, NO_MODEL)}),
+    "SteadyStateFilter": (
+        mpt.SteadyStateFilter,
+        {
+            "model": (AXIS, NO_MODEL),
+            "A": (STEADY.A, [*no_array(STEADY.A), np.eye(3), STEADY.A.T, 1.01 * STEADY.A]),
+            "B": (STEADY.B, [*no_array(STEADY.B), STEADY.B.T, STEADY.B[:, 0]]),
+            "P": (STEADY.P, [*no_array(STEADY.P), -STEADY.P, np.triu(np.ones((2, 2)))]),
+        },
+    ),
+    "from_kalman": (mpt.SteadyStateFilter.from_kalman, {"model": (AXIS, [*NO_MODEL, replace(AXIS, Q=0 * EYE)])}),
+    "from_lainiotis": (mpt.SteadyStateFilter.from_lainiotis, {"model": (AXIS, [*NO_MODEL, replace(AXIS, Q=0 * EYE)])}),
+    "predictor": (mpt.SteadyStatePredictor, {"steady": (STEADY, NO_STEADY), "steps": (1, NO_COUNT)}),
+    "FIRFilter": (
+        mpt.FIRFilter,
+        {"model": (AXIS, NO_MODEL), "taps": (FIR.taps, NO_TAPS)},
+    ),
+    "from_steady_state": (
+        mpt.FIRFilter.from_steady_state,
+        {"steady": (STEADY, NO_STEADY), "tol": (0.1, [*NO_POSITIVE, 2])},
+    ),
+    "fir_order": (
+        mpt.fir_order,
+        {"A": ([[0.5]], [[[1.0]], [[0.5, 0.5]], [[NAN]], [["1"]], [[1 - 1e-9]]]), "tol": (0.1, [*NO_POSITIVE, 2])},
+    ),
+    "JoinFilter": (
+        mpt.JoinFilter,
+        {"first": (KF, NO_FILTER), "second": (LF, [*NO_FILTER, mpt.KalmanFilter(CV), mpt.Separate(KF, KF), AHEAD])},
+    ),
+    "measurements": (KF.filter, MEASURED),
+    "measurements, Lainiotis": (LF.filter, MEASURED),
+    "measurements, steady state": (STEADY.filter, MEASURED),
+    "measurements, FIR": (FIR.filter, MEASURED),
+    "covariances": (
+        KF.covariances,
+        {"z": (3, [each for each in NO_MEASUREMENTS if isinstance(each, list | np.ndarray)])},
+    ),
+    "innovations": (partial(metrics.innovations, KF), MEASURED),
+    "nees": (
+        metrics.nees,
+        {"errors": (np.ones((3, 2)), []), "P": (EYE, [np.eye(3), [1.0, 1.0], -EYE, 0 * EYE, [[1.0, 0.5], [0.0, 1.0]]])},
+    ),
+    "chi_square_band": (
+        metrics.chi_square_band,
+        {"dof": (2, [*NO_COUNT, 0]), "runs": (10, [*NO_COUNT, 0]), "level": (0.9, [*NO_POSITIVE, 1, 95])},
+    ),
+    "error_moments": (
+        metrics.error_moments,
+        {"steady": (STEADY, NO_STEADY), "truth": (AXIS, [*NO_MODEL, CV]), "N": (3, [*NO_COUNT, 0])},
+    ),
+    "study": (
+        mpt.study,
+        {
+            "experiment": (same, NO_EXPERIMENT),
+            "runs": (500, [*NO_COUNT, 0]),
+            "seed": (1, NO_COUNT),
+            "workers": (1, [*NO_COUNT, 0, lambda f, tasks: [f(tasks[0])], lambda f, tasks: []]),
+        },
+    ),
+}
+REFUSED = [
+    pytest.param(call, {each: good for each, (good, _) in arguments.items()}, name, bad, id=f"{door}: {name}")
+    for door, (call, arguments) in DOORS.items()
+    for name, (_, bad) in arguments.items()
+    if bad
+]
+
+
+@pytest.mark.parametrize(("call", "good", "name", "refused"), REFUSED)
+def test_what_an_argument_cannot_take_is_refused_by_name(call, good, name, refused):
+    call(**good)
+    for bad in refused:
+        with pytest.raises((TypeError, ValueError)) as raised:
+            pytest.fail(f"{bad!r} gives {call(**good | {name: bad})!r}")
+        assert re.match(rf"{name}\b.*: needs .*, (got|but) ", str(raised.value)), (bad, raised.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: mpt.stack(), "models"),
+        (lambda: mpt.stack(AXIS, KF), r"models\[1\]"),
+        (lambda: mpt.Separate(), "filters"),
+        (lambda: mpt.Separate(KF, AXIS), r"filters\[1\]"),
+        (lambda: mpt.Separate(KF, AHEAD), r"filters\[1\]"),
+        (lambda: mpt.Separate(KF, LF).filter(np.ones((3, 1))), "z"),
+        (lambda: mpt.Separate(KF, LF).covariances(np.ones((3, 1))), "z"),
+        (lambda: KF.step(AXIS.x0, AXIS.P0, [1.0, 2.0]), "z_k"),
+        (lambda: STEADY.step(AXIS.x0, STEADY.P, 1.0), "z_k"),
+        (lambda: mpt.SteadyStateFilter.from_kalman(PLANE).filter([[1.0, NAN]]), "z"),
+        (lambda: mpt.FIRFilter.from_steady_state(mpt.SteadyStateFilter.from_kalman(PLANE)).filter([[NAN, 1.0]]), "z"),
+    ],
+)
+def test_several_of_a_kind_are_refused_by_their_number(make, name):
+    with pytest.raises((TypeError, ValueError), match=f"^{name}: needs .*, got "):
+        make()
+
+
+@pytest.mark.parametrize("make", [metrics.innovations, metrics.nis, metrics.log_likelihood])
+@pytest.mark.parametrize("without", [AHEAD, FIR, mpt.JoinFilter(FIR, FIR), mpt.Separate(KF, FIR)])
+def test_a_filter_without_covariances_has_no_innovations(make, without):
+    with pytest.raises(TypeError, match="needs a filter with a covariance of its estimates, got a "):
+        make(without, np.zeros((4, without.model.m)))
+
+
+def test_rounding_is_no_bad_input():
+    model = mpt.LinearModel(F=EYE, H=[[1.0, 0.0]], Q=[[1.0, 1 + 4e-16], [1.0, 1.0]], R=[[1e-30]])
+    assert model.Q[0, 1] > model.Q[1, 0]
+
+
+def test_there_are_hundreds_of_cases():
+    assert sum(len(case.values[-1]) for case in REFUSED) > 600
+
+
+class NullableColumn:
+    """What a pandas DataFrame of type Float64 shows of itself: objects, NA where a number is missing."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.values, dtype=object)
+
+    def to_numpy(self, dtype=object, na_value=None):
+        return np.array([[na_value if value is None else value for value in row] for row in self.values], dtype=dtype)
+
+
+def test_a_nullable_column_of_pandas_is_taken():
+    np.testing.assert_array_equal(KF.filter(NullableColumn([[1.0], [None], [2.0]])), KF.filter([[1.0], [NAN], [2.0]]))
+
+
+def test_pandas_itself():
+    pandas = pytest.importorskip("pandas")
+    column = pandas.DataFrame({"z": pandas.array([1.0, None, 2.0], dtype="Float64")})
+    np.testing.assert_array_equal(KF.filter(column), KF.filter([[1.0], [NAN], [2.0]]))
+    np.testing.assert_array_equal(KF.filter(column.astype(float)), KF.filter([[1.0], [NAN], [2.0]]))

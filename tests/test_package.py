@@ -1,0 +1,178 @@
+"""The house: which room may use which, what entering it costs, and what it keeps."""
+
+import ast
+import copy
+import gc
+import os
+import pickle
+import subprocess
+import sys
+import tracemalloc
+import weakref
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from conftest import AXIS
+
+import mpt_helpers as mpt
+
+PACKAGE = Path(mpt.__file__).parent
+# Each module of the core may import those that stand before it, and of the package nothing else.
+CORE = ["checks", "recursion", "model", "riccati", "columns", "filters", "steady", "combined", "metrics"]
+OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
+OF_THE_CORE |= {"recursion": set(), "columns": set(), "monte_carlo": {"checks"}}
+ROOMS = {
+    "ledger": {"ledger", "checks"},
+    "plots": {"plots", "checks"},
+    "papers": {*CORE, "monte_carlo", "plots", "papers"},
+}
+BESIDE = {"experiments_2007": {"positioning"}}  # two modules of one paper
+STEADY = mpt.SteadyStateFilter.from_kalman(AXIS)
+EVERY_FILTER = {
+    **mpt.six_filters(AXIS),
+    "FIR": mpt.FIRFilter.from_steady_state(STEADY),
+    "ahead": mpt.SteadyStatePredictor(STEADY, 2),
+    "separate": mpt.Separate(mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)),
+}
+
+
+def imports(path):
+    """What a file imports, wherever in it: names of this package as tuples from its root on."""
+    module = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    inside, outside = set(), set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [tuple(each.name.split(".")) for each in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = module[: len(module) - node.level] if node.level else ()
+            base += tuple(filter(None, (node.module or "").split(".")))
+            names = [(*base, each.name) for each in node.names]
+        else:
+            continue
+        inside |= {name[1:] for name in names if name[0] == PACKAGE.name}
+        outside |= {name[0] for name in names if name[0] != PACKAGE.name}
+    return inside, outside
+
+
+@pytest.mark.parametrize("name", OF_THE_CORE)
+def test_the_core_imports_what_stands_before_it_and_few_libraries(name):
+    inside, outside = imports(PACKAGE / f"{name}.py")
+    assert {first for first, *_ in inside} <= OF_THE_CORE[name]
+    assert outside - set(sys.stdlib_module_names) <= {"numpy", "scipy", "filterpy", "tqdm"}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_other_rooms_do_not_meet(room):
+    """The ledger knows no filter; the papers use the core and plots, and nothing of each other."""
+    paths = sorted((PACKAGE / room).rglob("*.py")) or [PACKAGE / f"{room}.py"]
+    for path in paths:
+        inside, _ = imports(path)
+        assert {first for first, *_ in inside} <= ROOMS[room], path
+        beside = {name[1] for name in inside if name[0] == "papers"}
+        assert beside <= BESIDE.get(path.stem, set()), path
+
+
+def test_every_module_stands_in_one_of_the_rooms():
+    names = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "__main__", "files"}  # the command line's
+    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert names | folders == {*CORE, "monte_carlo", *ROOMS}
+
+
+def run(code, **environment):
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | environment)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_matplotlib_comes_when_a_plot_is_made():
+    loaded = run("import sys, mpt_helpers; print(*sys.modules)").split()
+    assert "mpt_helpers.metrics" in loaded
+    assert not {"matplotlib", "mpt_helpers.plots", "mpt_helpers.papers"} & set(loaded)
+
+
+def test_a_module_is_a_module():
+    """And not the function of the same name."""
+    for name in (*CORE, "monte_carlo"):
+        assert isinstance(getattr(import_module(PACKAGE.name), name), ModuleType)
+
+
+def test_importing_costs_what_the_libraries_cost():
+    """At most a tenth more. Processor time, and one of three tries is enough: the machine may be busy."""
+    code = (
+        "from time import process_time as now; start = now(); import numpy, scipy.linalg, filterpy.kalman\n"
+        "libraries = now() - start; import mpt_helpers; print((now() - start) / libraries)"
+    )
+    assert any(float(run(code)) <= 1.1 for _ in range(3))
+
+
+@pytest.mark.parametrize("name", EVERY_FILTER)
+def test_a_filter_that_is_dropped_is_freed(name):
+    each = copy.copy(EVERY_FILTER[name])
+    z = np.zeros((30, each.model.m, 3))
+    z[4:6, :, 1] = np.nan
+    each.filter(z)
+    if hasattr(each, "covariances"):
+        each.covariances(z)
+    reference = weakref.ref(each)
+    del each
+    gc.collect()
+    assert reference() is None
+
+
+@pytest.mark.parametrize("name", ["KF", "LF", "SSKF", "FIR"])
+def test_a_filter_keeps_no_memory_of_what_it_has_seen(name):
+    """Four long tracks with gaps of their own leave what the first one left, to a few objects of the interpreter."""
+    each = copy.copy(EVERY_FILTER[name])
+    rng = np.random.default_rng(0)
+    held = []
+    tracemalloc.start()
+    for _ in range(4):
+        z = np.zeros((800, each.model.m))
+        z[rng.random(800) < 0.1] = np.nan
+        each.filter(z)
+        if hasattr(each, "covariances"):
+            each.covariances(z)
+        del z
+        gc.collect()
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert held[-1] - held[0] < 20_000  # the steps of one track hold some 80,000 at least
+
+
+COPIES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda each: pickle.loads(pickle.dumps(each))}
+
+
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+def test_models_and_filters_stay_immutable_when_they_are_copied(copied):
+    model = copied(mpt.stack(AXIS, AXIS))
+    assert model == mpt.stack(AXIS, AXIS)
+    arrays = [getattr(model, name) for name in ("F", "H", "Q", "R", "x0", "P0")]
+    for each in map(copied, EVERY_FILTER.values()):
+        arrays += [each.model.F, *(getattr(each, name) for name in ("A", "B", "P", "taps") if name in vars(each))]
+    assert len(arrays) > 20
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array.flat[0] = 1
+    with pytest.raises(AttributeError):
+        model.F = np.eye(4)
+
+
+@pytest.mark.parametrize("name", EVERY_FILTER)
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+def test_a_copy_of_a_filter_that_ran_is_the_filter(copied, name):
+    each = EVERY_FILTER[name]
+    z = np.arange(20.0 * each.model.m).reshape(20, each.model.m)
+    x = each.filter(z)
+    np.testing.assert_array_equal(copied(each).filter(z), x)
+
+
+def test_a_field_can_be_replaced():
+    predictor = replace(mpt.SteadyStatePredictor(STEADY, 2), steps=5)
+    np.testing.assert_array_equal(predictor.P, mpt.SteadyStatePredictor(STEADY, 5).P)
+    other = mpt.gsm_axis(1.0, 0.02, 0.1)
+    assert replace(mpt.KalmanFilter(AXIS), model=other).model == other
+    assert replace(AXIS, x0=[1.0, 2.0]).P0.shape == (2, 2)
