@@ -1,16 +1,21 @@
 """How Sphinx builds the site from what pages.py has put together."""
 
 import re
+import sys
+from pathlib import Path
 
 from docutils import nodes
 
 import mpt_helpers
 
+sys.path.insert(0, str(Path(__file__).parent))
+import pages
+
 project = "mpt_helpers"
 release = mpt_helpers.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 nb_execution_mode = "off"
-suppress_warnings = ["mystnb.unknown_mime_type"]  # the verdicts for machines, beside their table
+suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included"]  # verdicts for machines; the full notebooks
 myst_enable_extensions = ["dollarmath"]
 default_role = "py:obj"
 add_module_names = False
@@ -21,7 +26,7 @@ html_favicon = "_static/icon.svg"
 html_static_path = ["_static", "_build/static"]
 html_extra_path = ["_build/extra"]
 html_css_files = ["site.css"]
-html_js_files = [("values.js", {"defer": "defer"})]
+html_js_files = [(name, {"defer": "defer"}) for name in ("values.js", "live.js", "article.js")]
 html_show_sphinx = html_show_copyright = False
 html_copy_source = html_show_search_summary = False  # summaries cannot be read from files
 html_use_index = html_domain_indices = False
@@ -32,27 +37,68 @@ pygments_dark_style = "a11y-high-contrast-dark"
 
 
 def name_parts(app, doctree):
-    """Give each code cell the anchor #cell-ID, each of its pictures a link to its SVG, and long formulas a class."""
+    """Give each code cell the anchor #cell-ID, fold its code, show its figures as SVG, and mark long formulas."""
     for cell in doctree.findall(lambda node: node.get("nb_element") == "cell_code" if node.children else False):
-        cell["ids"].append(f"cell-{cell['cell_metadata']['id']}")
+        about = cell["cell_metadata"]
+        cell["ids"].append(f"cell-{about['id']}")
+        for code in [each for each in cell.children if each.get("nb_element") == "cell_code_source"]:
+            state = "" if about["folded"] else " open"
+            at = cell.index(code)
+            cell.insert(at, raw(f'<details class="code"{state}><summary>code</summary>'))
+            cell.insert(at + 2, raw("</details>"))
         for image in list(cell.findall(nodes.image)):
-            link = nodes.reference("", "", refuri=f"../figures/{cell['cell_metadata']['figure']}.svg")
-            image.replace_self(link)
-            link += image
+            if "figure" in about:
+                image.replace_self(raw(pages.picture(about["figure"], root="../")))
     for formula in doctree.findall(nodes.math):
         if len(formula.astext()) > 35:  # too wide for a phone
             formula["classes"].append("long")
 
 
+def raw(html):
+    """Return HTML as a node."""
+    return nodes.raw("", html, format="html")
+
+
 def plain_docstring(app, what, name, obj, options, lines):
-    """Read docstrings as plain text: an indented part is a formula, as it stands; stars and bars are no markup."""
+    """Read docstrings as plain text: an indented part is a formula, as it stands; stars and bars are no markup.
+
+    A formula that writes a matrix as [a b; c d] is set as math.
+    """
     parts = "\n".join(lines).split("\n\n")
     for i, part in enumerate(parts):
-        if part.startswith("    "):
+        if part.startswith("    ") and MATRIX.search(part):
+            parts[i] = ", ".join(f":math:`{as_tex(each)}`" for each in re.split(r",?\s{2,}", part.strip()))
+        elif part.startswith("    "):
             parts[i] = f"::\n\n{part}"
         elif not part.startswith(">>>"):
             parts[i] = re.sub(r"([*|])|(?<=\w)_(?!\w)", r"\\\g<0>", part)
     lines[:] = "\n\n".join(parts).splitlines()
+
+
+MATRIX = re.compile(r"\[([^\[\]]*;[^\[\]]*)\]")
+POWERS = {
+    "⁻¹": "^{-1}",
+    "²": "^2",
+    "³": "^3",
+    "⁴": "^4",
+    "⁵": "^5",
+    "ᵀ": "^T",
+    "dt": r"\Delta t",
+    "diag": r"\mathrm{diag}",
+}
+
+
+def as_tex(formula):
+    """Return a formula such as F = [1 dt; 0 1] as TeX."""
+
+    def matrix(found):
+        rows = [" & ".join(row.split()) for row in found[1].split(";")]
+        return r"\begin{bmatrix}" + r" \\ ".join(rows) + r"\end{bmatrix}"
+
+    formula = re.sub(r"\[([^\[\]]*)\]", matrix, formula)
+    for plain, tex in POWERS.items():
+        formula = formula.replace(plain, tex)
+    return formula
 
 
 def setup(app):

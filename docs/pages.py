@@ -1,37 +1,71 @@
 """Put together what Sphinx builds the site from: run as `python docs/pages.py` in the project's folder.
 
-Everything that says what the papers print and what was computed comes from the executed notebooks.
+Everything that says what the papers print and what was computed comes from the verdicts in the executed notebooks. The
+few sentences per paper are in papers.toml, where each number is looked up in a verdict. The HTML is in templates/.
 """
 
+import contextlib
+import csv
 import hashlib
+import io
 import json
 import re
 import shutil
-import struct
-from html import escape
+import tomllib
+import zlib
+from collections import Counter
 from importlib.metadata import distribution
 from pathlib import Path
+from textwrap import shorten
 from typing import NamedTuple
 
-from mpt_helpers.__main__ import FIGURES, NOTEBOOKS, as_csv, as_json, known, verdicts
-from mpt_helpers.published import ERRATUM, VERDICTS, counts_by_paper
+import matplotlib
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+import mpt_helpers as mpt
+from mpt_helpers import plots
+from mpt_helpers.ledger import Verdicts, keys, stored_verdicts
+from mpt_helpers.ledger.verdicts import BASES, FIELDS, OF_CLAIMS, VERDICTS
 
 ROOT = Path(__file__).parents[1]
-BUILD = ROOT / "docs" / "_build"
+DOCS = ROOT / "docs"
+BUILD = DOCS / "_build"
 # es5/tex-svg.js of MathJax 3.2.2, as in the package `mathjax` of the npm registry.
 MATHJAX = "sphinx-mathjax-offline", "sphinx-mathjax-offline/static/mathjax/tex-svg.js"
 MATHJAX_SHA256 = "d4295dc33744836935c1399feece5159577b34c5c8ffb9f1c6324cd82e03a882"
-SEE = "*What to see:*"
+SAVED = re.compile(r'save_figure\(\w+, "(\w+)"\)')
+# More verdicts than this that share their table, outcome and cause become one row, or one chip, that opens.
+FOLD = 4
+# What a page holds for the site, hidden where Markdown is shown as it is: a template, and in the guide a drawing.
+INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
+BLOCK = re.compile(r'(?ms)^(?:```python|<!-- draw (?P<name>\w+) "(?P<alt>[^"]*)")\n(?P<code>.*?)^(?:```|-->)$')
+
+
+class Group(NamedTuple):
+    """Verdicts that share a table or section of a paper, the outcome and the cause."""
+
+    place: str
+    verdict: str
+    cause: str
+    members: list
+
+    @property
+    def folds(self):
+        """Say whether they are shown as one that opens."""
+        return len(self.members) > FOLD
 
 
 class Drawn(NamedTuple):
-    """A figure of a notebook: the name of its files, what it is called, its caption, its cell and its alt text."""
+    """A figure of a notebook: its file's name, what it is called, its caption in Markdown, its cell, its alt text."""
 
     name: str
     label: str
     caption: str
     cell: str
     alt: str
+    width: int
+    height: int
 
 
 def source(cell):
@@ -39,179 +73,187 @@ def source(cell):
     return "".join(cell["source"])
 
 
-def cell_link(verdict):
-    """Return the address of the cell that gave a verdict."""
-    return f"notebooks/{verdict.paper}.html#cell-{verdict.cell}"
-
-
-def values_link(paper=None, verdict=None):
-    """Return the address of the values page, filtered."""
-    chosen = [f"{name}={value.replace(' ', '+')}" for name, value in (("paper", paper), ("verdict", verdict)) if value]
-    return "values.html" + ("#" + "&".join(chosen) if chosen else "")
-
-
-def paper_title(cells):
+def title(cells):
     """Return the title of a notebook."""
     return re.match(r"# (.*)", source(cells[0]))[1]
 
 
-def counts_html(given):
-    """Return the table of counts; each count links to those values."""
-    table = counts_by_paper(given)
-    header = "".join(f'<th scope="col">{name}</th>' for name in table.header)
-    rows = []
-    for paper, items, *counts in table.rows:
-        key = None if paper == "all" else paper
-        name = f'<a href="notebooks/{paper}.html">{paper}</a>' if key else paper
-        links = [f'<a href="{values_link(key, verdict)}">{n}</a>' for verdict, n in zip(VERDICTS, counts, strict=True)]
-        links = ["0" if n == "0" else link for n, link in zip(counts, links, strict=True)]
-        cells = "".join(f"<td>{each}</td>" for each in (f'<a href="{values_link(key)}">{items}</a>', *links))
-        rows.append(f'<tr><th scope="row">{name}</th>{cells}</tr>')
-    return f'<div class="scroll"><table class="counts">\n<thead><tr>{header}</tr></thead>\n<tbody>\n' + (
-        "\n".join(rows) + "\n</tbody>\n</table></div>"
-    )
+def place(verdict):
+    """Return the table, figure or section of an item, without its row and column."""
+    return re.split(r"[,;]", verdict.where)[0]
 
 
-def home(about, given):
-    """Return the head of the README with its table of counts and its picture as the site has them."""
-    about = re.sub(r"(?s)<!-- verdicts.*end of verdicts -->", lambda _: counts_html(given), about)
-    return re.sub(r"!\[(.*)\]\(figures/(\w+)\.png\)", lambda image: picture_html(image[2], image[1]), about)
+def grouped(verdicts):
+    """Return verdicts as Groups, in the order of their first members; few alike stay single."""
+    alike = {}
+    for each in verdicts:
+        alike.setdefault((place(each), each.verdict, each.cause), []).append(each)
+    groups = [Group(*shared, members) for shared, members in alike.items()]
+    single = [Group(*group[:3], [each]) for group in groups if not group.folds for each in group.members]
+    order = {id(each): i for i, each in enumerate(verdicts)}
+    return sorted([*filter(lambda group: group.folds, groups), *single], key=lambda group: order[id(group.members[0])])
 
 
-def slip(verdict):
-    """Return what kind of slip an erratum is: the first sentence of its reason, without its numbers."""
-    return re.sub(r"[\d./]+\d", "#", verdict.reason).partition(". ")[0]
-
-
-def errata_html(given, titles):
-    """Return the errata of all papers as lists, one line for each kind of slip."""
-    parts = []
-    for paper, title in titles.items():
-        errata = [each for each in given if each.paper == paper and each.verdict == ERRATUM]
-        alike = {}
-        for each in errata:
-            alike.setdefault(slip(each), []).append(each)
-        lines = "\n".join(f"<li>{_erratum_html(group)}</li>" for group in alike.values())
-        link = f'<a href="{values_link(paper, ERRATUM)}">{len(errata)} errata</a>'
-        parts.append(f"<h3>{escape(title)}: {link}</h3>\n<ul>\n{lines}\n</ul>")
-    return '<div class="errata">\n' + "\n".join(parts) + "\n</div>"
-
-
-def _erratum_html(group):
-    first = group[0]
-    place = "; ".join(dict.fromkeys(each.where.partition(",")[0] for each in group)) if group[1:] else first.where
-    number = f" ({len(group)} items)" if group[1:] else ""
-    number += f", as in {first.where}" if place != first.where else ""
-    computed = f"; computed: {first.computed}" if len(first.computed) <= 40 else ""
-    words = f"{number}: “{first.printed}”{computed}. {first.reason.partition(' Against ')[0]}"
-    return f'<strong>{escape(place)}</strong>{escape(words)} <a href="{cell_link(first)}">proof</a>'
-
-
-def values_html(given):
-    """Return the table of all published values, one row each."""
-    header = "".join(f'<th scope="col">{name}</th>' for name in ("paper", "place", "printed", "computed", "verdict"))
-    return f'<table id="values">\n<thead><tr>{header}</tr></thead>\n<tbody>\n' + (
-        "\n".join(_value_html(each) for each in given) + "\n</tbody>\n</table>"
-    )
-
-
-def _value_html(each):
-    reason = f'<span class="reason">{escape(each.reason)}</span>' if each.reason else ""
-    name = each.verdict.replace(" ", "-")
-    return (
-        f'<tr id="{each.paper}.{each.id}" data-paper="{each.paper}" data-verdict="{each.verdict}">'
-        f'<th scope="row">{each.paper}</th><td data-label="place">{escape(each.where)}</td>'
-        f'<td data-label="printed">{escape(each.printed)}</td>'
-        f'<td data-label="computed">{escape(each.computed)} <a href="{cell_link(each)}">cell</a></td>'
-        f'<td data-label="verdict"><span class="verdict {name}">{each.verdict}</span> {reason}</td></tr>'
-    )
-
-
-def filter_html(papers):
-    """Return the form that filters the values; the script shows it."""
-
-    def choose(name, options):
-        options = "".join(f"<option>{each}</option>" for each in options)
-        return f'<label>{name} <select name="{name}"><option value="">all</option>{options}</select></label>'
-
-    papers, kinds = choose("paper", papers), choose("verdict", VERDICTS)
-    search = '<label>text <input type="search" name="text"></label>'
-    return f'<form id="filter" hidden>{papers} {kinds} {search} <output aria-live="polite"></output></form>'
+def reasons(given, kind):
+    """Return the causes of one kind with their verdicts, those that two papers share in one."""
+    alike = {}
+    for each in given:
+        if each.cause and given.causes[each.paper, each.cause].kind == kind:
+            cause = given.causes[each.paper, each.cause]
+            alike.setdefault((cause.sentence, cause.meaning), []).append(each)
+    return [(sentence, meaning, members) for (sentence, meaning), members in alike.items()]
 
 
 def figures_of(key, cells):
-    """Return the figures of a notebook; raises ValueError for one without its caption in the prose."""
+    """Return the figures of a notebook; the caption is the paragraph that begins with **Figure 1.** or so."""
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
     drawn = []
-    for i, cell in enumerate(cells):
-        for name in re.findall(r'save_figure\(fig, "(\w+)"\)', source(cell)):
+    for cell in cells:
+        for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
-            captions = [part for part in prose if part.startswith(f"**{label}.**")]
-            if len(captions) != 1:
-                raise ValueError(f"{name}: needs one paragraph that begins with **{label}.**, got {len(captions)}")
-            caption = captions[0].removeprefix(f"**{label}.** ")
-            if SEE not in caption:  # then it may stand below the figure
-                below = source(cells[i + 1]).split("\n\n")
-                caption = " ".join([caption, *(part for part in below if part.startswith(SEE))])
-            pictures = [out for out in cell["outputs"] if "image/png" in out.get("data", {})]
-            (alt,) = (out["metadata"]["image/png"]["alt"] for out in pictures)
-            drawn.append(Drawn(name, label, caption, cell["id"], alt))
+            captions = [part for part in prose if part.startswith((f"**{label}.", f"**{label}*"))]
+            (alt,) = (out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out["data"])
+            width, height = svg_size(ROOT / "figures" / f"{name}.svg")
+            drawn.append(Drawn(name, label, captions[0] if captions else alt, cell["id"], alt, width, height))
     return drawn
 
 
-def png_size(name):
-    """Return the width and height of a figure's PNG, in pixels."""
-    return struct.unpack(">II", (ROOT / FIGURES / f"{name}.png").read_bytes()[16:24])
+def svg_size(path):
+    """Return the width and height of an SVG, in points."""
+    head = path.read_text(encoding="utf-8")[:2000]
+    return tuple(round(float(size)) for size in re.search(r'<svg [^>]*viewBox="0 0 ([\d.]+) ([\d.]+)"', head).groups())
 
 
-def picture_html(name, alt):
-    """Return a figure that links to its SVG."""
-    width, height = png_size(name)
-    image = f'<img src="figures/{name}.png" alt="{escape(alt)}" width="{width}" height="{height}" loading="lazy">'
-    return f'<a href="figures/{name}.svg">{image}</a>'
+def texts(given):
+    """Return papers.toml with its numbers looked up in the verdicts; raises ValueError for one that no verdict has."""
+    by_id = {(each.paper, each.id): each for each in given}
+
+    def found(paper, id, text):
+        each = by_id[paper, id]
+        if text not in f"{each.printed} {each.computed} {each.reason}":
+            raise ValueError(f"papers.toml: {paper}, {id!r} does not say {text!r}, but {each!r}")
+        return text
+
+    lookups = {
+        "printed": lambda paper, id: by_id[paper, id].printed,
+        "computed": lambda paper, id: by_id[paper, id].computed,
+        "found": found,
+    }
+    plain = Environment(undefined=StrictUndefined)
+    return tomllib.loads(plain.from_string((DOCS / "papers.toml").read_text(encoding="utf-8")).render(lookups))
 
 
-def gallery(notebooks):
-    """Return the figures of all notebooks in Markdown, each with its caption and links."""
-    parts = []
-    for key, cells in notebooks.items():
-        parts.append(f"## {paper_title(cells)}")
-        for each in figures_of(key, cells):
-            parts.append(
-                f"### {each.label}, {key[:4]}\n\n{picture_html(each.name, each.alt)}\n\n{each.caption}\n\n"
-                f'<p class="downloads"><a href="notebooks/{key}.html#cell-{each.cell}">cell</a> '
-                f"{file_links(each.name)}</p>"
-            )
-    return "\n\n".join(parts)
+def prepared(key, notebook, page, whole):
+    """Return a notebook as it is rendered, whole or as an article: there without cells of the ledger.
 
-
-def file_links(name, root=""):
-    """Return the links to a figure's files."""
-    return " ".join(f'<a href="{root}figures/{name}.{kind}" download>{kind.upper()}</a>' for kind in ("png", "svg"))
-
-
-def downloads(key, cells):
-    """Return the links to a notebook's files."""
-    links = [f'<a href="{key}.ipynb" download>the notebook</a>']
-    links += [f"{each.label.replace('`', '')}: {file_links(each.name, '../')}" for each in figures_of(key, cells)]
-    links.append(f'<a href="../{values_link(key)}">all its verdicts</a>')
-    items = "".join(f"<li>{link}</li>" for link in links)
-    return f'<details class="downloads"><summary>Downloads</summary><ul>{items}</ul></details>'
-
-
-def prepared(key, notebook):
-    """Return a notebook as it is rendered: cells that know their id, pictures with alt text and size, downloads."""
+    page maps what stands between the cells: "top" after the title, "live" (figure, HTML) after that figure, and
+    "verdicts", a function from a ledger cell to the HTML of its verdicts.
+    """
     drawn = {each.cell: each for each in figures_of(key, notebook["cells"])}
+    cells = []
     for cell in notebook["cells"]:
-        cell["metadata"]["id"] = cell["id"]
+        # In a checkout, pages of docs/ stand beside the notebooks' folder; on the site, above them.
+        text = source(cell).replace("](../docs/", "](../") if cell["cell_type"] == "markdown" else source(cell)
+        cell = {**cell, "source": text, "metadata": {**cell["metadata"], "id": cell["id"]}}
+        ledger = "ledger" in cell["metadata"].get("tags", ())
+        cell["metadata"]["folded"] = not whole and not teaches(cell)
+        cell["metadata"]["tags"] = []  # code is folded here, not by myst-nb
+        if ledger and not whole:
+            cells.append(raw_cell(page["verdicts"](cell["id"])))
+            continue
         if each := drawn.get(cell["id"]):
-            width, height = map(str, png_size(each.name))
-            image = {"alt": each.alt, "width": width, "height": height}
-            cell["metadata"] |= {"figure": each.name, "mystnb": {"image": image}}
-    first = notebook["cells"][0]
-    first["source"] = f"{source(first)}\n\n{downloads(key, notebook['cells'])}\n"
-    return notebook
+            cell["metadata"] |= {"figure": each._asdict()}
+        cells.append(cell)
+        if cell is cells[0]:
+            cells.append(raw_cell(page["top"]))
+        if not whole and each and each.name == page["live"][0]:
+            cells.append(raw_cell(page["live"][1]))
+    return {**notebook, "cells": cells}
+
+
+def teaches(cell):
+    """Tell whether a cell defines a function that the text explains: its code stays open on the page."""
+    hidden = "hide-input" in cell["metadata"].get("tags", ())
+    return not hidden and not SAVED.search(source(cell)) and re.search(r"(?m)^def ", source(cell)) is not None
+
+
+def raw_cell(html):
+    """Return HTML as a Markdown cell."""
+    id = f"html-{zlib.crc32(html.encode())}"
+    return {"cell_type": "markdown", "id": id, "metadata": {}, "source": raw_html(html)}
+
+
+def raw_html(html):
+    """Return HTML as a block of MyST, in which blank lines end nothing."""
+    return f"```{{raw}} html\n{html}\n```"
+
+
+def live_presets(chosen):
+    """Return the presets of the figure with sliders as JSON."""
+    return json.dumps(chosen, ensure_ascii=False)
+
+
+def draw_still(preset, folder):
+    """Draw what the figure with sliders shows first, for readers without JavaScript, as live.svg."""
+    make = {"cv": mpt.constant_velocity, "gsm": mpt.gsm_axis}[preset["model"]]
+    steps = np.logspace(-2, 2, 41)
+    steady = [mpt.SteadyStateFilter.from_kalman(make(dt, preset["q"], preset["r"])) for dt in steps]
+    fig, ax = plots.panels([["sigma"], ["gain"]])
+    ax["sigma"].loglog(steps, [np.sqrt(each.P[0, 0]) for each in steady])
+    plots.finish(ax["sigma"], "time step Δt (s)", "σ of the position (m)")
+    for row, name in enumerate(["position", "velocity"]):
+        ax["gain"].loglog(steps, [each.B[row, 0] for each in steady], label=name)
+    plots.finish(ax["gain"], "time step Δt (s)", "the constant gain")
+    plots.save_figure(fig, "live", folder)
+
+
+def draw_accuracy(text, folder):
+    """Draw the table of digits on the page on accuracy as a heat map, accuracy.svg."""
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("| ")]
+    (_, *columns), rows = rows[0], rows[1:]
+    digits = np.array([[float(cell) if cell.isdigit() else np.nan for cell in row[1:]] for row in rows])
+    fig, ax = plots.panels([["map"]], height=0.18 * len(rows) + 1.6)
+    drawn = ax["map"].imshow(digits, vmin=0, vmax=14, cmap="cividis", aspect="auto")
+    ax["map"].set_xticks(range(len(columns)), columns, rotation=90)
+    ax["map"].set_yticks(range(len(rows)), [row[0] for row in rows])
+    ax["map"].grid(visible=False)
+    ax["map"].xaxis.tick_top()
+    fig.colorbar(drawn, ax=ax["map"], label="digits that hold", location="bottom", aspect=40)
+    plots.save_figure(fig, "accuracy", folder)
+
+
+def run_guide(text, place):
+    """Run the guide in a folder that has its track: yield each block of Python or of drawing, and what came of it.
+
+    That is the printed text of a block ```python, and of a comment <!-- draw name "alt text" the figure, whose files
+    are then in the folder.
+    """
+    names = {"plots": plots}
+    shutil.copy(DOCS / "track.csv", place)
+    with contextlib.chdir(place), matplotlib.rc_context():
+        plots.use_style()
+        for block in BLOCK.finditer(text):
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                exec(block["code"], names)
+            if block["name"]:
+                plots.save_figure(names["fig"], block["name"], place)
+            yield block, printed.getvalue()
+
+
+def with_pictures(text, place):
+    """Return the guide with its drawing run, and each block of it replaced by the figure."""
+    for block, _ in list(run_guide(text, place)):
+        if block["name"]:
+            width, height = svg_size(place / f"{block['name']}.svg")
+            figure = {"name": block["name"], "alt": block["alt"], "width": width, "height": height}
+            text = text.replace(block[0], raw_html(picture(figure, folder="_static")))
+    return text
+
+
+def picture(figure, root="", folder="figures"):
+    """Return a figure as HTML: its SVG, with a link to it."""
+    return str(environment().get_template("figures.html").module.picture(figure, root, folder)).strip()
 
 
 def mathjax():
@@ -223,39 +265,106 @@ def mathjax():
     return data
 
 
+def api():
+    """Return the headings of the API page, each with its modules: those of the layout, and what is in papers/."""
+    papers = sorted(path.stem for path in (ROOT / "mpt_helpers" / "papers").glob("[a-z]*.py"))
+    return {
+        "Models and filters": ["model", "filters", "steady", "combined", "riccati", "recursion"],
+        "Judging them": ["metrics", "monte_carlo"],
+        "What the papers need": [f"papers.{name}" for name in papers],
+        "What the papers print, and whether it holds": ["ledger.paper", "ledger.verdicts", "ledger.tables"],
+        "Figures": ["plots"],
+    }
+
+
+def environment():
+    """Return the templates and what all of them use."""
+    env = Environment(
+        loader=FileSystemLoader([DOCS / "templates", DOCS]),
+        autoescape=lambda name: name is not None and name.endswith(".html"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    env.globals |= {
+        "VERDICTS": VERDICTS,
+        "BASES": BASES,
+        "OF_CLAIMS": OF_CLAIMS,
+        "grouped": grouped,
+        "reasons": reasons,
+        "shorten": shorten,
+        "place": place,
+        "live_presets": live_presets,
+    }
+    env.filters |= {
+        "slug": lambda text: text.replace(" ", "-"),
+        "code": lambda text: re.sub(r"`([^`]*)`", r"\1", text),
+    }
+    return env
+
+
+def write_tables(given, folder):
+    """Write the verdicts for machines."""
+    (folder / "verdicts.json").write_text(json.dumps(given.records(), indent=1, ensure_ascii=False), encoding="utf-8")
+    with (folder / "verdicts.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, FIELDS)
+        writer.writeheader()
+        writer.writerows(given.records())
+
+
 def main():
     """Write docs/_build afresh: source, static and extra."""
-    given = verdicts([])
-    notebooks = {key: json.loads((ROOT / NOTEBOOKS / f"{key}.ipynb").read_text(encoding="utf-8")) for key in known([])}
-    cells = {key: notebook["cells"] for key, notebook in notebooks.items()}
-    titles = {key: paper_title(each) for key, each in cells.items()}
-    readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## Without make")[0]
-    about, commands, how = readme.partition("With Python 3.11")
-    made = {
-        "ABOUT": home(about, given),
-        "COMMANDS": commands + how,
-        "ERRATA": errata_html(given, titles),
-        "FILTER": filter_html(titles),
-        "VALUES": values_html(given),
-        "GALLERY": gallery(cells),
-        "SPEED": (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8"),
-    }
     shutil.rmtree(BUILD, ignore_errors=True)
-    for part in ("source", "static", "extra"):
+    for part in ("source/notebooks", "static", "extra/notebooks"):
         (BUILD / part).mkdir(parents=True)
-    for page in sorted((ROOT / "docs").glob("*.md")):
-        text = re.sub(r"%%([A-Z]+)%%", lambda place: made[place[1]], page.read_text(encoding="utf-8"))
+    notebooks = {key: json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8")) for key in keys()}
+    stored = [stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb") for key in notebooks]
+    causes = {place: cause for each in stored for place, cause in each.causes.items()}
+    given = Verdicts([each for verdicts in stored for each in verdicts], causes)
+    env = environment()
+    about = texts(given)
+    plots.use_style()
+    draw_still(about["live"]["presets"][about["live"]["shown"]], BUILD / "static")
+    draw_accuracy((DOCS / "accuracy.md").read_text(encoding="utf-8").partition("<!-- digits -->")[2], BUILD / "static")
+    env.globals |= {
+        "given": given,
+        "tally": given.tally(),
+        "failing": Counter(
+            causes[each.paper, each.cause].kind for each in given if each.kind == "claim" and each.cause
+        ),
+        "texts": about,
+        "accuracy": svg_size(BUILD / "static" / "accuracy.svg"),
+        "titles": {key: title(each["cells"]) for key, each in notebooks.items()},
+        "figures": {key: figures_of(key, each["cells"]) for key, each in notebooks.items()},
+        "api": api().items(),
+        "speed": (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8"),
+    }
+    for page in sorted(DOCS.glob("*.md")):
+        text = INCLUDE.sub(raw_html(r'{% include "\1" %}'), page.read_text(encoding="utf-8"))
+        text = env.from_string(text).render(root="")
+        if page.name == "guide.md":
+            text = with_pictures(text, BUILD / "static")
         (BUILD / "source" / page.name).write_text(text, encoding="utf-8")
-    for folder in ("source", "extra"):
-        (BUILD / folder / NOTEBOOKS).mkdir()
-    shutil.copytree(ROOT / FIGURES, BUILD / "extra" / FIGURES)
     for key, notebook in notebooks.items():
-        shutil.copy(ROOT / NOTEBOOKS / f"{key}.ipynb", BUILD / "extra" / NOTEBOOKS)
-        text = json.dumps(prepared(key, notebook), ensure_ascii=False)
-        (BUILD / "source" / NOTEBOOKS / f"{key}.ipynb").write_text(text, encoding="utf-8")
+        shutil.copy(ROOT / "notebooks" / f"{key}.ipynb", BUILD / "extra" / "notebooks")
+        own, here = given.of(key), {"key": key, "root": "../"}
+        html = {
+            "live": (about["live"]["after"], env.get_template("live.html").render(here)),
+            "verdicts": lambda cell, own=own, here=here: env.get_template("chips.html").render(
+                here, cell=cell, verdicts=[each for each in own if each.cell == cell]
+            ),
+        }
+        for name, whole in ((key, False), (f"{key}-full", True)):
+            page = html | {"top": env.get_template("top.html").render(here, whole=whole)}
+            text = json.dumps(prepared(key, notebook, page, whole), ensure_ascii=False)
+            (BUILD / "source" / "notebooks" / f"{name}.ipynb").write_text(text, encoding="utf-8")
+    shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
+    shutil.copy(DOCS / "track.csv", BUILD / "extra")
     (BUILD / "static" / "tex-svg.js").write_bytes(mathjax())
-    (BUILD / "extra" / "verdicts.json").write_text(as_json(given), encoding="utf-8")
-    (BUILD / "extra" / "verdicts.csv").write_text(as_csv(given), encoding="utf-8")
+    write_tables(given, BUILD / "extra")
+    for png in (BUILD / "static").glob("*.png"):
+        png.unlink()
 
 
 if __name__ == "__main__":

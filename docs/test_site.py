@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import threading
 from functools import partial
 from html.parser import HTMLParser
@@ -10,11 +11,16 @@ from pathlib import Path
 from shutil import which
 from urllib.parse import parse_qs, unquote, urldefrag, urljoin, urlsplit
 
+import numpy as np
 import pytest
+
+import mpt_helpers as mpt
 
 HTML = Path(__file__).parent / "_build" / "html"
 PAGES = [str(path.relative_to(HTML)) for path in sorted(HTML.rglob("*.html"))]
+ARTICLES = [place for place in PAGES if re.match(r"notebooks/\w+\.html", place)]
 WIDTHS = {1280: 900, 390: 844}
+CALLS = re.compile(r"paper\.(check|claim|cannot_check)\(")
 QUIET = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 QUIET += ["--disable-component-update", "--disable-sync"]
 
@@ -68,13 +74,18 @@ def visit(browser, address):
         page.on("console", say)
         page.on("pageerror", lambda error: wrong.append(f"error: {error}"))
         page.goto(address + place)
-        page.wait_for_load_state("networkidle")
         return page
 
     yield open_page
     for context in contexts:
         context.close()
     assert wrong == []
+
+
+@pytest.fixture(scope="session")
+def records():
+    """Return the verdicts of the site."""
+    return json.loads((HTML / "verdicts.json").read_text(encoding="utf-8"))
 
 
 # What a page can have wrong with it, each as a function of JavaScript that returns a list of what is wrong.
@@ -128,26 +139,46 @@ UNREADABLE = """() => {
   for (const each of document.querySelectorAll("article *, .sidebar-tree a")) {
     const own = [...each.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
     if (!own || !each.getClientRects().length || each.closest("mjx-container, .headerlink")) continue;
-    const colours = [getComputedStyle(each).color, behind(each)];
+    const style = getComputedStyle(each);
+    const colours = [each.closest("svg") ? style.fill : style.color, behind(each)];
     const [low, high] = colours.map(light).sort((a, b) => a - b);
     const contrast = (high + 0.05) / (low + 0.05);
     if (contrast < 4.5) wrong[colours] = `${contrast.toFixed(2)} ${colours} ${each.outerHTML.slice(0, 80)}`;
   }
   return Object.values(wrong);
 }"""
+# The size on the screen of the smallest text of each figure: its SVG says scale(0.11 -0.11) for 11 points.
+SMALL = r"""async () => {
+  const wrong = [];
+  for (const image of document.querySelectorAll("a.figure img, img.still")) {
+    const svg = await (await fetch(image.src)).text();
+    const sizes = [...svg.matchAll(/scale\(([\d.]+) -/g)].map((each) => 100 * Number(each[1]));
+    const scale = image.getBoundingClientRect().width / Number(svg.match(/viewBox="0 0 ([\d.]+)/)[1]);
+    const pixels = Math.min(...sizes) * scale;
+    if (pixels < 11) wrong.push(`${image.src}: ${pixels.toFixed(1)} pixels`);
+  }
+  for (const text of document.querySelectorAll(".live svg text")) {
+    if (text.getBoundingClientRect().height < 11) wrong.push(text.outerHTML);
+  }
+  return wrong;
+}"""
 
 
 def test_there_is_a_site():
     assert {"index.html", "values.html", "figures.html", "guide.html", "api.html"} < set(PAGES)
+    assert len(ARTICLES) == 4
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("place", PAGES)
-def test_a_page_loads_whole_and_is_readable(visit, place, width, scheme):
-    page = visit(place, width, color_scheme=scheme)
-    checks = {"math": TYPESET, "pictures": PICTURES, "sideways": SIDEWAYS, "contrast": UNREADABLE}
+def test_a_page_loads_whole_and_is_readable_in_light_and_dark(visit, place, width):
+    if place.endswith("-full.html") and width == 390:
+        pytest.skip("the full notebooks are for looking things up")
+    page = visit(place, width, color_scheme="light")
+    checks = {"math": TYPESET, "pictures": PICTURES, "sideways": SIDEWAYS, "contrast": UNREADABLE, "small": SMALL}
     assert {name: page.evaluate(check) for name, check in checks.items()} == {name: [] for name in checks}
+    page.emulate_media(color_scheme="dark")
+    assert page.evaluate(UNREADABLE) == []
 
 
 class Page(HTMLParser):
@@ -165,9 +196,8 @@ class Page(HTMLParser):
         self.links += [attributes[name] for name in ("href", "src") if name in attributes]
 
 
-def test_every_internal_link_leads_somewhere():
+def test_every_internal_link_leads_somewhere(records):
     pages = {place: Page(HTML / place) for place in PAGES}
-    rows = json.loads((HTML / "verdicts.json").read_text(encoding="utf-8"))
     broken, followed = [], 0
     for place, page in pages.items():
         for link in page.links:
@@ -178,7 +208,7 @@ def test_every_internal_link_leads_somewhere():
             followed += 1
             if path == "values.html" and "=" in anchor:
                 chosen = {name: value for name, (value,) in parse_qs(anchor).items()}
-                found = any(chosen.items() <= row.items() for row in rows)
+                found = any(chosen.items() <= row.items() for row in records)
             elif path in pages:
                 found = unquote(anchor) in pages[path].anchors
             else:
@@ -186,54 +216,183 @@ def test_every_internal_link_leads_somewhere():
             if not found:
                 broken.append(f"{place}: {link}")
     assert broken == []
-    assert followed > len(rows)
-
-
-def shown(page):
-    """Return the papers and verdicts of the rows that are visible."""
-    visible = "rows => rows.filter(row => row.offsetHeight).map(row => [row.dataset.paper, row.dataset.verdict])"
-    return [tuple(each) for each in page.locator("#values tbody tr").evaluate_all(visible)]
+    assert followed > len(records)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_a_link_to_a_cell_shows_the_cell_after_the_formulas_above_it_are_set(visit, width):
-    *_, last = (row for row in json.loads((HTML / "verdicts.json").read_text(encoding="utf-8")) if row["cell"])
+def test_the_home_page_answers_on_its_first_screen(visit, width):
+    page = visit("index.html", width)
+    last = ".card:last-child .links" if width == 1280 else ".before li:last-child"
+    box = page.locator(last).bounding_box()
+    assert box["y"] + box["height"] <= WIDTHS[width]
+    assert re.search(r"\d+ of \d+ claims hold", page.locator("h1").inner_text())
+
+
+def test_an_article_has_no_calls_to_the_ledger_and_every_verdict_as_a_chip(visit, records):
+    for place in ARTICLES:
+        page = visit(place)
+        assert not CALLS.search(page.locator("article").inner_text())
+        own = [row for row in records if f"notebooks/{row['paper']}.html" == place]
+        counts = page.locator(".won summary").evaluate_all(
+            r"all => all.map((each) => Number(each.textContent.match(/: (\d+) ×/)?.[1] ?? 1))"
+        )
+        assert sum(counts) == len(own)
+        chip = page.locator(".chip").first
+        assert chip.locator("dl").first.is_hidden()
+        chip.locator("summary").click()
+        assert {"computed", "basis"} < set(chip.locator("dl").first.locator("dt").all_inner_texts())
+
+
+def test_one_switch_shows_and_hides_all_code(visit):
+    page = visit(ARTICLES[0])
+    opened = "all => all.filter((each) => each.open).length"
+    codes, switch = page.locator("details.code"), page.locator("p.top button")
+    count = codes.count()
+    while codes.evaluate_all(opened) < count:
+        switch.click()
+    assert switch.inner_text() == "Hide all code"
+    switch.click()
+    assert codes.evaluate_all(opened) == 0
+    page.get_by_role("link", name="The full notebook").click()
+    assert page.url.endswith("-full.html")
+    assert CALLS.search(page.locator("article").inner_text())
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_link_to_a_cell_shows_the_cell_after_the_formulas_above_it_are_set(visit, records, width):
+    last = [row for row in records if row["cell"]][-1]
     page = visit(f"notebooks/{last['paper']}.html#cell-{last['cell']}", width)
     page.evaluate("MathJax.startup.promise")
     place = f"document.getElementById('cell-{last['cell']}').getBoundingClientRect().top"
-    page.wait_for_function(f"0 <= {place} && {place} < innerHeight / 2", timeout=5000)
+    page.wait_for_function(f"0 <= {place} && {place} < innerHeight", timeout=5000)
+
+
+def shown(page):
+    """Return how many items are counted, and the fields of those that are visible."""
+    visible = "rows => rows.filter((row) => row.offsetHeight).map((row) => ({...row.dataset}))"
+    count = int(page.locator(".filter output").text_content().split()[0])
+    return count, page.locator("#values tr.item").evaluate_all(visible)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_the_filter_of_the_values_works(visit, width):
-    rows = [(row["paper"], row["verdict"]) for row in json.loads((HTML / "verdicts.json").read_text(encoding="utf-8"))]
+def test_the_filter_of_the_values_works(visit, records, width):
     page = visit("values.html", width)
-    assert shown(page) == rows
+    assert shown(page)[0] == len(records)
+    if width == 390:
+        page.locator(".filter summary").click()
     page.get_by_label("verdict").select_option("erratum")
-    assert shown(page) == [row for row in rows if row[1] == "erratum"]
     page.get_by_label("paper").select_option("2014_gsm_2d")
-    some = [row for row in rows if row == ("2014_gsm_2d", "erratum")]
-    assert 0 < len(shown(page)) < len(rows)
-    assert shown(page) == some
-    assert page.locator("#filter output").inner_text() == f"{len(some)} of {len(rows)}"
-    address = page.url
-    page.get_by_label("text").fill("eq. 22 z(-15)")
-    assert len(shown(page)) == 1
-    again = visit(address.rpartition("/")[2], width)
-    assert shown(again) == some
-    again.evaluate("location.hash = 'verdict=within+band'")
-    again.wait_for_function("document.querySelector('[name=verdict]').value === 'within band'")
-    assert shown(again) == [row for row in rows if row[1] == "within band"]
+    page.get_by_label("kind").select_option("number")
+    some = [
+        row for row in records if (row["paper"], row["verdict"], row["kind"]) == ("2014_gsm_2d", "erratum", "number")
+    ]
+    count, visible = shown(page)
+    assert count == len(some) > len(visible)
+    fold = page.locator(".fold:visible button")
+    assert fold.count() < 6
+    fold.first.click()
+    assert fold.first.get_attribute("aria-expanded") == "true"
+    assert len(shown(page)[1]) > len(visible)
+    page.get_by_label("cause").select_option(some[-1]["cause"])
+    assert shown(page)[0] == len([row for row in some if row["cause"] == some[-1]["cause"]])
+    again = visit(page.url.rpartition("/")[2], width)
+    assert shown(again)[0] == shown(page)[0]
+    again.evaluate("location.hash = 'basis=identity'")
+    again.wait_for_function("document.querySelector('[name=basis]').value === 'identity'")
+    assert shown(again)[0] == len([row for row in records if row["basis"] == "identity"])
 
 
-def test_the_values_are_a_plain_table_without_javascript(visit):
-    rows = json.loads((HTML / "verdicts.json").read_text(encoding="utf-8"))
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_filter_and_the_header_stay_in_view_and_the_columns_stay_where_they_are(visit, width):
+    page = visit("values.html", width)
+    columns = (
+        "() => [...document.querySelectorAll('#values thead th')].map((each) => each.getBoundingClientRect().left)"
+    )
+    before = page.evaluate(columns)
+    page.evaluate("scrollTo(0, document.body.scrollHeight / 2)")
+    inside = (
+        "all => all.map((each) => each.getBoundingClientRect()).every(({ top, bottom }) => top >= 0 && bottom < 300)"
+    )
+    page.wait_for_function("scrollY > 1000")
+    stays = [".filter summary"] + (["#values thead th"] if width == 1280 else [])
+    for selector in stays:
+        assert page.locator(selector).evaluate_all(inside), selector
+    if width == 390:
+        page.locator(".filter summary").click()
+    page.get_by_label("verdict").select_option("cannot be checked")
+    assert page.evaluate(columns) == before
+
+
+def test_a_link_to_one_value_opens_its_row(visit, records):
+    folded = [row for row in records if row["paper"] == "2014_gsm_2d" and row["verdict"] == "erratum"][-1]
+    page = visit(f"values.html#{folded['paper']}.{folded['id']}")
+    assert page.locator(f'[id="{folded["paper"]}.{folded["id"]}"]').is_visible()
+
+
+def test_the_values_are_a_plain_table_without_javascript(visit, records):
     page = visit("values.html", java_script_enabled=False)
-    assert page.locator("#values tbody tr").count() == len(rows)
-    assert page.locator("#filter").is_hidden()
+    assert page.locator("#values tr.item:visible").count() == len(records)
+    assert page.locator(".filter").is_hidden()
 
 
-def test_the_tables_for_machines_say_the_same():
-    rows = json.loads((HTML / "verdicts.json").read_text(encoding="utf-8"))
+def test_the_tables_for_machines_say_the_same(records):
     with (HTML / "verdicts.csv").open(encoding="utf-8", newline="") as file:
-        assert list(csv.DictReader(file)) == rows
+        assert list(csv.DictReader(file)) == records
+
+
+LIVE = "notebooks/2016_prediction.html"
+MAKE = {"cv": mpt.constant_velocity, "gsm": mpt.gsm_axis}
+
+
+def test_the_live_figure_computes_what_the_package_computes(visit):
+    rng = np.random.default_rng(0)
+    sets = [
+        {"model": model, "dt": 10 ** rng.uniform(-2, 2), "q": 10 ** rng.uniform(-4, 1), "r": 10 ** rng.uniform(-3, 2)}
+        for model in MAKE
+        for _ in range(100)
+    ]
+    computed = visit(LIVE).evaluate(
+        "sets => sets.map(({ model, dt, q, r }) => { const { K, A, P } = live.steadyState(model, dt, q, r);"
+        " return [...K, Math.sqrt(P[0]), live.firOrder(A)]; })",
+        sets,
+    )
+    for each, (*numbers, order) in zip(sets, computed, strict=True):
+        steady = mpt.SteadyStateFilter.from_kalman(MAKE[each["model"]](each["dt"], each["q"], each["r"]))
+        np.testing.assert_allclose(numbers, [*steady.B[:, 0], np.sqrt(steady.P[0, 0])], rtol=1e-9, err_msg=str(each))
+        assert order == mpt.FIRFilter.from_steady_state(steady, tol=1e-3).order, each
+
+
+@pytest.mark.parametrize("model", MAKE)
+def test_the_track_of_the_live_figure_is_filtered_as_by_the_package(visit, model):
+    chosen = {"model": model, "dt": 0.7, "q": 0.02, "r": 0.3, "v": 5}
+    track = visit(LIVE).evaluate("chosen => live.track({ ...chosen, M: 12 })", chosen)
+    axis = MAKE[model](chosen["dt"], chosen["q"], chosen["r"], x0=[0, chosen["v"]])
+    kf, z = mpt.KalmanFilter(axis), np.array(track["z"])[:, None]
+    np.testing.assert_allclose(track["kalman"], kf.filter(z)[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(track["sigma"], np.sqrt(kf.covariances(len(z))[:, 0, 0]), rtol=1e-9)
+    steady = mpt.SteadyStateFilter.from_kalman(axis)
+    taps = np.array([np.linalg.matrix_power(steady.A, j) @ steady.B for j in range(12)])
+    np.testing.assert_allclose(track["fir"], mpt.FIRFilter(axis, taps).filter(z)[:, 0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_live_figure_follows_keyboard_presets_and_address(visit, width):
+    page = visit(LIVE, width)
+    slider = page.get_by_label("time step Δt")
+    slider.focus()
+    said = page.locator(".live .said").inner_text()
+    page.keyboard.press("PageUp")
+    assert page.locator(".live .said").inner_text() != said
+    assert slider.get_attribute("aria-valuetext").endswith(" s")
+    again = visit("notebooks/" + page.url.partition("/notebooks/")[2], width)
+    assert again.locator(".live .said").inner_text() == page.locator(".live .said").inner_text()
+    for preset in again.locator(".presets button").all():
+        preset.click()
+        assert preset.get_attribute("aria-pressed") == "true"
+    assert again.locator(".live .said").inner_text() == said
+
+
+def test_the_live_figure_is_a_picture_without_javascript(visit):
+    page = visit(LIVE, java_script_enabled=False)
+    assert page.locator(".live img.still").is_visible()
+    assert page.locator(".live input").count() == 0

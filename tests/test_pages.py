@@ -1,66 +1,83 @@
-"""What the site says is what the notebooks say: the parts that need no browser."""
+"""What the site is made of, where no browser is needed."""
 
-import re
-from html import unescape
+import json
+from types import SimpleNamespace
 
 import pages
 import pytest
-from conftest import NOTEBOOKS
 
-from mpt_helpers.published import Verdicts, stored_verdicts
-
-GIVEN = Verdicts(each for path in NOTEBOOKS for each in stored_verdicts(path))
-TITLES = {path.stem: path.stem for path in NOTEBOOKS}
+from mpt_helpers.ledger.verdicts import Verdict
 
 
-def test_the_home_page_has_every_erratum_in_one_line_of_its_kind():
-    lines = re.findall(r"<li>(.*?)</li>", pages.errata_html(GIVEN, TITLES))
-    counts = [int(number[1]) if (number := re.search(r"\((\d+) items\)", line)) else 1 for line in lines]
-    errata = [each for each in GIVEN if each.verdict == "erratum"]
-    assert sum(counts) == len(errata)
-    assert len(lines) < 30  # one screen
-    table_4 = [each for each in errata if each.paper == "2014_gsm_2d" and each.id.startswith("table4.")]
-    assert max(counts) == len(table_4)
-    for line in lines:
-        assert re.search(r'href="notebooks/\w+\.html#cell-', line), line
+def verdict(id, where="Table 4, row 1", verdict="reproduced", cause="", **other):
+    fields = {"paper": "p", "kind": "number", "printed": "1", "computed": "1", "reason": "", "basis": "arithmetic"}
+    return Verdict(id=id, where=where, verdict=verdict, cause=cause, **fields | other)
 
 
-def test_the_values_page_has_a_row_for_each_item_with_its_text():
-    rows = re.findall(r'<tr id="([^"]*)"(.*?)</tr>', pages.values_html(GIVEN))
-    assert [id for id, _ in rows] == [f"{each.paper}.{each.id}" for each in GIVEN]
-    for each, (_, row) in zip(GIVEN, rows, strict=True):
-        text = unescape(re.sub(r"<[^>]*>", " ", row))
-        for part in (each.paper, each.where, each.printed, each.computed, each.verdict, each.reason):
-            assert part in text
-        assert f'href="notebooks/{each.paper}.html#cell-{each.cell}"' in row
+def test_many_verdicts_that_share_table_outcome_and_cause_become_one_row():
+    alike = [verdict(f"t4.{i}", f"Table 4, row {i}", "erratum", "join") for i in range(6)]
+    others = [verdict("a", "Abstract"), verdict("t4.9", "Table 4, row 9"), verdict("t3", "Table 3", "erratum", "join")]
+    groups = pages.grouped([others[0], *alike[:3], others[1], *alike[3:], others[2]])
+    assert [(group.place, len(group.members), group.folds) for group in groups] == [
+        ("Abstract", 1, False),
+        ("Table 4", 6, True),
+        ("Table 4", 1, False),
+        ("Table 3", 1, False),
+    ]
 
 
 def test_what_is_printed_cannot_become_markup():
-    (first, *_) = GIVEN
-    odd = type(first)(**{**first.__dict__, "printed": "a < b & <script>"})
-    assert "<script>" not in pages.values_html([odd])
-    assert "a &lt; b &amp; &lt;script&gt;" in pages.values_html([odd])
+    chips = pages.environment().get_template("macros.html").module.chips
+    html = str(chips([verdict("a", printed="a < b & <script>")], ""))
+    assert "<script>" not in html
+    assert "a &lt; b &amp; &lt;script&gt;" in html
+
+
+def test_a_number_on_the_home_page_that_no_verdict_says_stops_the_build(tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "DOCS", tmp_path)
+    given = [verdict("gap", computed="11 steps")]
+    said = """[home]\nanswer = "after {{ found('p', 'gap', '11') }} steps, {{ printed('p', 'gap') }}"\n"""
+    (tmp_path / "papers.toml").write_text(said)
+    assert pages.texts(given)["home"]["answer"] == "after 11 steps, 1"
+    (tmp_path / "papers.toml").write_text(said.replace("11", "12"))
+    with pytest.raises(ValueError, match="does not say '12'"):
+        pages.texts(given)
+
+
+def cells():
+    picture = {"data": {"image/png": ""}, "metadata": {"image/png": {"alt": "a curve"}}}
+    return [
+        {"cell_type": "markdown", "id": "title", "metadata": {}, "source": "# Title\n\n**Figure 1.** It falls."},
+        {"cell_type": "code", "id": "teach", "metadata": {}, "source": "def step(P):\n    return P", "outputs": []},
+        {
+            "cell_type": "code",
+            "id": "draw",
+            "metadata": {"tags": ["hide-input"]},
+            "source": 'plots.save_figure(fig, "2014_gsm_2d_fig1")',
+            "outputs": [picture],
+        },
+        {"cell_type": "code", "id": "won", "metadata": {"tags": ["hide-input", "ledger"]}, "source": "", "outputs": []},
+    ]
+
+
+def test_an_article_has_chips_for_the_calls_to_the_ledger_and_the_full_notebook_has_the_calls():
+    page = {"top": "TOP", "live": ("2014_gsm_2d_fig1", "LIVE"), "verdicts": lambda cell: f"CHIPS {cell}"}
+    for whole, expected in ((False, ["LIVE", "CHIPS won"]), (True, ["won"])):
+        made = pages.prepared("2014_gsm_2d", {"cells": cells()}, page, whole)["cells"]
+        html = [cell["source"].split("\n")[1] if cell["id"].startswith("html") else cell["id"] for cell in made]
+        assert html == ["title", "TOP", "teach", "draw", *expected]
+        assert [cell["metadata"]["folded"] for cell in made if cell["id"] in ("teach", "draw")] == [False, not whole]
+    json.dumps(made)
+
+
+def test_a_caption_is_the_paragraph_with_the_name_of_the_figure():
+    (drawn,) = pages.figures_of("2014_gsm_2d", cells())
+    assert (drawn.label, drawn.caption, drawn.cell) == ("Figure 1", "**Figure 1.** It falls.", "draw")
 
 
 def test_another_file_than_mathjax_is_refused(tmp_path, monkeypatch):
-    class Other:
-        def locate_file(self, name):
-            return tmp_path / "other.js"
-
     (tmp_path / "other.js").write_text("alert(1)")
-    monkeypatch.setattr(pages, "distribution", lambda package: Other())
+    other = SimpleNamespace(locate_file=lambda name: tmp_path / "other.js")
+    monkeypatch.setattr(pages, "distribution", lambda package: other)
     with pytest.raises(ValueError, match=r"is not es5/tex-svg\.js of MathJax"):
         pages.mathjax()
-
-
-def test_a_caption_says_what_to_see_also_where_that_stands_below():
-    image = [{"data": {"image/png": ""}, "metadata": {"image/png": {"alt": "a curve"}}}]
-    cells = [
-        {"cell_type": "markdown", "source": "**Figure 1.** The gain."},
-        {"cell_type": "code", "id": "draw", "source": 'mpt.save_figure(fig, "p_fig1")', "outputs": image},
-        {"cell_type": "markdown", "source": "*What to see:* it settles.\n\nMore."},
-    ]
-    seen = "The gain. *What to see:* it settles."
-    assert pages.figures_of("p", cells) == [("p_fig1", "Figure 1", seen, "draw", "a curve")]
-    with pytest.raises(ValueError, match=r"p_fig1: needs one paragraph that begins with \*\*Figure 1"):
-        pages.figures_of("p", cells[1:])

@@ -1,24 +1,51 @@
 // The filter of the values page. Its state stands in the address, as in values.html#paper=2014_gsm_2d&verdict=erratum.
-const form = document.getElementById("filter");
-if (form) {
-  const rows = [...document.querySelectorAll("#values tbody tr")];
+const filter = document.querySelector("details.filter");
+if (filter) {
+  const form = filter.querySelector("form"), table = document.getElementById("values");
+  const rows = [...table.querySelectorAll("tr.item")];
+  const texts = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
+  const groups = [...table.querySelectorAll("tbody.group")].map((body) => ({
+    body, items: [...body.querySelectorAll("tr.item")], button: body.querySelector(".fold button"), count: body.querySelector(".count"),
+  }));
+  const fold = (group, open) => group.button?.setAttribute("aria-expanded", open);
   const show = () => {
-    const { paper, verdict, text } = Object.fromEntries(new FormData(form));
+    const { text, ...chosen } = Object.fromEntries(new FormData(form));
     const words = text.toLowerCase().split(/\s+/);
-    for (const row of rows) {
-      const content = row.textContent.toLowerCase();
-      row.hidden = (paper && row.dataset.paper !== paper) || (verdict && row.dataset.verdict !== verdict)
-        || !words.every((word) => content.includes(word));
+    const fits = (row) => Object.entries(chosen).every(([name, value]) => !value || row.dataset[name] === value)
+      && words.every((word) => texts.get(row).includes(word));
+    let all = 0;
+    for (const group of groups) {
+      const fitting = new Set(group.items.filter(fits));
+      all += fitting.size;
+      group.body.hidden = !fitting.size;
+      const open = group.button?.getAttribute("aria-expanded") !== "false";
+      for (const row of group.items) row.hidden = !fitting.has(row) || !open;
+      if (group.count) group.count.textContent = fitting.size;
     }
-    form.querySelector("output").textContent = `${rows.filter((row) => !row.hidden).length} of ${rows.length}`;
+    let shown = false; // whether a paper has a group below its title, seen from the end
+    for (const body of [...table.tBodies].reverse()) {
+      if (body.className === "paper") { body.hidden = !shown; shown = false; } else shown ||= !body.hidden;
+    }
+    filter.querySelector("output").textContent = `${all} of ${rows.length}`;
   };
   const read = () => {
-    if (location.hash && !location.hash.includes("=")) return; // the address of one value
+    const one = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (location.hash && !location.hash.includes("=")) {
+      const group = groups.find((each) => each.items.includes(one));
+      if (group) { fold(group, true); show(); one.scrollIntoView(); }
+      return;
+    }
     const chosen = new URLSearchParams(location.hash.slice(1));
     for (const field of form.elements) if (field.name) field.value = chosen.get(field.name) ?? "";
     show();
   };
-  form.hidden = false;
+  for (const group of groups) {
+    fold(group, false);
+    group.button?.addEventListener("click", () => { fold(group, group.button.getAttribute("aria-expanded") === "false"); show(); });
+  }
+  filter.hidden = false;
+  filter.open = matchMedia("(min-width: 63em)").matches;
+  new ResizeObserver(() => table.style.setProperty("--above", `${filter.offsetHeight}px`)).observe(filter);
   form.addEventListener("submit", (event) => event.preventDefault());
   form.addEventListener("input", () => {
     const chosen = [...new FormData(form)].filter(([, value]) => value);

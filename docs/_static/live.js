@@ -1,0 +1,215 @@
+// "Does the time step change the filter?": a figure with sliders. The formulas come first; they are those of the
+// package, and a test in the browser holds them to its numbers. The state stands in the address: #model=cv&dt=1&...
+const live = (() => {
+  // Models of one axis with the state [s v] and F = [1 dt; 0 1], as mpt.gsm_axis and mpt.constant_velocity.
+  const MODELS = {
+    gsm: { H: (dt) => [1, dt], Q: (dt, q) => [q * dt * dt / 4, q * dt / 2, q] },
+    cv: { H: () => [1, 0], Q: (dt, q) => [q * dt ** 3 / 3, q * dt * dt / 2, q * dt] },
+  };
+
+  // One step of the Kalman filter. P is [P_ss, P_sv, P_vv]; P - K S K' is (r P + |P| u u') / S with u = [-g, h] for
+  // H = [h, g], which takes no difference of large numbers.
+  function step(P, { dt, H: [h, g], Q, r }) {
+    const a = P[0] + 2 * dt * P[1] + dt * dt * P[2] + Q[0], b = P[1] + dt * P[2] + Q[1], d = P[2] + Q[2];
+    const S = h * h * a + 2 * h * g * b + g * g * d + r, det = a * d - b * b;
+    const K = [(h * a + g * b) / S, (h * b + g * d) / S];
+    const updated = [r * a + det * g * g, r * b - det * g * h, r * d + det * h * h].map((each) => each / S);
+    const [m, n, o, p] = [1 - K[0] * h, -K[0] * g, -K[1] * h, 1 - K[1] * g]; // I - K H
+    return { K, A: [m, m * dt + n, o, o * dt + p], P: updated };
+  }
+
+  const parts = (model, dt, q, r) => ({ dt, r, H: MODELS[model].H(dt), Q: MODELS[model].Q(dt, q) });
+
+  // The Riccati recursion until it rests: the constant gain K, A = (I - K H) F, and the covariance P of the estimate.
+  function steadyState(model, dt, q, r) {
+    const system = parts(model, dt, q, r);
+    let now = { P: [0, 0, 0] };
+    for (let k = 0, moved = Infinity; k < 3e5 && moved > 2e-15; k++) {
+      const next = step(now.P, system), size = [next.P[0], Math.sqrt(next.P[0] * next.P[2]), next.P[2]];
+      moved = Math.max(...next.P.map((each, i) => Math.abs(each - now.P[i]) / size[i]));
+      now = next;
+    }
+    return now;
+  }
+
+  // The largest singular value of [a b; c d].
+  const norm = ([a, b, c, d]) => {
+    const sum = a * a + b * b + c * c + d * d, det = a * d - b * c;
+    return Math.sqrt((sum + Math.sqrt(Math.max(sum * sum - 4 * det * det, 0))) / 2);
+  };
+  const times = ([a, b, c, d], [e, f, g, h]) => [a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h];
+
+  // How many measurements the FIR filter takes: the first M at which the norm of A to the power of M is below tol.
+  function firOrder(A, tol = 1e-3) {
+    let M = 1;
+    for (let power = A; norm(power) >= tol && M < 1e5; M++) power = times(power, A);
+    return M;
+  }
+
+  // Normal random numbers, the same in every browser.
+  function normals(seed, count) {
+    const uniform = () => {
+      seed = (seed + 0x6d2b79f5) | 0;
+      let t = Math.imul(seed ^ (seed >>> 15), 1 | seed);
+      t = (t + Math.imul(t ^ (t >>> 7), 61 | t)) ^ t;
+      return ((t ^ (t >>> 14)) >>> 0) / 4294967296;
+    };
+    return Array.from({ length: count }, () => Math.sqrt(-2 * Math.log(1 - uniform())) * Math.cos(2 * Math.PI * uniform()));
+  }
+
+  const STEPS = 100, NOISE = normals(5, 3 * STEPS);
+
+  // A track from s = 0 with velocity v, its measurements, and two estimates: the Kalman filter knows the start; the FIR
+  // filter sums its last M measurements.
+  function track({ model, dt, q, r, v, M }) {
+    const system = parts(model, dt, q, r), { H, Q } = system, { A, K } = steadyState(model, dt, q, r);
+    const root = Math.sqrt(Q[0]), cross = root ? Q[1] / root : 0, rest = Math.sqrt(Math.max(Q[2] - cross * cross, 0));
+    const taps = [K];
+    while (taps.length < M) {
+      const [x, y] = taps.at(-1);
+      taps.push([A[0] * x + A[1] * y, A[2] * x + A[3] * y]);
+    }
+    let s = 0, speed = v, x = [0, v], P = [0, 0, 0];
+    const out = { s: [], z: [], kalman: [], sigma: [], fir: [] };
+    for (let k = 0; k < STEPS; k++) {
+      const [w1, w2, w3] = NOISE.slice(3 * k, 3 * k + 3);
+      s += dt * speed + root * w1;
+      speed += cross * w1 + rest * w2;
+      out.s.push(s);
+      out.z.push(H[0] * s + H[1] * speed + Math.sqrt(r) * w3);
+      const now = step(P, system), ahead = [x[0] + dt * x[1], x[1]];
+      const innovation = out.z[k] - H[0] * ahead[0] - H[1] * ahead[1];
+      x = [ahead[0] + now.K[0] * innovation, ahead[1] + now.K[1] * innovation];
+      P = now.P;
+      out.kalman.push(x[0]);
+      out.sigma.push(Math.sqrt(P[0]));
+      out.fir.push(taps.slice(0, k + 1).reduce((sum, tap, j) => sum + tap[0] * out.z[k - j], 0));
+    }
+    return out;
+  }
+
+  return { steadyState, firOrder, track, STEPS };
+})();
+
+// The drawing: a small SVG for each panel, in the colours of the page.
+for (const figure of typeof document === "undefined" ? [] : document.querySelectorAll(".live")) {
+  const presets = JSON.parse(figure.dataset.presets);
+  const SLIDERS = {
+    dt: { label: "time step Δt", unit: "s", from: -2, to: 2, log: true },
+    q: { label: "process noise q", unit: "", from: -4, to: 1, log: true },
+    r: { label: "measurement variance r", unit: "m²", from: -3, to: 2, log: true },
+    v: { label: "velocity", unit: "m/s", from: 0, to: 30, step: 0.1 },
+    M: { label: "FIR length M", unit: "measurements", from: 1, to: 60, step: 1 },
+  };
+  const ROWS = 41, number = (value, digits = 3) => String(Number(value.toPrecision(digits)));
+  const state = {}, controls = {};
+  const ruled = ({ model, dt, q, r }) => Math.min(live.firOrder(live.steadyState(model, dt, q, r).A), SLIDERS.M.to);
+  const take = ({ name, ...preset }) => Object.assign(state, preset, { M: ruled(preset) });
+
+  // A panel: axes, curves of [x, y], each with its label at its end, and a mark at the chosen time step.
+  function panel(title, xlabel, { curves, band, x, y, logs, mark, width = 360 }) {
+    const height = 230, left = 46, right = width - 74, top = 30, bottom = height - 40;
+    const scale = ([low, high], log) => (value) => log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
+    const across = (value) => left + (right - left) * scale(x, logs.includes("x"))(value);
+    const up = (value) => bottom - (bottom - top) * Math.min(Math.max(scale(y, logs.includes("y"))(value), -0.02), 1.02);
+    const ticks = ([low, high], log) => {
+      if (log) return Array.from({ length: 25 }, (_, i) => 10 ** (i - 12)).filter((t) => t >= low * 0.99 && t <= high * 1.01);
+      const rough = (high - low) / 4, unit = 10 ** Math.floor(Math.log10(rough));
+      const gap = [1, 2, 5, 10].map((n) => n * unit).find((n) => n >= rough);
+      return Array.from({ length: 9 }, (_, i) => (Math.ceil(low / gap) + i) * gap).filter((t) => t <= high * 1.0001);
+    };
+    const path = (points) => "M" + points.map(([a, b]) => `${across(a).toFixed(1)} ${up(b).toFixed(1)}`).join("L");
+    const grid = ticks(x, logs.includes("x")).map((t) => `<path class="grid" d="M${across(t)} ${top}V${bottom}"/>`
+      + `<text x="${across(t)}" y="${bottom + 16}" text-anchor="middle">${number(t)}</text>`);
+    grid.push(...ticks(y, logs.includes("y")).map((t) => `<path class="grid" d="M${left} ${up(t)}H${right}"/>`
+      + `<text x="${left - 5}" y="${up(t) + 4}" text-anchor="end">${number(t)}</text>`));
+    const ends = curves.map(({ points }) => up(points.at(-1)[1]));
+    const close = ends.length === 2 && Math.abs(ends[0] - ends[1]) < 14;
+    const drawn = curves.map(({ name, points }, i) => {
+      const at = close ? (ends[0] + ends[1]) / 2 + (ends[i] < ends[1 - i] || (ends[0] === ends[1] && !i) ? -7 : 7) : ends[i];
+      return `<path class="curve c${i}" d="${path(points)}"/><text class="c${i}" x="${right + 5}" y="${at + 4}">${name}</text>`;
+    });
+    const shaded = band ? `<path class="band" d="${path([...band.map(([a, b]) => [a, b]), ...band.map(([a, b]) => [a, -b]).reverse()])}Z"/>` : "";
+    const here = mark ? mark.map(([a, b]) => `<circle cx="${across(a)}" cy="${up(b)}" r="4.5"/>`).join("") : "";
+    return `<svg viewBox="0 0 ${width} ${height}" aria-hidden="true"><text class="title" x="2" y="15">${title}</text>${grid.join("")}`
+      + `${shaded}${drawn.join("")}${here}<text x="${(left + right) / 2}" y="${height - 6}" text-anchor="middle">${xlabel}</text></svg>`;
+  }
+
+  function draw() {
+    const { model, dt, q, r, M } = state, { K, A, P } = live.steadyState(model, dt, q, r);
+    const steps = Array.from({ length: ROWS }, (_, i) => 10 ** (-2 + i / 10));
+    const over = steps.map((each) => [each, live.steadyState(model, each, q, r)]);
+    const spread = (values) => [10 ** Math.floor(Math.log10(Math.min(...values)) + 0.001), 10 ** Math.ceil(Math.log10(Math.max(...values)) - 0.001)];
+    const sigma = over.map(([each, { P }]) => [each, Math.sqrt(P[0])]);
+    const gain = [0, 1].map((i) => over.map(([each, { K }]) => [each, K[i]]));
+    const t = live.track(state), k = t.s.map((_, i) => i + 1);
+    const errors = [t.kalman, t.fir].map((estimate) => estimate.map((each, i) => [k[i], each - t.s[i]]));
+    const late = errors.flat().filter(([at]) => at > live.STEPS / 3).map(([, error]) => Math.abs(error));
+    const reach = 1.1 * Math.max(4 * Math.sqrt(P[0]), ...late);
+    const wide = { x: [0.01, 100], logs: "xy" };
+    figure.querySelector(".panels").innerHTML = [
+      panel("σ of the position (m)", "time step Δt (s)", { ...wide, y: spread(sigma.map(([, s]) => s)), mark: [[dt, Math.sqrt(P[0])]],
+        curves: [{ name: "σ", points: sigma }] }),
+      panel("the constant gain", "time step Δt (s)", { ...wide, y: spread(gain.flat().map(([, g]) => g)), mark: [[dt, K[0]], [dt, K[1]]],
+        curves: [{ name: "position", points: gain[0] }, { name: "velocity", points: gain[1] }] }),
+      panel("error of one track (m)", "step k", { x: [1, live.STEPS], y: [-reach, reach], logs: "", width: Math.min(Math.max(figure.clientWidth - 30, 360), 740),
+        band: k.map((each, i) => [each, 2 * t.sigma[i]]), curves: [{ name: "Kalman", points: errors[0] }, { name: "FIR", points: errors[1] }] }),
+    ].join("");
+    const rule = live.firOrder(A), last = errors.map((each) => number(Math.abs(each.at(-1)[1]), 2));
+    figure.querySelector(".said").textContent = `With Δt = ${number(dt)} s the constant gain is ${number(K[0])} for the position and `
+      + `${number(K[1])} 1/s for the velocity; σ of the position is ${number(Math.sqrt(P[0]))} m. The rule ‖Aᴹ‖ < 0.001 takes M = ${rule}; `
+      + `at step ${live.STEPS} the Kalman filter is off by ${last[0]} m, the FIR filter with M = ${M} by ${last[1]} m.`;
+    for (const [name, { unit, log }] of Object.entries(SLIDERS)) {
+      const { input, value } = controls[name];
+      input.value = log ? Math.log10(state[name]) : state[name];
+      value.textContent = `${number(state[name])} ${name === "q" ? (model === "cv" ? "m²/s³" : "m²/s²") : unit}`;
+      input.setAttribute("aria-valuetext", value.textContent);
+    }
+    for (const button of figure.querySelectorAll("[data-preset]")) {
+      const preset = presets[button.dataset.preset];
+      button.setAttribute("aria-pressed", ["model", "dt", "q", "r", "v"].every((name) => state[name] === preset[name]));
+    }
+  }
+
+  function read() {
+    const chosen = new URLSearchParams(location.hash.slice(1));
+    if (!chosen.has("dt")) return;
+    if (chosen.get("model") in { gsm: 0, cv: 0 }) state.model = chosen.get("model");
+    for (const [name, { from, to, log }] of Object.entries(SLIDERS)) {
+      const value = Number(chosen.get(name)), [low, high] = log ? [10 ** from, 10 ** to] : [from, to];
+      if (chosen.has(name) && Number.isFinite(value)) state[name] = Math.min(Math.max(value, low), high);
+    }
+    state.M = Math.round(state.M);
+  }
+
+  function keep() {
+    history.replaceState(null, "", "#" + new URLSearchParams(state));
+    draw();
+  }
+
+  const rows = Object.entries(SLIDERS).map(([name, { label, from, to, log, step }]) => `<div class="slider"><label for="live-${name}">${label}</label>`
+    + `<input id="live-${name}" name="${name}" type="range" min="${from}" max="${to}" step="${log ? 0.02 : step}"><span class="value"></span></div>`);
+  const buttons = Object.entries(presets).map(([key, { name }]) => `<button type="button" data-preset="${key}">${name}</button>`);
+  figure.querySelector(".still").remove();
+  figure.querySelector(".controls").innerHTML = `<p class="presets">As in the paper of ${buttons.join(" ")}</p>${rows.join("")}`;
+  for (const [name, { log }] of Object.entries(SLIDERS)) {
+    const input = figure.querySelector(`#live-${name}`);
+    controls[name] = { input, value: input.nextElementSibling };
+    input.addEventListener("input", () => {
+      state[name] = log ? Number((10 ** Number(input.value)).toPrecision(3)) : Number(input.value);
+      if (["dt", "q", "r"].includes(name)) state.M = ruled(state);
+      keep();
+    });
+  }
+  for (const button of figure.querySelectorAll("[data-preset]")) {
+    button.addEventListener("click", () => {
+      take(presets[button.dataset.preset]);
+      keep();
+    });
+  }
+  take(presets[figure.dataset.preset]);
+  read();
+  addEventListener("hashchange", () => { read(); draw(); });
+  addEventListener("resize", draw);
+  draw();
+}
