@@ -1,4 +1,4 @@
-"""What a reader sees in the committed notebooks, by reading them: `make test` executes them under nbval with `exact`."""
+"""What a reader sees in the committed notebooks, read from them: `make test` executes them under nbval with `exact`."""
 
 import json
 import re
