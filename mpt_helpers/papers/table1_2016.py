@@ -81,21 +81,26 @@ def expected_averages(column, axis, L, gains=None):
     return ratio.cumsum(axis=1) / np.arange(1, L + 1)
 
 
-def errors(column, axis, noise, rng, runs):
-    """Return e and s(k+N) of simulated runs on one axis, each (6, 110, runs)."""
+def errors(column, axis, noise, rng, runs, v=None):
+    """Return e and s(k+N) of simulated runs on one axis, each (6, 110, runs).
+
+    v is the measurement noise, (115, 1, runs), drawn like the rest if it is not given.
+    """
     x, z = simulate(column.truth(axis, noise), TRANSIENT + AHEAD, rng, tracks=runs)
+    if v is not None:
+        z = x[:, :1] + v
     predicted = np.einsum("Ni,kim->Nkm", ahead(column.steady.model), column.steady.filter(z[:TRANSIENT]))
     position = np.array([x[N : N + TRANSIENT, 0] for N in range(AHEAD + 1)])
     return position - predicted, position
 
 
-def relative_errors(column, noise, rng, runs):
+def relative_errors(column, noise, rng, runs, v=(None, None)):
     """Return |e| / |s| of simulated runs: {axis: (6, 110, runs)}.
 
     The axes are x, y, the mean of both, and distances in the plane. noise is the process noise of the tracks as a
-    multiple of the filter's.
+    multiple of the filter's, v the measurement noise on the axes x and y if it is given, each (115, 1, runs).
     """
-    (e_x, s_x), (e_y, s_y) = (errors(column, axis, noise, rng, runs) for axis in (0, 1))
+    (e_x, s_x), (e_y, s_y) = (errors(column, axis, noise, rng, runs, v[axis]) for axis in (0, 1))
     x = np.abs(e_x / s_x)
     y = np.abs(e_y / s_y)
     plane = np.sqrt((e_x**2 + e_y**2) / (s_x**2 + s_y**2))
@@ -139,26 +144,30 @@ def printed_lengths(column, ratio, scale, lengths):
 def log_likelihood(samples, tables, digits=4):
     """Return the log of the probability of printing each table, (lengths, tables).
 
-    samples are the averages of runs, (lengths, 6, runs); tables are (6, tables), printed with so many decimals. The
-    averages of a run are taken as Gaussian with the mean and covariance of the samples. Rounding adds the variance of a
-    uniform error. The density, times the width of the last digit for each of the six numbers, is a probability.
+    samples are the averages of runs, (lengths, numbers, runs), six numbers for a column or twelve for both; tables are
+    (numbers, tables), printed with so many decimals. The averages of a run are taken as Gaussian with the mean and
+    covariance of the samples. Rounding adds the variance of a uniform error. The density, times the width of the last
+    digit for each number, is a probability.
     """
     unit = 10.0**-digits
+    numbers = samples.shape[1]
     mean = samples.mean(axis=2, keepdims=True)
     centred = samples - mean
-    C = centred @ centred.swapaxes(1, 2) / (samples.shape[2] - 1) + unit**2 / 12 * np.eye(AHEAD + 1)
+    C = centred @ centred.swapaxes(1, 2) / (samples.shape[2] - 1) + unit**2 / 12 * np.eye(numbers)
     off = tables - mean
     distance = (off * np.linalg.solve(C, off)).sum(axis=1)
-    return (AHEAD + 1) * np.log(unit) - (distance + np.linalg.slogdet(2 * np.pi * C)[1][:, None]) / 2
+    return numbers * np.log(unit) - (distance + np.linalg.slogdet(2 * np.pi * C)[1][:, None]) / 2
 
 
 def draw_lengths(ax, column, ratio, scale, lengths, L):
     """Draw the lengths that the printed numbers imply (dots), over N, and those of thirty simulated runs of L steps."""
     samples = scale * averages(column, ratio, lengths)
     tables = scale * averages(column, ratio, [L])[0, :, :30]
-    ax.plot(implied_lengths(samples, lengths, tables), color="0.8", lw=0.7)
-    ax.axhline(L, color="0.3", lw=0.8)
-    ax.plot(printed_lengths(column, ratio, scale, lengths), "o", color="C1", ms=5)
+    implied = implied_lengths(samples, lengths, tables)
+    ax.plot(implied[:, 1:], color="0.8", lw=0.7)
+    ax.plot(implied[:, 0], color="0.8", lw=0.7, label="simulated runs")
+    ax.axhline(L, color="0.3", lw=0.8, label="one length")
+    ax.plot(printed_lengths(column, ratio, scale, lengths), "o", color="C1", ms=5, label="printed")
 
 
 def draw_errors(ax, column, e, N, some):
