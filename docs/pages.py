@@ -112,11 +112,17 @@ def figures_of(key, cells):
         for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
-            captions = [part for part in prose if part.startswith((f"**{label}.", f"**{label}*"))]
+            captions = [part for part in prose if label in names_of(part)]
             (alt,) = (out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out["data"])
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
             drawn.append(Drawn(name, label, captions[0] if captions else alt, cell["id"], alt, width, height))
     return drawn
+
+
+def names_of(paragraph):
+    """Return the figures that a paragraph is the caption of, as in **Figure 1, Figure 2.** or **Figure `name`.**."""
+    head = re.match(r"\*\*(.*?)\.?\*\*", paragraph)
+    return head[1].split(", ") if head else []
 
 
 def svg_size(path):

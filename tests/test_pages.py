@@ -75,6 +75,12 @@ def test_a_caption_is_the_paragraph_with_the_name_of_the_figure():
     assert (drawn.label, drawn.caption, drawn.cell) == ("Figure 1", "**Figure 1.** It falls.", "draw")
 
 
+def test_two_figures_may_share_a_caption():
+    assert pages.names_of("**Figure 1, Figure 2.** Estimates.") == ["Figure 1", "Figure 2"]
+    assert pages.names_of("**Figure `burden`.** It falls.") == ["Figure `burden`"]
+    assert pages.names_of("Figure 1 falls, **as it should**.") == []
+
+
 def test_another_file_than_mathjax_is_refused(tmp_path, monkeypatch):
     (tmp_path / "other.js").write_text("alert(1)")
     other = SimpleNamespace(locate_file=lambda name: tmp_path / "other.js")
