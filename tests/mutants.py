@@ -72,7 +72,7 @@ def first_failure(project, tests):
     here = os.environ | {"PYTHONPATH": str(project), "PYTHONDONTWRITEBYTECODE": "1"}  # before the installed package
     notebooks = [test for test in tests if test.endswith(".ipynb")]
     others = [test for test in tests if test not in notebooks]
-    for stage in (others, ["-p", "tests.exact", "--nbval", *notebooks] if notebooks else []):
+    for stage in (others, ["-p", "tests.exact", "--nbval", "--nbval-current-env", *notebooks] if notebooks else []):
         if stage:
             options = ["-q", "-x", "-p", "no:cacheprovider", "--hypothesis-profile=mutants"]
             command = [sys.executable, "-m", "pytest", *options, *stage]

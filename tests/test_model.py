@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import AXIS, MODELS_2016
@@ -26,6 +28,9 @@ def test_stack_is_equation_2():
     G = np.array([[0.5, 0], [1, 0], [0, 0.5], [0, 1]])
     np.testing.assert_allclose(model.Q, 0.01 * G @ G.T)
     np.testing.assert_allclose(model.R, 0.1 * np.eye(2))
+    starts = [replace(AXIS, x0=x0, P0=P0 * np.eye(2)) for x0, P0 in (([1.0, 2.0], 1.0), ([3.0, 4.0], 2.0))]
+    np.testing.assert_array_equal(mpt.stack(*starts).x0, [1, 2, 3, 4])
+    np.testing.assert_array_equal(mpt.stack(*starts).P0, np.diag([1, 1, 2, 2]))
 
 
 def test_models_are_equal_by_their_numbers():
