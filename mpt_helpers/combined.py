@@ -73,7 +73,10 @@ class JoinFilter(Filter):
             yield (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
     def _estimates(self, z):
-        return (self.first._estimates(z) + self.second._estimates(z)) / 2
+        x = self.first._estimates(z)
+        x += self.second._estimates(z)  # in place: no third array as large as z
+        x /= 2
+        return x
 
 
 class Separate(Filter):

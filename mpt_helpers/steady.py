@@ -153,7 +153,10 @@ class SteadyStatePredictor(Filter):
         return np.moveaxis(predicted, 1, 3) if P.ndim == 4 else predicted
 
     def _estimates(self, z):
-        return self.F_N @ self.steady._estimates(z)
+        x = self.steady._estimates(z)
+        for x_k in x:
+            x_k[:] = self.F_N @ x_k
+        return x
 
 
 def _require_whole_rows(seen):

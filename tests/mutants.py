@@ -18,6 +18,7 @@ from mpt_helpers.ledger.tables import Table
 
 ROOT = Path(__file__).parent.parent
 LEAST = 0.95  # of the mutants must be caught
+NOT_RUN = "not run"  # what the table says of a mutant that was not tried since the code changed
 
 
 class Mutant(NamedTuple):
@@ -84,12 +85,23 @@ def first_failure(project, tests):
 
 
 def table(caught):
-    """Return the table of README.md."""
-    rows = [
-        (i, mutant.what, f"`{mutant.file}`", f"`{test}`" if test else "**no test**")
-        for i, (mutant, test) in enumerate(caught, 1)
-    ]
-    return Table(("", "what is broken", "where", "seen first by"), rows).markdown()
+    """Return the summary and the table of README.md."""
+    rows = []
+    for i, (mutant, test) in enumerate(caught, 1):
+        seen = test if test == NOT_RUN else f"`{test}`" if test else "**no test**"
+        rows.append((i, mutant.what, f"`{mutant.file}`", seen))
+    tried = [test for _, test in caught if test != NOT_RUN]
+    summary = f"{sum(test is not None for test in tried)} of {len(tried)} are seen."
+    if len(tried) < len(caught):
+        summary += f" {len(caught) - len(tried)} were not run since the code changed."
+    return f"{summary}\n\n{Table(('', 'what is broken', 'where', 'seen first by'), rows).markdown()}\n"
+
+
+def write_table(caught):
+    """Write the table of (mutant, what it was caught by) into README.md."""
+    readme = Path(__file__).with_name("README.md")
+    head = readme.read_text().partition("<!-- mutants -->")[0]
+    write_whole(readme, f"{head}<!-- mutants -->\n{table(caught)}".encode())
 
 
 def main():
@@ -103,14 +115,11 @@ def main():
         found = list(tqdm(pool.map(caught_by, every), total=len(every), desc="mutants"))
     caught = list(zip(every, found, strict=True))
     share = sum(test is not None for test in found) / len(found)
-    summary = f"{sum(test is not None for test in found)} of {len(found)} are seen."
-    readme = Path(__file__).with_name("README.md")
-    head = readme.read_text().partition("<!-- mutants -->")[0]
-    write_whole(readme, f"{head}<!-- mutants -->\n{summary}\n\n{table(caught)}\n".encode())
+    write_table(caught)
     for mutant, test in caught:
         if test is None:
             print(f"no test sees: {mutant.what} ({mutant.file})", file=sys.stderr)
-    print(summary)
+    print(f"{share:.1%} are seen")
     return int(share < LEAST)
 
 
