@@ -26,7 +26,7 @@ OF_CLAIMS = {
     REPRODUCED: "hold",
     IN_PART: "hold in part",
     DIFFERS: "fail",
-    ERRATUM: "are refuted by their own paper",
+    ERRATUM: "contradict their own paper",
     CANNOT_BE_CHECKED: "cannot be checked",
 }
 
