@@ -27,7 +27,7 @@ CELL_TIMEOUT = 600  # seconds; the slowest cell takes some ten
 
 
 class CommandError(Exception):
-    """What went wrong, in words for the terminal."""
+    """A failure in words for the terminal."""
 
 
 def project():
@@ -184,10 +184,10 @@ def as_text(verdicts, every, width):
 
 
 def readme(verdicts):
-    """Return the README's block on Verdicts: what holds and what is wrong in words, then a row for each paper."""
+    """Return the README's block on Verdicts: what is wrong and what holds in words, then a row for each paper."""
     tally = verdicts.tally()
     others = "".join(f", {count} {words}" for words, count in tally.claims_bar() if words != "hold")
-    words = f"**{tally.claims_text()}**{others}. {tally.values_text()}. What is wrong: {tally.causes_text()}."
+    words = f"**What is wrong: {tally.causes_text()}.** {tally.claims_text()}{others}. {tally.values_text()}."
     rows = []
     for paper in [*dict.fromkeys(each.paper for each in verdicts), "all"]:
         own = tally if paper == "all" else verdicts.of(paper).tally()

@@ -45,7 +45,7 @@ class JoinFilter(Filter):
 
     @property
     def steps_ahead(self):
-        """How far both filters predict."""
+        """The number of steps that both filters predict ahead."""
         return self.first.steps_ahead
 
     @property

@@ -159,7 +159,7 @@ class RecursiveFilter(Filter):
         return steps
 
     def _continued(self, steps, seen):
-        """Return these first Steps, followed by those of the remaining epochs of seen (N, m)."""
+        """Return the given first Steps and, after them, the Steps of the remaining epochs of seen (N, m)."""
         same_rows = np.append(False, (seen[1:] == seen[:-1]).all(axis=1)).tolist()
         steps = list(steps)
         converged = len(steps) > 1 and steps[-1] is steps[-2]  # one object twice: it had converged
