@@ -154,8 +154,9 @@ class RecursiveFilter(Filter):
         first_gap = gaps[0] if len(gaps) else len(seen)
         kept = vars(self).get("_kept_steps", [])
         steps = self._continued(kept[:first_gap], seen)
-        if first_gap > len(kept):
-            vars(self)["_kept_steps"] = steps[: min(first_gap, KEPT_STEPS)]
+        to_keep = min(first_gap, KEPT_STEPS)
+        if to_keep > len(kept):
+            vars(self)["_kept_steps"] = steps[:to_keep]
         return steps
 
     def _continued(self, steps, seen):
