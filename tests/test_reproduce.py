@@ -345,8 +345,8 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         "above",
         "<!-- verdicts: here -->",
         "",
-        "**1 of 1 claims hold**. 2 of 4 numbers, formulas and figures agree. "
-        "What is wrong: 1 slip (1 cell); our copy has lost 1 cell.",
+        "**What is wrong: 1 slip (1 cell); our copy has lost 1 cell.** 1 of 1 claims hold. "
+        "2 of 4 numbers, formulas and figures agree.",
         "",
         "| paper | slips (cells) | wordings (cells) | findings (cells) | claims hold "
         "| numbers, formulas, figures agree | cannot be checked |",
@@ -362,5 +362,5 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
 def test_the_readme_counts_claims_that_cannot_be_checked(shipped):
     *_, lost = shipped
     text = readme(Verdicts([*shipped, replace(lost, kind="claim")], shipped.causes))
-    assert text.startswith("**1 of 2 claims hold**, 1 cannot be checked. ")
+    assert "** 1 of 2 claims hold, 1 cannot be checked. " in text
     assert text.endswith("| 1 of 2 | 2 of 4 | 2 |")
