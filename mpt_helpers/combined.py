@@ -53,10 +53,6 @@ class JoinFilter(Filter):
         """The mean of both P(0/0)."""
         return (self.first.P0 + self.second.P0) / 2
 
-    def covariances(self, z):
-        """Return the mean of both filters' covariances, for measurements z or N epochs without gaps."""
-        return (self.first.covariances(z) + self.second.covariances(z)) / 2
-
     def step(self, x, P, z_k):
         """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
@@ -72,11 +68,13 @@ class JoinFilter(Filter):
         for (x_1, P_1), (x_2, P_2) in zip(self.first.epochs(z), self.second.epochs(z), strict=True):
             yield (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
-    def _estimates(self, z):
-        x = self.first._estimates(z)
-        x += self.second._estimates(z)  # in place: no third array as large as z
-        x /= 2
-        return x
+    def _fill(self, x, z):
+        second = np.empty_like(x)
+        self.first._fill(x, z)
+        self.second._fill(second, z)
+        for x_k, second_k in zip(x, second, strict=True):  # an epoch at a time, which stays in the cache
+            x_k += second_k
+            x_k /= 2
 
 
 class Separate(Filter):
@@ -110,13 +108,6 @@ class Separate(Filter):
         """The block diagonal P(0/0)."""
         return block_diag(*(each.P0 for each in self.filters))
 
-    def covariances(self, z):
-        """Return the block diagonal covariances, for measurements z or N epochs without gaps."""
-        if np.ndim(z) == 0:
-            return _diagonal([each.covariances(z) for each in self.filters])
-        z = checks.measurements(z, self.model.m)
-        return _diagonal([each.covariances(z[:, rows]) for each, _, rows in self._parts()])
-
     def step(self, x, P, z_k):
         """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its rows of z_k (m,)."""
         z_k = one_measurement(z_k, self.model.m)
@@ -125,14 +116,17 @@ class Separate(Filter):
 
     def epochs(self, z):
         """Yield x (n, M) and P (n, n, 1 or M), block diagonal, of what the filters' `epochs` yield."""
-        for epoch in zip(*(each.epochs(z[:, rows]) for each, _, rows in self._parts()), strict=True):
-            yield np.concatenate([x for x, _ in epoch]), _diagonal([P[None] for _, P in epoch])[0]
+        n = self.model.n
+        parts = self._parts()
+        for epoch in zip(*(each.epochs(z[:, rows]) for each, _, rows in parts), strict=True):
+            P = np.zeros((n, n, max(P_i.shape[2] for _, P_i in epoch)))
+            for (_, P_i), (_, i, _) in zip(epoch, parts, strict=True):
+                P[i, i] = P_i
+            yield np.concatenate([x for x, _ in epoch]), P
 
-    def _estimates(self, z):
-        x = np.empty((len(z), self.model.n, z.shape[2]))
-        for each, states, rows in self._parts():
-            x[:, states] = each._estimates(z[:, rows])
-        return x
+    def _fill(self, x, z):
+        for each, i, rows in self._parts():
+            each._fill(x[:, i], z[:, rows])
 
     def _parts(self):
         """Return each filter with the slices of its states and of its measurements."""
@@ -147,17 +141,6 @@ def _require_equally_far_ahead(name, first, other):
     if first.steps_ahead != other.steps_ahead:
         need, got = (f"one {each.steps_ahead} steps ahead" for each in (first, other))
         checks.refuse(name, f"{need}, as the first", got)
-
-
-def _diagonal(blocks):
-    """Return block diagonal covariances (N, n, n, ...) of covariances (N, n_i, n_i, ...)."""
-    sizes = [block.shape[1] for block in blocks]
-    shape = np.broadcast_shapes(*(block.shape[3:] for block in blocks))
-    P = np.zeros((len(blocks[0]), sum(sizes), sum(sizes), *shape))
-    for block, stop in zip(blocks, np.cumsum(sizes), strict=True):
-        rows = slice(stop - len(block[0]), stop)
-        P[:, rows, rows] = block
-    return P
 
 
 def six_filters(model):

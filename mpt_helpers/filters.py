@@ -14,24 +14,34 @@ import numpy as np
 
 from . import checks, columns
 from .model import Immutable, LinearModel
-from .recursion import TILE_OF_COVARIANCES, Step, run, tiles
+from .recursion import TILE_OF_COVARIANCES, Step, lifted, run, tiles
 from .riccati import lainiotis_matrices, lainiotis_transition
 
-# A filter keeps its first steps without gaps once it has made them. On the papers' models it converges within 45.
-KEPT_STEPS = 256
+# A filter that converges within so many steps keeps the products of them. On the papers' models it does within 45.
+MOST_KEPT = 256
 # A filter has converged when no P_ij moves by more than this times σ_i σ_j: the rounding of doubles.
 CONVERGED = 4e-16
 
 
 class Filter(Immutable):
-    """A filter of measurements z. A subclass has a `model`, and `_estimates(z)`: x (N, n, M) for z (N, m, M)."""
+    """A filter of measurements z of its `model`.
+
+    A subclass defines `_fill(x, z)`, and `P0` and `epochs(z)` where its estimates have covariances.
+    """
 
     steps_ahead = 0  # of the last measurement that an estimate takes; more in a predictor
 
     @property
     def P0(self):
-        """P(0/0); raises TypeError for a filter whose estimates have no covariance."""
-        raise TypeError(f"needs a filter with a covariance of its estimates, got a {type(self).__name__}")
+        """P(0/0); raises TypeError for a filter that has none."""
+        self._refuse_covariances()
+
+    def epochs(self, z):
+        """Yield x(k/k) (n, M) and P(k/k), (n, n, 1) or (n, n, M), for k = 1 ... N of tracks z (N, m, M).
+
+        P is (n, n, 1) where all tracks have the same gaps. Raises TypeError for a filter that has no covariances.
+        """
+        self._refuse_covariances()
 
     def filter(self, z):
         """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
@@ -40,16 +50,40 @@ class Filter(Immutable):
         of data, or infinite values.
         """
         z, many = self._as_tracks(z)
+        x = np.empty((len(z), self.model.n, z.shape[2]))
         with np.errstate(invalid="ignore"):  # NaN times zero
-            x = self._estimates(z)
+            self._fill(x, z)
         if not np.isfinite(x[-1]).all():  # an infinite measurement shows to the end, so z is searched only now
             checks.no_infinity(z)
         return x if many else x[..., 0]
+
+    def covariances(self, z):
+        """Return P(1/1) ... P(N/N) for the gaps that z has: (N, n, n) for z (N, m), (N, n, n, M) for z (N, m, M).
+
+        With an integer N for z, nothing is missing. Raises as `filter`, and TypeError for a filter that has none.
+        """
+        if np.ndim(z) == 0:
+            z = np.zeros((checks.count("N", z), self.model.m))
+        z, many = self._as_tracks(z)
+        checks.no_infinity(z)
+        (N, _, M), n = z.shape, self.model.n
+        P = np.empty((N, n, n, M))
+        for tracks in tiles(M, TILE_OF_COVARIANCES):
+            for k, (_, P_k) in enumerate(self.epochs(z[..., tracks])):
+                P[k, ..., tracks] = P_k
+        return P if many else P[..., 0]
+
+    def _fill(self, x, z):
+        """Write the estimates of z (N, m, M) to x (N, n, M)."""
+        raise NotImplementedError
 
     def _as_tracks(self, z):
         """Return checked measurements as (N, m, M), and whether they came with an axis of tracks."""
         z = checks.measurements(z, self.model.m)
         return (z, True) if z.ndim == 3 else (z[..., None], False)
+
+    def _refuse_covariances(self):
+        raise TypeError(f"needs a filter with a covariance of its estimates, got a {type(self).__name__}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +91,7 @@ class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance.
 
     A subclass defines `next_step(P, seen)`: the Step from P(k/k) to epoch k+1, where seen (m,) says which measurements
-    are there. P may be a stack (M, n, n).
+    are there.
     """
 
     model: LinearModel
@@ -75,46 +109,21 @@ class RecursiveFilter(Filter):
         steps = self._steps(np.ones((checks.count("N", N), self.model.m), bool))
         return Step(*map(np.array, zip(*steps, strict=True)))
 
-    def covariances(self, z):
-        """Return P(1/1) ... P(N/N) for the gaps that z has.
-
-        The result is (N, n, n) for z of shape (N, m), and (N, n, n, M) for z of shape (N, m, M); the latter is
-        read-only where all tracks have the same gaps. With an integer N for z, nothing is missing. Raises as `filter`.
-        """
-        if np.ndim(z) == 0:
-            return self.coefficients(z).P
-        z, many = self._as_tracks(z)
-        checks.no_infinity(z)
-        (N, _, M), n = z.shape, self.model.n
-        seen = ~np.isnan(z)
-        if _all_alike(seen):
-            P = np.array([step.P for step in self._steps(seen[..., 0])])
-            return np.broadcast_to(P[..., None], (N, n, n, M)) if many else P
-        P = np.empty((N, n, n, M))
-        for tile in tiles(M, TILE_OF_COVARIANCES):
-            for k, (_, P_k) in enumerate(self.epochs(z[..., tile])):
-                P[k, ..., tile] = P_k
-        return P
-
     def step(self, x, P, z_k):
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`.
         """
         z_k = one_measurement(z_k, self.model.m)
-        checks.no_infinity(z_k)
         seen = ~np.isnan(z_k)
         A, B, P = self.next_step(P, seen)
         x = A @ x + B @ np.where(seen, z_k, 0)
         return x, P
 
     def epochs(self, z):
-        """Yield x(k/k) (n, M) and P(k/k), (n, n, 1) or (n, n, M), for k = 1 ... N of tracks z (N, m, M).
-
-        P is (n, n, 1) where all tracks have the same gaps. The arrays are not to be written to.
-        """
+        """Yield x(k/k) and P(k/k) as in Filter. The arrays are not to be written to."""
         seen = ~np.isnan(z)
-        if not _all_alike(seen):
+        if (seen != seen[..., :1]).any():
             yield from self._epochs_of_different_gaps(z, seen)
             return
         x = self.model.x0[:, None]
@@ -122,19 +131,47 @@ class RecursiveFilter(Filter):
             x = step.A @ x + step.B @ z_k
             yield x, step.P[..., None]
 
-    def _estimates(self, z):
-        """Run all tracks with the gaps that most of them have, then once more those that have other gaps."""
-        seen = _usual_gaps(z)
-        x0 = np.broadcast_to(self.model.x0[:, None], (self.model.n, z.shape[2]))
-        x = run(self._steps(seen), seen, x0, z)
-        others = np.flatnonzero(_has_other_gaps(x, z, seen))
-        if len(others):
-            checks.no_infinity(z)
+    def _fill(self, x, z):
+        """Filter all tracks with the gaps of the first one, then those again that have other gaps, with their own."""
+        (N, _, M), n = z.shape, self.model.n
+        seen = ~np.isnan(z[..., 0])
+        x0 = np.broadcast_to(self.model.x0[:, None], (n, M))
+        if seen.all():
+            run(self._products(N, M), x0, z, x)
+            others = np.isnan(x[-1]).any(axis=0)  # a track that misses a measurement has NaN from there on
+        else:
+            others = (np.isnan(z) == seen[..., None]).any(axis=(0, 1))
+            run(lifted(list(self._steps(seen)), M), x0, np.where(seen[..., None], z, 0), x)
+        others = np.flatnonzero(others)
         for tile in tiles(len(others), TILE_OF_COVARIANCES):
             tracks = others[tile]
-            for k, (x_k, _) in enumerate(self.epochs(z[..., tracks])):
+            z_of_tracks = z[..., tracks]
+            checks.no_infinity(z_of_tracks)
+            for k, (x_k, _) in enumerate(self.epochs(z_of_tracks)):
                 x[k][:, tracks] = x_k
-        return x
+
+    def _products(self, N, tracks):
+        """Return `lifted` of N steps without gaps. They are kept for the next call, often one for the same numbers."""
+        kept_for, products = vars(self).get("_kept_products", (None, None))
+        if kept_for != (N, tracks):
+            steps = list(self._steps(np.ones((N, self.model.m), bool)))
+            products = lifted(steps, tracks)
+            if steps[-1] is steps[:MOST_KEPT][-1]:
+                vars(self)["_kept_products"] = (N, tracks), products
+        return products
+
+    def _steps(self, seen):
+        """Yield the Steps of the epochs of seen (N, m). A filter that has converged repeats one object."""
+        as_before = [False, *(seen[1:] == seen[:-1]).all(axis=1)]
+        P, converged = self.P0, False
+        for seen_k, same in zip(seen, as_before, strict=True):
+            if not (same and converged):
+                step = Step(*self.next_step(P, seen_k))
+                for array in step:
+                    array.flags.writeable = False
+                converged = _has_not_moved(P, step.P)
+                P = step.P
+            yield step
 
     def _epochs_of_different_gaps(self, z, seen):
         """Yield what `epochs` yields; in each epoch, tracks that see the same measurements take their step together."""
@@ -144,62 +181,13 @@ class RecursiveFilter(Filter):
             x, P = x.copy(), P.copy()
             for pattern in np.unique(seen_k, axis=1).T:
                 tracks = np.flatnonzero((pattern == seen_k.T).all(axis=1))
-                A, B, P[tracks] = self.next_step(P[tracks], pattern)
+                A, B, P[tracks] = self._next_steps(P[tracks], pattern)
                 x[tracks] = (A @ x[tracks, :, None] + B @ z_k.T[tracks, :, None])[..., 0]
             yield x.T, P.transpose(1, 2, 0)
 
-    def _steps(self, seen):
-        """Return a list of the Steps of the epochs of seen (N, m). A filter that has converged repeats one object."""
-        gaps = np.flatnonzero(~seen.all(axis=1))
-        first_gap = gaps[0] if len(gaps) else len(seen)
-        kept = vars(self).get("_kept_steps", [])
-        steps = self._continued(kept[:first_gap], seen)
-        to_keep = min(first_gap, KEPT_STEPS)
-        if to_keep > len(kept):
-            vars(self)["_kept_steps"] = steps[:to_keep]
-        return steps
-
-    def _continued(self, steps, seen):
-        """Return the given first Steps and, after them, the Steps of the remaining epochs of seen (N, m)."""
-        same_rows = np.append(False, (seen[1:] == seen[:-1]).all(axis=1)).tolist()
-        steps = list(steps)
-        converged = len(steps) > 1 and steps[-1] is steps[-2]  # one object twice: it had converged
-        for k in range(len(steps), len(seen)):
-            if converged and same_rows[k]:
-                steps.append(steps[-1])
-                continue
-            P = steps[-1].P if steps else self.P0
-            step = Step(*self.next_step(P, seen[k]))
-            for array in step:
-                array.flags.writeable = False
-            steps.append(step)
-            converged = _has_not_moved(P, step.P)
-        return steps
-
-
-def _all_alike(seen):
-    """Tell whether all tracks of seen (N, m, M) have the same gaps."""
-    return bool((seen == seen[..., :1]).all())
-
-
-def _usual_gaps(z):
-    """Guess which measurements (N, m) most tracks have: those that at least one of some ten tracks has.
-
-    Tracks for which the guess is wrong are found by `_has_other_gaps`.
-    """
-    sample = z[..., :: max(1, z.shape[2] // 10)]
-    return ~np.isnan(sample).all(axis=2)
-
-
-def _has_other_gaps(x, z, seen):
-    """Tell which tracks (M,) have other gaps than seen (N, m), after a run that gave the estimates x.
-
-    A track that lacks a measurement of seen ends in NaN. A track that has one more was filtered without it, so z must
-    be searched for that.
-    """
-    nan_in_the_end = ~np.isfinite(x[-1]).all(axis=0)
-    number_in_a_gap = ~np.isnan(z[~seen]).all(axis=0)
-    return nan_in_the_end | number_in_a_gap
+    def _next_steps(self, P, seen):
+        """Return A, B and P of many tracks, (M, n, n), (M, n, m) and (M, n, n), from their P (M, n, n)."""
+        return map(np.array, zip(*(self.next_step(each, seen) for each in P), strict=True))
 
 
 def _has_not_moved(before, after):
@@ -213,6 +201,7 @@ def one_measurement(z_k, m):
     z_k = checks.real_numbers("z_k", z_k, need).astype(float)
     if z_k.shape != (m,):
         checks.refuse("z_k", need, f"shape {z_k.shape}")
+    checks.no_infinity(z_k)
     return z_k
 
 
@@ -238,15 +227,13 @@ class KalmanFilter(RecursiveFilter):
     """
 
     def next_step(self, P, seen):
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n), with the measurements seen (m,)."""
-        if P.ndim == 3:
-            return tuple(map(np.array, zip(*(self.next_step(each, seen) for each in P), strict=True)))
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n), with the measurements seen (m,)."""
         # filterpy 2.0: an object keeps its state, so each step takes a new one; a scalar R would be added to all of S,
         # so R is a matrix; x has one dimension, as z has. Neither gain nor covariance depends on x or z.
         kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=self.model.m)
         kf.x, kf.P = np.zeros(self.model.n), P
         kf.F, kf.Q = self.model.F, self.model.Q
-        kf.H, kf.R = neutralised(self.model, seen)
+        kf.H, kf.R = (self.model.H, self.model.R) if seen.all() else neutralised(self.model, seen)
         kf.predict()
         kf.update(np.zeros(self.model.m))
         return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K, kf.P
@@ -255,9 +242,8 @@ class KalmanFilter(RecursiveFilter):
         """Return x(k+1/k+1) and P(k+1/k+1), as in RecursiveFilter: the textbook's equations, Joseph's form for P."""
         z_k = one_measurement(z_k, self.model.m)
         F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
-        seen = np.isfinite(z_k)
+        seen = ~np.isnan(z_k)
         if not seen.all():
-            checks.no_infinity(z_k)
             z_k = np.where(seen, z_k, 0)
             H, R = neutralised(self.model, seen)
         # `dot` takes half the time of `@` on matrices as small as these.
@@ -296,6 +282,8 @@ class LainiotisFilter(RecursiveFilter):
         B = Kn + A @ P @ Km
         P = Pn + A @ P @ Fn.T
         return A, B, (P + P.swapaxes(-1, -2)) / 2
+
+    _next_steps = next_step  # numpy takes stacks of matrices as it takes one
 
     @cached_property
     def _matrices(self):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import checks
-from .recursion import Step, run
+from .recursion import Step, lifted, run
 
 
 class Immutable:
@@ -274,7 +274,8 @@ def simulate(model, N, rng, tracks=None):
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
     noise = rng.standard_normal((N, model.n, M))
     motion = Step(A=model.F, B=square_root(model.Q), P=None)  # the filters' recursion, driven by noise
-    x = run([motion] * N, np.ones((N, model.n), bool), x0, noise)
+    x = np.empty((N, model.n, M))
+    run(lifted([motion] * N, M), x0, noise, x)
     z = square_root(model.R) @ rng.standard_normal((N, model.m, M))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)

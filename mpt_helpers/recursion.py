@@ -65,38 +65,47 @@ def product_of_steps(A, B):
     return recursion(A, B, inputs[:n], inputs[n:].reshape(L, m, -1)).reshape(L * n, -1)
 
 
-def run(steps, seen, x0, z):
-    """Return x(1) ... x(N) of many tracks, (N, n, M): the same as `recursion`, several steps in one product.
+def lifted(steps, tracks):
+    """Return the W of each block of steps, for `run` with so many tracks.
 
-    steps is a list of N Steps, where a filter that has converged repeats one object. x0 is (n, M), z is (N, m, M). seen
-    (N, m) says which measurements are there; B has zero columns for the others, which may be NaN in z.
+    steps is a list of Steps. Where a filter has converged it repeats one Step, and its blocks share one W.
     """
-    N, m, M = z.shape
-    n = len(x0)
-    L = steps_per_product(n * min(M, TILE))
-    blocks = [steps[k : k + L] for k in range(0, N, L)]
-    x = np.empty((N, n, M))
-    for tracks in tiles(M, TILE):
-        inputs = np.zeros((n + L * m, tracks.stop - tracks.start))
-        state, measured = inputs[:n], inputs[n:].reshape(L, m, -1)  # views: what is written to them are the inputs
-        state[:] = x0[:, tracks]
-        W, block_of_W = None, ()
-        for i, block in enumerate(blocks):
-            epochs = slice(i * L, i * L + len(block))
-            if not _are_the_same_objects(block, block_of_W):
-                W = product_of_steps([step.A for step in block], [step.B for step in block])
-                block_of_W = block
-            measured[: len(block)] = z[epochs, :, tracks]
-            if not seen[epochs].all():
-                measured[: len(block)][~seen[epochs]] = 0  # a zero column of B does not remove NaN
-            out = x[epochs].reshape(-1, M)[:, tracks]
-            np.matmul(W, inputs[: W.shape[1]], out=out)
-            state[:] = out[-n:]
-    return x
+    L = steps_per_product(len(steps[0].A) * min(tracks, TILE))
+    products, made_of = [], []
+    for k in range(0, len(steps), L):
+        block = steps[k : k + L]
+        if not _are_the_same_objects(block, made_of):
+            W = product_of_steps([step.A for step in block], [step.B for step in block])
+            made_of = block
+        products.append(W)
+    return products
 
 
 def _are_the_same_objects(block, other):
     return len(block) == len(other) and all(a is b for a, b in zip(block, other, strict=True))
+
+
+def run(products, x0, z, x):
+    """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
+
+    products are those of `lifted`, x0 is (n, M), z is (N, m, M). A track with NaN in z has NaN from there on.
+    """
+    (_, n, M), m = x.shape, z.shape[1]
+    L = len(products[0]) // n
+    for tracks in tiles(M, TILE):
+        width = tracks.stop - tracks.start
+        inputs, outputs = np.empty((n + L * m, width)), np.empty((L * n, width))
+        state, measured = inputs[:n], inputs[n:].reshape(L, m, width)  # views: what is written to them are the inputs
+        state[:] = x0[:, tracks]
+        k = 0
+        for W in products:
+            after = outputs[: len(W)]
+            end = k + len(W) // n
+            measured[: end - k] = z[k:end, :, tracks]
+            np.matmul(W, inputs[: W.shape[1]], out=after)
+            x[k:end, :, tracks] = after.reshape(end - k, n, width)
+            state[:] = after[-n:]
+            k = end
 
 
 def steps_per_product(size):

@@ -78,7 +78,7 @@ class SteadyStateFilter(RecursiveFilter):
         return self.P
 
     def next_step(self, P, seen):
-        """Return the Step from P(k/k), (n, n) or (M, n, n). In a missed epoch A is F, B is zero and P is F P Fᵀ + Q."""
+        """Return the Step from P(k/k) (n, n). In a missed epoch A is F, B is zero and P is F P Fᵀ + Q."""
         P_predicted = predicted_covariance(self.model, P)
         if not seen.any():
             return self.model.F, np.zeros_like(self.B), P_predicted
@@ -145,18 +145,16 @@ class SteadyStatePredictor(Filter):
         """The covariance of the prediction's error in steady state (n×n)."""
         return predicted_covariance(self.model, self.steady.P, self.steps)
 
-    def covariances(self, z):
-        """Return the covariances of the predictions' errors, in the shapes of `SteadyStateFilter.covariances`."""
-        P = self.steady.covariances(z)
-        tracks_first = np.moveaxis(P, 3, 1) if P.ndim == 4 else P  # (N, M, n, n)
-        predicted = predicted_covariance(self.model, tracks_first, self.steps)
-        return np.moveaxis(predicted, 1, 3) if P.ndim == 4 else predicted
+    def epochs(self, z):
+        """Yield the predictions x(k+N/k) and the covariances of their errors, in the shapes of Filter."""
+        for x, P in self.steady.epochs(z):
+            predicted = predicted_covariance(self.model, np.moveaxis(P, 2, 0), self.steps)
+            yield self.F_N @ x, np.moveaxis(predicted, 0, 2)
 
-    def _estimates(self, z):
-        x = self.steady._estimates(z)
+    def _fill(self, x, z):
+        self.steady._fill(x, z)
         for x_k in x:
             x_k[:] = self.F_N @ x_k
-        return x
 
 
 def _require_whole_rows(seen):
@@ -235,36 +233,36 @@ class FIRFilter(Filter):
         """The paper's M: how many measurements an estimate takes."""
         return len(self.taps)
 
-    def _estimates(self, z):
+    def _fill(self, x, z):
         if np.isfinite(z).all():
-            return self._convolved(z)
+            self._convolve(x, z)
+            return
         checks.no_infinity(z)
         seen = ~np.isnan(z)
         _require_whole_rows(seen)
+        self._convolve(x, np.where(seen, z, 0))
         missed = ~seen.any(axis=1)
-        x = self._convolved(np.where(seen, z, 0))
         F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]
         for k in np.flatnonzero(missed.any(axis=1)):
             predicted = F @ (x[k - 1] if k > 0 else x0)
             predicted_z = np.where(missed[k], H @ predicted, 0)
             x[k : k + self.order] += self.taps[: len(x) - k] @ predicted_z
             x[k] = np.where(missed[k], predicted, x[k])
-        return x
 
-    def _convolved(self, z):
-        """Return Σ taps[j] z(k-j) for all k, (N, n, M), of z (N, m, M): some steps in one product with shifted taps."""
+    def _convolve(self, x, z):
+        """Write Σ taps[j] z(k-j) for all k to x (N, n, M), of z (N, m, M): some steps in one product with shifted taps."""
         (N, m, M), n = z.shape, self.model.n
         older = self.order - 1
         W = np.zeros((FIR_STEPS, n, older + FIR_STEPS, m))
         for i in range(FIR_STEPS):
             W[i, :, i : i + self.order] = self.taps[::-1].swapaxes(0, 1)
         W = W.reshape(FIR_STEPS * n, (older + FIR_STEPS) * m)
-        x = np.empty((N, n, M))
         measured = np.ascontiguousarray(z).reshape(N * m, M)
         for tracks in tiles(M, TILE):
+            outputs = np.empty((FIR_STEPS * n, tracks.stop - tracks.start))
             for k in range(0, N, FIR_STEPS):
                 first, last = max(k - older, 0), min(k + FIR_STEPS, N)
                 weights = W[: (last - k) * n, (first - k + older) * m : (last - k + older) * m]
-                out = x[k:last].reshape(-1, M)[:, tracks]
-                np.matmul(weights, measured[first * m : last * m, tracks], out=out)
-        return x
+                after = outputs[: len(weights)]
+                np.matmul(weights, measured[first * m : last * m, tracks], out=after)
+                x[k:last, :, tracks] = after.reshape(last - k, n, -1)
