@@ -123,7 +123,7 @@ class RecursiveFilter(Filter):
     def epochs(self, z):
         """Yield x(k/k) and P(k/k) as in Filter. The arrays are not to be written to."""
         seen = ~np.isnan(z)
-        if (seen != seen[..., :1]).any():
+        if not _all_alike(seen):
             yield from self._epochs_of_different_gaps(z, seen)
             return
         x = self.model.x0[:, None]
@@ -132,23 +132,27 @@ class RecursiveFilter(Filter):
             yield x, step.P[..., None]
 
     def _fill(self, x, z):
-        """Filter all tracks with the gaps of the first one, then those again that have other gaps, with their own."""
-        (N, _, M), n = z.shape, self.model.n
-        seen = ~np.isnan(z[..., 0])
-        x0 = np.broadcast_to(self.model.x0[:, None], (n, M))
-        if seen.all():
-            run(self._products(N, M), x0, z, x)
-            others = np.isnan(x[-1]).any(axis=0)  # a track that misses a measurement has NaN from there on
-        else:
-            others = (np.isnan(z) == seen[..., None]).any(axis=(0, 1))
-            run(lifted(list(self._steps(seen)), M), x0, np.where(seen[..., None], z, 0), x)
-        others = np.flatnonzero(others)
-        for tile in tiles(len(others), TILE_OF_COVARIANCES):
-            tracks = others[tile]
-            z_of_tracks = z[..., tracks]
-            checks.no_infinity(z_of_tracks)
-            for k, (x_k, _) in enumerate(self.epochs(z_of_tracks)):
-                x[k][:, tracks] = x_k
+        """Filter all tracks as if nothing were missing; then those that end in NaN again, with their gaps."""
+        run(self._products(len(z), z.shape[2]), self.model.x0[:, None], z, x)
+        tracks = np.flatnonzero(np.isnan(x[-1]).any(axis=0))
+        if len(tracks):
+            z = z[..., tracks]
+            checks.no_infinity(z)
+            x[..., tracks] = self._estimates_with_gaps(z)
+
+    def _estimates_with_gaps(self, z):
+        """Return the estimates of z (N, m, M): several steps in one product if all tracks have the same gaps."""
+        N, _, M = z.shape
+        x = np.empty((N, self.model.n, M))
+        seen = ~np.isnan(z)
+        if _all_alike(seen):
+            products = lifted(list(self._steps(seen[..., 0])), M)
+            run(products, self.model.x0[:, None], np.where(seen, z, 0), x)
+            return x
+        for tracks in tiles(M, TILE_OF_COVARIANCES):
+            for k, (x_k, _) in enumerate(self.epochs(z[..., tracks])):
+                x[k, :, tracks] = x_k
+        return x
 
     def _products(self, N, tracks):
         """Return `lifted` of N steps without gaps. They are kept for the next call, often one for the same numbers."""
@@ -188,6 +192,11 @@ class RecursiveFilter(Filter):
     def _next_steps(self, P, seen):
         """Return A, B and P of many tracks, (M, n, n), (M, n, m) and (M, n, n), from their P (M, n, n)."""
         return map(np.array, zip(*(self.next_step(each, seen) for each in P), strict=True))
+
+
+def _all_alike(seen):
+    """Tell whether all tracks of seen (N, m, M) have the same gaps."""
+    return bool((seen == seen[..., :1]).all())
 
 
 def _has_not_moved(before, after):

@@ -89,7 +89,7 @@ def nis(estimator, z):
     array([4.51, 6.93])
     """
     values, S = innovations(estimator, z)
-    whitened, _ = _whitened(values, S)
+    whitened, _ = _whitened(*_without_missing(values, S))
     return np.where(np.isnan(values).all(axis=1), np.nan, np.square(whitened).sum(axis=1))
 
 
@@ -106,24 +106,28 @@ def log_likelihood(estimator, z):
     -4.6228
     """
     values, S = innovations(estimator, z)
-    whitened, log_det = _whitened(values, S)
+    whitened, log_det = _whitened(*_without_missing(values, S))
     count = np.isfinite(values).sum(axis=1)
     return -0.5 * (np.square(whitened).sum(axis=1) + log_det + count * np.log(2 * np.pi)).sum(axis=0)
 
 
-def _whitened(values, S):
-    """Return innovations at unit covariance, zero where missing, and log det S of those that are there.
+def _without_missing(values, S):
+    """Return innovations with zeros for missing ones and S with rows of the identity for them.
 
-    The first has the shape of values, (N, m) or (N, m, M), the second is (N,) or (N, M).
+    So they add nothing to a sum of squares nor to a determinant.
     """
     there = np.isfinite(values)
-    shape = values.shape
-    values = np.moveaxis(np.where(there, values, 0), 1, -1)  # (N, m) or (N, M, m): numpy factorises the last two axes
-    there = np.moveaxis(there, 1, -1)
-    S = np.moveaxis(S, (1, 2), (-2, -1))
-    # A missing measurement has a row of the identity in S: it adds nothing to the determinant nor to the square.
-    S = np.where(there[..., None] & there[..., None, :], S, np.eye(shape[1]))
-    root = np.linalg.cholesky(S)
+    identity = np.eye(values.shape[1]).reshape(S.shape[1:3] + (1,) * (S.ndim - 3))
+    return np.where(there, values, 0), np.where(there[:, :, None] & there[:, None], S, identity)
+
+
+def _whitened(values, C):
+    """Return values (N, d) or (N, d, M) at unit covariance, and log det C, from C (N, d, d) or (N, d, d, M).
+
+    Raises LinAlgError where a C is not positive definite.
+    """
+    values = np.moveaxis(values, 1, -1)  # numpy takes matrices and vectors along the last axes
+    root = np.linalg.cholesky(np.moveaxis(C, (1, 2), (-2, -1)))
     whitened = np.linalg.solve(root, values[..., None])[..., 0]
     log_det = 2 * np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
     return np.moveaxis(whitened, -1, 1), log_det
@@ -143,22 +147,20 @@ def nees(errors, P):
     errors, P = np.asarray(errors, float), np.asarray(P, float)
     N, n = errors.shape[:2]
     if errors.ndim not in (2, 3) or P.shape not in ((n, n), (N, n, n), (N, n, *errors.shape[1:])):
-        checks.refuse(
-            "P", f"an (n, n), (N, n, n) or (N, n, n, M) array for errors of {errors.shape}", f"shape {P.shape}"
-        )
-    P = np.moveaxis(P, (1, 2), (-2, -1)) if P.ndim == 4 else P[..., None, :, :]  # (..., M or 1, n, n)
+        need = f"an (n, n), (N, n, n) or (N, n, n, M) array for errors of {errors.shape}"
+        checks.refuse("P", need, f"shape {P.shape}")
     if not (np.isfinite(P).all() and np.isfinite(errors).all()):
         checks.refuse("errors, P", "finite numbers", "NaN or infinity")
-    sigma = np.sqrt(np.abs(np.diagonal(P, axis1=-2, axis2=-1)))
-    if (np.abs(P - P.swapaxes(-1, -2)) > checks.SOLVED * sigma[..., None] * sigma[..., None, :]).any():
+    P = np.broadcast_to(P, (N, n, n)) if P.ndim == 2 else P
+    P = P[..., None] if P.ndim == errors.ndim else P  # one covariance for all tracks
+    sigma = np.sqrt(np.abs(np.einsum("kii...->ki...", P)))
+    if (np.abs(P - P.swapaxes(1, 2)) > checks.SOLVED * sigma[:, :, None] * sigma[:, None]).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
     try:
-        root = np.linalg.cholesky(P)
+        whitened, _ = _whitened(errors, P)
     except np.linalg.LinAlgError:
         checks.refuse("P", "positive definite matrices", "one that is not")
-    columns = errors.reshape(N, n, -1).swapaxes(1, 2)  # (N, M, n)
-    whitened = np.linalg.solve(root, columns[..., None])[..., 0]
-    return np.square(whitened).sum(axis=-1).reshape(N, *errors.shape[2:])
+    return np.square(whitened).sum(axis=1)
 
 
 def chi_square_band(dof, runs, level=0.95):

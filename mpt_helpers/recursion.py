@@ -88,9 +88,10 @@ def _are_the_same_objects(block, other):
 def run(products, x0, z, x):
     """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
 
-    products are those of `lifted`, x0 is (n, M), z is (N, m, M). A track with NaN in z has NaN from there on.
+    products are those of `lifted`, x0 is (n, M) or (n, 1), z is (N, m, M). A track with NaN in z has NaN from there on.
     """
     (_, n, M), m = x.shape, z.shape[1]
+    x0 = np.broadcast_to(x0, (n, M))
     L = len(products[0]) // n
     for tracks in tiles(M, TILE):
         width = tracks.stop - tracks.start

@@ -250,7 +250,7 @@ class FIRFilter(Filter):
             x[k] = np.where(missed[k], predicted, x[k])
 
     def _convolve(self, x, z):
-        """Write Σ taps[j] z(k-j) for all k to x (N, n, M), of z (N, m, M): some steps in one product with shifted taps."""
+        """Write Σ taps[j] z(k-j) of z (N, m, M) to x (N, n, M): some steps in one product with shifted taps."""
         (N, m, M), n = z.shape, self.model.n
         older = self.order - 1
         W = np.zeros((FIR_STEPS, n, older + FIR_STEPS, m))

@@ -215,13 +215,14 @@ def test_several_steps_in_one_product_lose_no_digits(monkeypatch, name, missed):
     z = mpt.simulate(model, 96, np.random.default_rng(2))[1]
     seen = np.ones(z.shape, bool)
     seen[20:60] = not missed
-    steps = mpt.KalmanFilter(model)._steps(seen)
+    steps = list(mpt.KalmanFilter(model)._steps(seen))
     exact = precise.recursion([step.A for step in steps], [step.B for step in steps], model.x0, np.where(seen, z, 0))
     largest = np.abs(exact.astype(float)).max(axis=0)
 
     def digits(L):
         monkeypatch.setattr(recursion, "steps_per_product", lambda numbers: L)
-        x = recursion.run(steps, seen, model.x0[:, None], z[..., None])
+        x = np.empty((len(z), model.n, 1))
+        recursion.run(recursion.lifted(steps, 1), model.x0[:, None], np.where(seen, z, 0)[..., None], x)
         return precise.digits(x[..., 0], exact, largest)
 
     one = digits(1)

@@ -115,7 +115,7 @@ def test_a_filter_that_is_dropped_is_freed(name):
     z = np.zeros((30, each.model.m, 3))
     z[4:6, :, 1] = np.nan
     each.filter(z)
-    if hasattr(each, "covariances"):
+    if name != "FIR":
         each.covariances(z)
     reference = weakref.ref(each)
     del each
@@ -134,7 +134,7 @@ def test_a_filter_keeps_no_memory_of_what_it_has_seen(name):
         z = np.zeros((800, each.model.m))
         z[rng.random(800) < 0.1] = np.nan
         each.filter(z)
-        if hasattr(each, "covariances"):
+        if name != "FIR":
             each.covariances(z)
         del z
         gc.collect()
