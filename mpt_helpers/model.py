@@ -272,10 +272,9 @@ def simulate(model, N, rng, tracks=None):
     N = checks.count("N", N)
     M = 1 if tracks is None else checks.count("tracks", tracks)
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
-    noise = rng.standard_normal((N, model.n, M))
-    motion = Step(A=model.F, B=square_root(model.Q), P=None)  # the filters' recursion, driven by noise
-    x = np.empty((N, model.n, M))
-    run(lifted([motion] * N, M), x0, noise, x)
+    x = rng.standard_normal((N, model.n, M))
+    motion = Step(A=model.F, B=square_root(model.Q), P=None)
+    run(lifted([motion] * N, M), x0, x, x)  # the filters' recursion, driven by noise, which the states replace
     z = square_root(model.R) @ rng.standard_normal((N, model.m, M))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)
