@@ -23,8 +23,6 @@ NEAR = 1e-4
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
 # By how much a solution P may miss its equation, relative to the standard deviations: six digits hold.
 RESIDUAL = 1e-6
-# The same for scipy's solution before it is refined. One that misses by more was no solution.
-UNREFINED = 1e-3
 # Each round doubles the number of steps: 2^64 are more than any filter needs to converge.
 ROUNDS = 64
 
@@ -113,13 +111,13 @@ def rekf(model):
     H = np.linalg.solve(np.linalg.cholesky(model.R), model.H * unit)
     try:
         P = solve_discrete_are(F.T, H.T, Q, np.eye(model.m))
-        for largest in (UNREFINED, RESIDUAL):
-            change = _newton_step(P, F, H, Q)
-            P = P + (change + change.T) / 2
-            sigma = np.sqrt(np.maximum(np.diag(P), 1))  # at least the noise of n steps, which is 1 in these units
-            if not (np.abs(change) <= largest * np.outer(sigma, sigma)).all():
-                _refuse_unsolved(model)
+        P = P + _newton_step(P, F, H, Q)
+        change = _newton_step(P, F, H, Q)
     except np.linalg.LinAlgError:
+        _refuse_unsolved(model)
+    P = P + change
+    sigma = np.sqrt(np.maximum(np.diag(P), 1))  # at least the noise of n steps, which is 1 in these units
+    if not (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all():
         _refuse_unsolved(model)
     return (P + P.T) / 2 * unit[:, None] * unit
 
@@ -137,7 +135,7 @@ def _newton_step(P, F, H, Q):
     with np.errstate(over="ignore", invalid="ignore"):  # where A is not stable, the sum has no end
         for _ in range(ROUNDS):
             A, D = A @ A, D + A @ D @ A.T
-    return D
+    return (D + D.T) / 2
 
 
 def relf(model):
