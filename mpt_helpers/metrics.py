@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
-from scipy.special import erf, gammaincinv
+from scipy.special import gammaincinv
 
 from . import checks
 from .filters import Filter
@@ -234,18 +234,6 @@ def error_covariance(steady, truth, steps=0):
         checks.refuse("steady", "a filter whose A has a spectral radius below 1", f"{radius:.6g}")
     P = solve_discrete_lyapunov(steady.A, _noise_of_a_step(steady, truth))
     return predicted_covariance(truth, (P + P.T) / 2, steps)
-
-
-def expected_absolute(mean, variance):
-    """Return the expected absolute value of Gaussian variables: the mean of a folded normal distribution.
-
-    >>> expected_absolute(0.0, 1.0), expected_absolute(-3.0, 0.0)
-    (0.7978845608028654, 3.0)
-    """
-    mean, sigma = np.abs(mean), np.sqrt(variance)
-    ratio = np.divide(mean, sigma, out=np.full(np.broadcast(mean, sigma).shape, np.inf), where=sigma > 0)
-    value = sigma * np.sqrt(2 / np.pi) * np.exp(-np.square(ratio) / 2) + mean * erf(ratio / np.sqrt(2))
-    return float(value) if np.ndim(value) == 0 else value
 
 
 def _noise_of_a_step(steady, truth):

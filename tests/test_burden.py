@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from mpt_helpers import plots
+from mpt_helpers.ledger import Item
 from mpt_helpers.papers import burden, table4
 
 
@@ -99,14 +100,20 @@ def test_model_b_is_one_filter_for_each_axis(axes):
         assert twelve[f"{name} B"] == axes * one[f"{name} B"] < twelve[f"{name} A"]
 
 
+def numbers_behind(ratios, known):
+    """From which numbers a table of ratios, {(i, j): text}, was made."""
+    cells = {pair: Item("id", "where", "number", printed) for pair, printed in ratios.items()}
+    return table4.numbers_behind(cells, known)
+
+
 def test_the_numbers_behind_ratios_are_all_that_fit():
     secret = {1: 509, 2: 1191, 3: 44, 4: 640}
     ratios = {(i, j): f"{secret[i] / secret[j]:.3f}" for i in secret for j in secret if i != j}
-    assert table4.numbers_behind(ratios, known={1: 509, 3: 44}) == {2: [1191], 4: [640]}
-    ties = table4.numbers_behind({(1, 2): "0.50"}, known={1: 1000})[2]
+    assert numbers_behind(ratios, known={1: 509, 3: 44}) == {2: [1191], 4: [640]}
+    ties = numbers_behind({(1, 2): "0.50"}, known={1: 1000})[2]
     assert ties == [number for number in range(1, 10_001) if 0.495 <= 1000 / number <= 0.505]
-    assert table4.numbers_behind({(2, 1): "2.00", (1, 2): "?"}, known={1: 1000})[2] == list(range(1995, 2006))
-    assert table4.numbers_behind(ratios | {(2, 1): "2.341"}, known={1: 509, 3: 44})[2] == []
+    assert numbers_behind({(2, 1): "2.00", (1, 2): "?"}, known={1: 1000})[2] == list(range(1995, 2006))
+    assert numbers_behind(ratios | {(2, 1): "2.341"}, known={1: 509, 3: 44})[2] == []
 
 
 def test_the_description_of_the_map_tells_its_states():

@@ -4,15 +4,7 @@ from conftest import MODELS_2016, dense_model
 from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
-from mpt_helpers.metrics import (
-    chi_square_band,
-    expected_absolute,
-    innovations,
-    nees,
-    nis,
-    relative_gap,
-    rms,
-)
+from mpt_helpers.metrics import chi_square_band, innovations, nees, nis, relative_gap, rms
 
 
 def test_relative_gap_and_rms():
@@ -71,13 +63,6 @@ def test_the_chi_square_band_holds_what_it_says():
     # 20,000 trials know a share of 5 % to 0.15 %.
     assert np.mean(mean < low) == pytest.approx(0.05, abs=0.0075)
     assert np.mean(mean > high) == pytest.approx(0.05, abs=0.0075)
-
-
-def test_the_expected_absolute_value_is_that_of_drawn_numbers():
-    rng = np.random.default_rng(0)
-    mean, variance = np.array([0.0, 0.5, -2.0, 10.0]), np.array([1.0, 4.0, 1.0, 0.0])
-    drawn = np.abs(mean + np.sqrt(variance) * rng.standard_normal((200_000, 4)))
-    np.testing.assert_allclose(expected_absolute(mean, variance), drawn.mean(axis=0), atol=5 * 2 / np.sqrt(200_000))
 
 
 def test_each_matrix_must_be_symmetric_by_its_own_size():

@@ -114,27 +114,13 @@ def test_a_sky_is_above_the_mask():
     np.testing.assert_allclose(positioning.elevation(satellites, RIGA), elevation)
 
 
-def test_dilution_is_the_standard_error_of_a_fix():
-    rng = np.random.default_rng(5)
-    satellites = positioning.sky(RIGA, 0.0)
-    X = np.append(RIGA, 0.0)
-    ranges = positioning.pseudoranges(satellites, X) + rng.standard_normal((4000, len(satellites)))
-    fixes = [positioning.position(satellites, each, X) for each in ranges]
-    errors = np.array([fix.X for fix in fixes]) - X
-    errors[:, :3] = errors[:, :3] @ positioning.local_axes(RIGA).T
-    # The relative standard error of a standard deviation over 4,000 runs is 1.1 %; four of it.
-    np.testing.assert_allclose(errors.std(axis=0), positioning.dilution(satellites, X), rtol=0.045)
-
-
 def test_a_cone_of_satellites_is_a_degenerate_geometry():
     angle = np.linspace(0, 2 * np.pi, 6, endpoint=False)
     cone = np.column_stack([np.cos(angle), np.sin(angle), np.ones(6)])
     axes = positioning.local_axes(RIGA)
     satellites, X = RIGA + 2e7 * cone @ axes, np.append(RIGA, 0.0)
     ranges = positioning.pseudoranges(satellites, X)
-    with pytest.raises(
-        positioning.DegenerateGeometryError, match="satellites: needs a geometry that determines a position"
-    ):
+    with pytest.raises(ValueError, match="satellites: needs a geometry that determines a position"):
         positioning.position(satellites, ranges, X)
     with pytest.raises(ValueError, match=r"satellites: needs a geometry|start: needs a position from which"):
         positioning.position(satellites, ranges, far_from(X, 3e5))
@@ -351,27 +337,26 @@ def test_window_never_leaves_its_bounds(seed):
     rng = np.random.default_rng(seed)
     smallest = int(rng.integers(2, 6))
     largest = smallest + int(rng.integers(0, 60))
-    fall = int(rng.integers(1, 80))
     z = 5 * rng.standard_normal((150, 1, 8)).cumsum(axis=0) + rng.standard_normal((150, 1, 8))
-    tracked = adaptive_line(z, 1.0, rng.uniform(0.5, 20), smallest, largest, fall=fall)
+    tracked = adaptive_line(z, 1.0, rng.uniform(0.5, 20), smallest, largest)
     assert tracked.n.min() == smallest
     assert tracked.n.max() <= largest
-    change = np.diff(tracked.n, axis=0)
-    assert change.max() <= 1
-    assert change.min() >= -fall
+    fell = tracked.n[1:] == smallest
+    grew = tracked.n[1:] == np.minimum(tracked.n[:-1] + 1, largest)
+    assert (fell | grew).all()
     assert np.isnan(tracked.x[: smallest - 1]).all()
     assert np.isfinite(tracked.x[smallest - 1 :]).all()
 
 
-def slow_window(z, dt, threshold, smallest, largest, fall, measured):
+def slow_window(z, dt, threshold, smallest, largest):
     """The adaptive window over coordinates (N, m), one step at a time, with numpy.polyfit over the rows there are."""
     n, x, windows = smallest, [], []
     for k in range(smallest, len(z) + 1):
         there = ~np.isnan(z[:k]).any(axis=1)
         if x:
-            last = z[k - 2] if measured and there[-2] else x[-1][:, 0]
-            off = there[-1] and np.linalg.norm(z[k - 1] - last - x[-1][:, 1] * dt) > threshold
-            n = max(n - fall, smallest) if off else min(n + 1, largest)
+            position, velocity = x[-1].T
+            off = there[-1] and np.linalg.norm(z[k - 1] - position - velocity * dt) > threshold
+            n = smallest if off else min(n + 1, largest)
         used = np.flatnonzero(there[k - n : k]) + k - n
         slope, start = (
             np.polyfit(dt * (used - k + 1), z[used], 1) if len(used) > 1 else np.full((2, z.shape[1]), np.nan)
@@ -381,23 +366,21 @@ def slow_window(z, dt, threshold, smallest, largest, fall, measured):
     return np.array(x).reshape(len(x), -1), windows
 
 
-@pytest.mark.parametrize(("smallest", "largest", "fall"), [(2, 30, 100), (5, 100, 100), (3, 20, 4), (6, 6, 1)])
-@pytest.mark.parametrize("from_measured", [False, True])
+@pytest.mark.parametrize(("smallest", "largest"), [(2, 30), (5, 100), (3, 20), (6, 6)])
 @pytest.mark.parametrize("missed", [0.0, 0.3])
 @pytest.mark.parametrize("coordinates", [1, 2])
-def test_adaptive_line_equals_polyfit_in_a_loop(smallest, largest, fall, from_measured, missed, coordinates):
+def test_adaptive_line_equals_polyfit_in_a_loop(smallest, largest, missed, coordinates):
     rng = np.random.default_rng(8)
     z = np.concatenate([np.zeros(60), 3.0 * np.arange(60)])[:, None] + rng.standard_normal((120, coordinates)) + 1e4
     z[rng.uniform(size=120) < missed, -1] = np.nan
-    x, windows = slow_window(z, 0.5, 3.0, smallest, largest, fall, from_measured)
-    choice = {"fall": fall, "from_measured": from_measured}
-    tracked = adaptive_line(z, 0.5, 3.0, smallest, largest, **choice)
+    x, windows = slow_window(z, 0.5, 3.0, smallest, largest)
+    tracked = adaptive_line(z, 0.5, 3.0, smallest, largest)
     np.testing.assert_array_equal(tracked.n[smallest - 1 :], windows)
     np.testing.assert_allclose(tracked.x[smallest - 1 :], x, rtol=0, atol=1e-9)  # polyfit over positions of 1e4 m
     assert len(set(windows)) > 1 or smallest == largest
     other = z.copy()
     other[::7] = np.nan  # another track beside it, with other gaps
-    many = adaptive_line(np.stack([other, z, other], axis=2), 0.5, 3.0, smallest, largest, **choice)
+    many = adaptive_line(np.stack([other, z, other], axis=2), 0.5, 3.0, smallest, largest)
     np.testing.assert_allclose(many.x[..., 1], tracked.x, rtol=0, atol=1e-10)
     np.testing.assert_array_equal(many.n[:, 1], tracked.n)
 

@@ -25,9 +25,9 @@ both_models = pytest.mark.parametrize("column", COLUMNS.values(), ids=COLUMNS)
 
 
 def better_start(column):
-    """The filter's model with the position known at the start, velocity and acceleration not."""
+    """The Kalman filter that knows the position at the start, but not velocity and acceleration."""
     model = column.steady.model
-    return replace(model, P0=np.diag([0.0, 1e4, 1e4][: model.n]))
+    return mpt.KalmanFilter(replace(model, P0=np.diag([0.0, 1e4, 1e4][: model.n])))
 
 
 def relative_errors(column, noise, seed, runs):
@@ -56,7 +56,7 @@ def test_measurement_noise_may_be_given_for_each_axis(column):
     drawn = mpt.simulate(column.truth(1), table1.TRANSIENT + 5, np.random.default_rng(3), tracks=2)
     v = drawn[1] - drawn[0][:, :1]
     ratio = table1.relative_errors(column, 0.0, np.random.default_rng(4), 2, (0 * v, v))
-    mean = table1.error_moments(column, 0, table1.TRANSIENT)[0]
+    mean, _ = table1.mean_and_variance(column, 0, table1.TRANSIENT)
     expected = np.abs(mean / column.positions(0, table1.TRANSIENT))
     np.testing.assert_allclose(ratio["x"][:, :, 1], expected, rtol=1e-9, atol=1e-12)
     e, s = table1.errors(column, 1, 0.0, np.random.default_rng(3), 2)
@@ -71,6 +71,14 @@ def test_the_axes_are_x_y_their_mean_and_the_plane(column):
     np.testing.assert_allclose(ratio["x"], np.abs(e_x / s_x))
     np.testing.assert_allclose(ratio["both"], (np.abs(e_x / s_x) + np.abs(e_y / s_y)) / 2)
     np.testing.assert_allclose(ratio["plane"], np.hypot(e_x, e_y) / np.hypot(s_x, s_y))
+
+
+def test_the_expected_absolute_value_is_that_of_drawn_numbers():
+    rng = np.random.default_rng(0)
+    mean, variance = np.array([0.0, 0.5, -2.0, 10.0]), np.array([1.0, 4.0, 1.0, 1e-4])
+    drawn = np.abs(mean + np.sqrt(variance) * rng.standard_normal((200_000, 4)))
+    expected = table1.expected_absolute(mean, variance)
+    np.testing.assert_allclose(expected, drawn.mean(axis=0), atol=5 * 2 / np.sqrt(200_000))
 
 
 @both_models
@@ -126,28 +134,25 @@ def test_the_noise_of_a_track_is_a_multiple_of_the_filters(column):
 
 @both_models
 def test_a_better_start_lowers_every_number(column):
-    A, B, _ = mpt.KalmanFilter(better_start(column)).coefficients(220)
-    better = table1.expected_averages(column, 0, 10_000, list(zip(A, B, strict=True)))[:, -1]
+    better = table1.expected_averages(column, 0, 10_000, better_start(column))[:, -1]
     assert (better < 0.7 * table1.expected_averages(column, 0, 10_000)[:, -1]).all()
 
 
 @both_models
-def test_gains_of_the_steady_state_are_the_default(column):
-    gains = [(column.steady.A, column.steady.B)] * 220
-    given = table1.expected_averages(column, 0, 300, gains)
-    np.testing.assert_array_equal(given, table1.expected_averages(column, 0, 300))
+def test_the_steady_state_filter_is_the_default(column):
+    """And a Kalman filter that starts at its covariance has its gain."""
+    kf = mpt.KalmanFilter(replace(column.steady.model, P0=column.steady.P))
+    given = table1.expected_averages(column, 0, 300, kf)
+    np.testing.assert_allclose(given, table1.expected_averages(column, 0, 300), rtol=1e-9)
 
 
 @pytest.mark.parametrize(("scale", "noise", "L"), [(100, 0, 9000), (1, 1, 80)])
 def test_implied_lengths_of_the_mean_are_the_length_of_the_runs(scale, noise, L):
     column = COLUMNS["cv"]
     lengths = np.arange(L // 2, 2 * L, L // 40)
-    samples = scale * table1.averages(column, relative_errors(column, noise, 1, 500)["x"], lengths)
-    table = samples[np.flatnonzero(lengths == L)[0]].mean(axis=1, keepdims=True)
-    np.testing.assert_allclose(table1.implied_lengths(samples, lengths, table)[:, 0], L, rtol=1e-9)
-    column = replace(column, printed=table[:, 0])
     ratio = relative_errors(column, noise, 1, 500)["x"]
-    np.testing.assert_allclose(table1.printed_lengths(column, ratio, scale, lengths), L, rtol=1e-9)
+    table = scale * table1.averages(column, ratio, [L])[0].mean(axis=1, keepdims=True)
+    np.testing.assert_allclose(table1.implied_lengths(column, ratio, scale, lengths, table), L, rtol=1e-9)
 
 
 @pytest.mark.parametrize("numbers", [6, 12])
@@ -213,9 +218,8 @@ def test_the_first_screen_counts_what_the_verdicts_say(first_screen):
 def test_the_notebook_says_what_the_start_is_worth(first_screen):
     shares, gains = [], {}
     for key, column in COLUMNS.items():
-        A, B, _ = mpt.KalmanFilter(better_start(column)).coefficients(220)
         average = {}
-        for name, start in {"paper": None, "better": list(zip(A, B, strict=True))}.items():
+        for name, start in {"paper": column.steady, "better": better_start(column)}.items():
             average[name] = np.mean([table1.expected_averages(column, axis, 10_000, start) for axis in (0, 1)], axis=0)
         gains[key] = (average["paper"] / average["better"])[:, -1]
         for axis in (0, 1):

@@ -1,12 +1,11 @@
 """The papers' calculation burdens (2014 and 2015 Table 2, 2016 Table 2), itemised operation by operation.
 
-A burden is the number of scalar additions, multiplications and divisions of one iteration. n is the dimension of the
-state, m that of the measurement. 2014 and 2015 print totals only, 2016 itemises one filter: every entry of a product of
-p columns costs p multiplications and p - 1 additions, and zeros are not exploited. The other two rules are inferred.
-They give exactly the printed totals: of a symmetric result only the upper triangle is computed, and a p×p inverse costs
-(16p³ - 3p² - p)/6.
+A burden is the number of scalar additions, multiplications and divisions of one iteration. Each filter is a function of
+n, the dimension of the state, and m, that of the measurement; it returns a list of (operation, burden).
 
-Each filter is a function that returns its operations as a list of (operation, burden).
+2014 and 2015 print totals only. 2016 itemises one filter, and zeros are not exploited there: `product`. The other rules
+are inferred, and give exactly the printed totals: of a symmetric result only the upper triangle is computed, and
+`inverse`.
 """
 
 import itertools
@@ -34,7 +33,7 @@ def symmetric_sum(p):
 
 
 def inverse(p):
-    """(p×p)⁻¹, by the bracket that stands in the printed total of the Kalman filter."""
+    """(p×p)⁻¹: the bracket (16p³ - 3p² - p)/6 of the printed total of the Kalman filter."""
     return (16 * p**3 - 3 * p**2 - p) // 6
 
 
@@ -142,18 +141,18 @@ def twelve(axes):
     >>> twelve(axes=2)["JKLF B"]
     336
     """
-    burdens = {}
+    totals = {}
     for model, n, m, filters in (("A", 2 * axes, axes, 1), ("B", 2, 1, axes)):
-        kf, lf, ss = (filters * total(of(n, m)) for of in (kalman, lainiotis, steady_state))
-        joint = kf + lf + filters * total(join(n, m))
-        joint_steady = ss + ss + filters * total(join_steady_state(n, m))
-        burdens |= {f"KF {model}": kf, f"LF {model}": lf, f"JKLF {model}": joint}
-        burdens |= {f"SSKF {model}": ss, f"SSLF {model}": ss, f"JSSKLF {model}": joint_steady}
-    return burdens
+        kf, lf, ss = kalman(n, m), lainiotis(n, m), steady_state(n, m)
+        operations = {"KF": kf, "LF": lf, "JKLF": kf + lf + join(n, m)}
+        operations |= {"SSKF": ss, "SSLF": ss, "JSSKLF": ss + ss + join_steady_state(n, m)}
+        for name, of_one_filter in operations.items():
+            totals[f"{name} {model}"] = filters * total(of_one_filter)
+    return totals
 
 
 def value(formula, **letters):
-    """Return a formula, written as the papers print it, for whole numbers in place of its letters, exactly.
+    """Return the exact value of a formula, written as the papers print it, for whole numbers in place of its letters.
 
     >>> value("2n² + 2nm - n + (M - 1)n", n=4, m=2, M=17)
     Fraction(108, 1)
@@ -165,12 +164,14 @@ def value(formula, **letters):
 
 
 def formula_holds(formula, operations, letters="nm"):
-    """Return whether a printed formula is the total of some operations, for all of n, m (and M) from 1 to 8.
+    """Return whether a printed formula is the total of a filter's operations, for all letters from 1 to 8.
 
     Two polynomials of degree 3 in each letter are equal if they agree on four values of each.
 
     >>> formula_holds("2n² + 2nm - n", steady_state), formula_holds("2n²", steady_state)
     (True, False)
     """
-    sizes = (dict(zip(letters, each, strict=True)) for each in itertools.product(range(1, 9), repeat=len(letters)))
-    return all(value(formula, **each) == total(operations(**each)) for each in sizes)
+    for sizes in itertools.product(range(1, 9), repeat=len(letters)):
+        if value(formula, **dict(zip(letters, sizes, strict=True))) != total(operations(*sizes)):
+            return False
+    return True

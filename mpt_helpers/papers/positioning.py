@@ -28,15 +28,11 @@ ARGUMENTS = (
     (238.886, 345.226, 105.206, 135.346),
 )
 GREENWICH = 279.06  # degrees, the hour angle of Greenwich at that time: 18 h 36 min 14.4 s
-# m: pseudoranges are 1.9e7 to 4.3e7, with a clock off by up to 1e7 (30 ms); so are distances from the Earth's centre.
+# m, bounds of pseudoranges and of distances from the Earth's centre: 1.9e7 to 4.3e7, and 1e7 for a clock 30 ms off.
 NEAREST, FARTHEST = 9e6, 1e8
 DEGENERATE = 1e-6  # smallest over largest singular value: with a DOP of 1e6, errors of a metre become 1,000 km
 CONVERGED = 1e-4  # m: a correction below this ends the iteration; the next one would be rounding
 STEPS = 50  # from 300 km the iteration takes 3 to 5
-
-
-class DegenerateGeometryError(ValueError):
-    """The satellites and the position do not determine a fix."""
 
 
 def place(latitude, longitude, height=0.0):
@@ -54,7 +50,8 @@ def place(latitude, longitude, height=0.0):
 def local_axes(x):
     """Return the unit vectors east, north and up at a position (3,) near the ground: the rows of a 3×3 matrix.
 
-    Up is the normal of the ellipsoid; at a height of 10 km it is off by 1e-5 rad. On the Earth's axis there is no east.
+    Up is the normal of the ellipsoid; at a height of 10 km it is off by 1e-5 rad. Raises ValueError on the Earth's
+    axis, where there is no east.
     """
     x = np.asarray(x, dtype=float)
     if np.hypot(x[0], x[1]) <= 1e-9 * np.abs(x[2]):
@@ -106,22 +103,6 @@ def linearised(satellites, X):
     return np.column_stack([-away / np.linalg.norm(away, axis=1)[:, None], np.ones(len(away))])
 
 
-def dilution(satellites, X):
-    """Return the dilution of precision east, north, up and of the clock, (4,): standard errors for unit errors.
-
-    They are the square roots of the diagonal of (HᵀH)⁻¹ in local axes. Their norm is the GDOP, that of the first three
-    the PDOP. Raises DegenerateGeometryError, a ValueError.
-
-    >>> X = np.array([*place(56.95, 24.1), 0.0])
-    >>> np.linalg.norm(dilution(sky(X[:3], t=0.0), X)).round(2)
-    np.float64(2.49)
-    """
-    H = linearised(satellites, X)
-    H[:, :3] = H[:, :3] @ local_axes(X[:3]).T
-    _require_determined(np.linalg.svd(H, compute_uv=False))
-    return np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
-
-
 def position_steps(satellites, ranges, start, steps):
     """Return the iterates of the rough position (2007 Eq. 7), (steps + 1, 4); the first one is the start.
 
@@ -134,7 +115,7 @@ def position_steps(satellites, ranges, start, steps):
     >>> print(*(f"{gap:.0e}" for gap in np.linalg.norm(path - X, axis=1)))
     3e+05 2e+03 5e-02
     """
-    satellites, ranges, sigma = _door(satellites, ranges, 1.0)
+    satellites, ranges, sigma = _checked_epoch(satellites, ranges, variance=1.0)
     path = [np.asarray(start, dtype=float)]
     for _ in range(steps):
         path.append(path[-1] + _correction(satellites, ranges, sigma, path[-1]))
@@ -142,19 +123,20 @@ def position_steps(satellites, ranges, start, steps):
 
 
 def _correction(satellites, ranges, sigma, X):
-    """Return (HᵀH)⁻¹Hᵀ (ranges - P(X)), the step of Eq. 7, with each range in units of its sigma."""
+    """Return the step of Eq. 7, (HᵀH)⁻¹Hᵀ (ranges - P(X)), with each range in units of its sigma."""
     H = linearised(satellites, X) / sigma[:, None]
     step, _, _, singular = np.linalg.lstsq(H, (ranges - pseudoranges(satellites, X)) / sigma, rcond=None)
-    _require_determined(singular)
+    if singular[-1] <= DEGENERATE * singular[0]:
+        raise ValueError("satellites: needs a geometry that determines a position, got a degenerate one")
     return step
 
 
 class Fix(NamedTuple):
-    """A position [x y z D'], its covariance, and whether the ranges agree with each other.
+    """A position X [x y z D'], its covariance, and whether the ranges agree with each other.
 
-    P (4, 4) holds for the variances that were stated. residuals (m,) are measured minus computed ranges, excluded
-    satellites too; used (m,) says which satellites made the fix. chi_square is the sum of their squared residuals over
-    the variances, probability how often chance makes it as large: nan with four.
+    P (4, 4) holds for the variances that were stated. used (m,) says which satellites made the fix. residuals (m,) are
+    measured minus computed ranges, of excluded satellites too. chi_square is the sum of the squared residuals of the
+    satellites used, over their variances. probability is that of a sum as large by chance, NaN with four satellites.
     """
 
     X: np.ndarray
@@ -168,13 +150,14 @@ class Fix(NamedTuple):
 def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, false_alarm=None):
     """Return the `Fix` to which the iteration of `position_steps` converges, by default from the Earth's centre.
 
-    variance is that of a range (m²), one number or one for each. With a false_alarm, such as 1e-3, a fix whose
-    probability is lower is tried again without each of its satellites in turn, and the most probable of these fixes is
-    returned if it passes (receiver autonomous integrity monitoring, RAIM). That takes six satellites, since four always
-    agree. Where nothing passes, the fix of all is returned, with its low probability.
+    satellites is (m, 3), ranges (m,), start [x y z D'], in metres. variance is that of a range (m²), a number or (m,).
 
-    Raises ValueError for fewer than four satellites, ranges that are zero, NaN or absurd, and where the iteration does
-    not converge; DegenerateGeometryError, which is one, where the satellites do not determine a position.
+    With a false_alarm, such as 1e-3, a fix of lower probability is tried again without each of its satellites in turn.
+    The most probable of these fixes is returned if its probability is not lower (receiver autonomous integrity
+    monitoring, RAIM), otherwise the fix of all satellites. To exclude one takes six satellites: four always agree.
+
+    Raises ValueError for fewer than four satellites, for ranges that are zero, NaN or absurd, and where the iteration
+    does not converge or the satellites do not determine a position.
 
     >>> X = np.array([*place(56.95, 24.1), 5e3])
     >>> satellites = sky(X[:3], t=0.0)
@@ -184,19 +167,22 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
     >>> np.flatnonzero(~fix.used), bool(np.abs(fix.X - X).max() < 1e-6)
     (array([2]), True)
     """
-    satellites, ranges, sigma = _door(satellites, ranges, variance)
-    fix = _fix(satellites, ranges, sigma, np.asarray(start, dtype=float), np.full(len(ranges), True))
-    if false_alarm is None or not fix.probability < false_alarm:
+    satellites, ranges, sigma = _checked_epoch(satellites, ranges, variance)
+    everyone = np.full(len(ranges), True)
+    fix = _fix(satellites, ranges, sigma, np.asarray(start, dtype=float), everyone)
+    if false_alarm is None or not fix.probability < false_alarm:  # NaN, with four satellites, is not lower
         return fix
-    without = []
+    best = fix
     for faulty in range(len(ranges)):
         with suppress(ValueError):
-            without.append(_fix(satellites, ranges, sigma, fix.X, np.arange(len(ranges)) != faulty))
-    best = max(without, key=lambda fix: fix.probability, default=fix)
+            without = _fix(satellites, ranges, sigma, fix.X, used=np.arange(len(ranges)) != faulty)
+            if without.probability > best.probability:
+                best = without
     return best if best.probability >= false_alarm else fix
 
 
 def _fix(satellites, ranges, sigma, X, used):
+    """Return the `Fix` of the satellites that are used (m,), by the iteration that starts at X."""
     for _ in range(STEPS):
         step = _correction(satellites[used], ranges[used], sigma[used], X)
         X = X + step
@@ -212,8 +198,10 @@ def _fix(satellites, ranges, sigma, X, used):
     return Fix(X, np.linalg.inv(H.T @ H), residuals, used, chi_square, probability)
 
 
-def _door(satellites, ranges, variance):
-    satellites, ranges = np.asarray(satellites, dtype=float), np.asarray(ranges, dtype=float)
+def _checked_epoch(satellites, ranges, variance):
+    """Return the arrays of satellites (m, 3), ranges (m,) and standard deviations (m,) of one epoch, or raise."""
+    satellites = np.asarray(satellites, dtype=float)
+    ranges = np.asarray(ranges, dtype=float)
     if satellites.ndim != 2 or satellites.shape[1] != 3 or len(satellites) < 4:
         raise ValueError(f"satellites: needs an (m, 3) array of at least 4, got shape {satellites.shape}")
     if ranges.shape != (len(satellites),):
@@ -226,16 +214,11 @@ def _door(satellites, ranges, variance):
     return satellites, ranges, sigma
 
 
-def _require_plausible(name, what, values):
-    bad = np.argwhere(~((values >= NEAREST) & (values <= FARTHEST)))
+def _require_plausible(name, what, distances):
+    bad = np.argwhere(~((distances >= NEAREST) & (distances <= FARTHEST)))
     if len(bad):
-        got = f"{values[tuple(bad[0])]:g} at index {bad[0].tolist()} (leave out what was not measured)"
+        got = f"{distances[tuple(bad[0])]:g} at index {bad[0].tolist()} (leave out what was not measured)"
         raise ValueError(f"{name}: needs {what} of {NEAREST:.0e} to {FARTHEST:.0e} m, got {got}")
-
-
-def _require_determined(singular):
-    if singular[-1] <= DEGENERATE * singular[0]:
-        raise DegenerateGeometryError("satellites: needs a geometry that determines a position, got a degenerate one")
 
 
 class Track(NamedTuple):
@@ -250,27 +233,32 @@ def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisation
 
     ranges is (N, m), with NaN where a satellite was not measured; satellites is (N, m, 3), or (m, 3) where they stand
     still; variance is that of a range (m²): a number, (m,) or (N, m). start (4,) and P0 (4, 4) belong to the step
-    before the first epoch, and Q (4, 4) is added before each, so that the last X and P of one track start the next. H
-    is linearised at the prediction; more linearisations are at the epoch's estimates so far (the iterated filter).
-    Raises ValueError for ranges that are zero or absurd.
+    before the first epoch, and Q (4, 4) is added at each epoch, so that the last X and P of one track start the next.
+
+    H is linearised at the prediction. With more linearisations the next ones are at the estimate so far (the iterated
+    filter). Raises ValueError for ranges that are zero or absurd.
     """
     ranges = np.asarray(ranges, dtype=float)
-    _require_plausible("ranges", "pseudoranges", np.where(np.isnan(ranges), NEAREST, ranges))
-    sigmas = np.sqrt(np.broadcast_to(variance, ranges.shape))
+    measured = ~np.isnan(ranges)
+    _require_plausible("ranges", "pseudoranges", np.where(measured, ranges, NEAREST))
+    sigma = np.sqrt(np.broadcast_to(variance, ranges.shape))
     satellites = np.broadcast_to(satellites, (*ranges.shape, 3))
-    X, P, estimates, covariances = np.asarray(start, dtype=float), np.asarray(P0, dtype=float), [], []
-    for here, measured, sigma in zip(satellites, ranges, sigmas, strict=True):
+    X, P = np.asarray(start, dtype=float), np.asarray(P0, dtype=float)
+    estimates, covariances = [], []
+    for k, seen in enumerate(measured):
         P = P + Q
-        seen = ~np.isnan(measured)
         if seen.any():
-            X, P = _update(here[seen], measured[seen], sigma[seen], X, P, linearisations)
+            X, P = _update(satellites[k, seen], ranges[k, seen], sigma[k, seen], X, P, linearisations)
         estimates.append(X)
         covariances.append(P)
     return Track(np.array(estimates), np.array(covariances))
 
 
 def _update(satellites, ranges, sigma, predicted, P, linearisations):
-    """Eq. 11 as least squares of prediction and measurements: its own form loses digits where P is 1e11 times R."""
+    """Return X and P after one epoch, by least squares over prediction and measurements.
+
+    That is Eq. 11 in another form, which keeps its digits where P is 1e11 times R.
+    """
     prior = np.linalg.cholesky(np.linalg.inv(P)).T
     X = predicted
     for _ in range(linearisations):
@@ -297,18 +285,20 @@ def line_fit(x, dt):
     """
     n = len(x)
     i = np.arange(1, n + 1)
-    sum_i, sum_ii, sum_x, sum_ix = i.sum(), i @ i, x.sum(axis=0), np.tensordot(i, x, 1)
+    sum_i, sum_ii = i.sum(), i @ i
+    sum_x, sum_ix = x.sum(axis=0), np.tensordot(i, x, 1)
     d = n * sum_ii - sum_i**2
-    return Line((sum_ii * sum_x - sum_i * sum_ix) / d, (n * sum_ix - sum_i * sum_x) / d / dt)
+    step = (n * sum_ix - sum_i * sum_x) / d
+    return Line(start=(sum_ii * sum_x - sum_i * sum_ix) / d, velocity=step / dt)
 
 
 def line_sigma(n, i, autocorrelation=None):
     """Return the standard error of the fitted position at point i of n, in units of that of one position.
 
-    For independent errors it is sqrt(1/n + 12 (i - (n + 1)/2)² / (n (n² - 1))): 1/sqrt(n) in the middle of the window,
-    and nowhere else. i = 0 is Eq. 8, i = n the newest point, i = n + 1 the expected position. For errors whose
-    autocorrelation (1, ρ1, ρ2, ...) is given for at least n lags it is sqrt(cᵀ R c), with the weights c of the fit and
-    R of the entries ρ_|j-k|. i is a number or an array.
+    i is a number or an array: 0 is Eq. 8, n the newest point, n + 1 the expected position. For independent errors the
+    result is sqrt(1/n + 12 (i - (n + 1)/2)² / (n (n² - 1))), which is 1/sqrt(n) only in the middle of the window. With
+    an autocorrelation (1, ρ1, ρ2, ...) of the errors, for at least n lags, it is sqrt(cᵀ R c): c are the weights of the
+    fit, and R has the entries ρ_|j-k|.
 
     >>> line_sigma(100, np.array([0, 50.5, 100])).round(3)
     array([0.202, 0.1  , 0.199])
@@ -330,13 +320,12 @@ class Tracked(NamedTuple):
     n: np.ndarray
 
 
-def adaptive_line(z, dt, threshold, smallest, largest, *, fall=None, from_measured=False):
+def adaptive_line(z, dt, threshold, smallest, largest):
     """Return the newest point and the velocity of a line fit whose window adapts itself (2007, after Eq. 10).
 
-    A position that is more than `threshold` (the paper's Δx, metres) from the expected one, x_n + V dt, takes `fall`
-    epochs from the window, but leaves `smallest` (the paper's 2...5); by default it takes all the others. One that is
-    nearer adds an epoch, up to `largest`, and so does a missed one. The paper's x_n is the fitted position, or the
-    measured one if from_measured. A threshold of infinity grows the window only.
+    Where a position is more than `threshold` (the paper's Δx, metres) from the expected one, x_n + V dt, the window
+    falls to `smallest` epochs (the paper's 2...5). Otherwise, and at a missed epoch, it grows by one, up to `largest`.
+    x_n is the fitted position. With a threshold of infinity the window only grows.
 
     z is (N, m) or (N, m, M): m coordinates, which share a window, of M tracks. A row with NaN is a missed epoch, at
     which the line goes on. There is no line (NaN) before `smallest` epochs, and from fewer than two measured ones.
@@ -347,34 +336,37 @@ def adaptive_line(z, dt, threshold, smallest, largest, *, fall=None, from_measur
     """
     if not 2 <= smallest <= largest:
         raise ValueError(f"smallest: needs 2 or more, and at most largest, got {smallest} and {largest}")
-    one = np.ndim(z) == 2
-    z = np.array(z, dtype=float).reshape(*np.shape(z)[:2], -1)
+    if np.ndim(z) == 2:
+        one = adaptive_line(np.asarray(z)[..., None], dt, threshold, smallest, largest)
+        return Tracked(one.x[..., 0], one.n[:, 0])
+    z = np.asarray(z, dtype=float)
+    N, m, M = z.shape
     measured = ~np.isnan(z).any(axis=1)
     z = np.where(measured[:, None], z, 0.0)
-    N, m, M = z.shape
-    x, windows = np.full((N, m, 2, M), np.nan), np.full((N, M), smallest)
+    newest = np.full((N, m, M), np.nan)
+    velocity = np.full((N, m, M), np.nan)
+    windows = np.full((N, M), smallest)
     for k in range(smallest - 1, N):
         if k >= smallest:
-            place, velocity = x[k - 1].swapaxes(0, 1)
-            last = np.where(measured[k - 1], z[k - 1], place) if from_measured else place
-            off = measured[k] & (np.linalg.norm(z[k] - last - velocity * dt, axis=0) > threshold)
-            fallen = np.maximum(windows[k - 1] - (fall or largest), smallest)
-            windows[k] = np.where(off, fallen, np.minimum(windows[k - 1] + 1, largest))
+            expected = newest[k - 1] + velocity[k - 1] * dt
+            off = measured[k] & (np.linalg.norm(z[k] - expected, axis=0) > threshold)
+            windows[k] = np.where(off, smallest, np.minimum(windows[k - 1] + 1, largest))
         block = slice(max(k + 1 - largest, 0), k + 1)
         age = np.arange(k - block.start, -1, -1)[:, None]
-        x[k] = _newest_point(z[block], -age * dt, (age < windows[k]) & measured[block])
-    x = x.reshape(N, 2 * m, M)
-    return Tracked(x[..., 0], windows[:, 0]) if one else Tracked(x, windows)
+        inside = (age < windows[k]) & measured[block]
+        newest[k], velocity[k] = _newest_point(z[block], -age * dt, inside)
+    return Tracked(np.stack([newest, velocity], axis=2).reshape(N, 2 * m, M), windows)
 
 
 def _newest_point(z, t, inside):
-    """Return position and velocity (m, 2, M) at t = 0 of the lines through the points (L, m, M) that are inside (L, M).
+    """Return position and velocity (m, M) at t = 0 of the lines through the points (L, m, M) that are inside (L, M).
 
-    Both sums are about the mean of the window, so that no digits cancel however long a track is.
+    The sums are about the means of the window, so that no digits cancel however long a track is.
     """
     weight = inside / np.maximum(inside.sum(axis=0), 1)
-    middle, mean = (weight * t).sum(axis=0), np.einsum("lm,lcm->cm", weight, z)
-    lever = weight * (t - middle)
+    mean_t = (weight * t).sum(axis=0)
+    mean_z = np.einsum("lm,lcm->cm", weight, z)
+    lever = weight * (t - mean_t)
     spread = (lever * t).sum(axis=0)
-    velocity = np.einsum("lm,lcm->cm", lever, z - mean) / np.where(spread > 0, spread, np.nan)
-    return np.stack([mean - velocity * middle, velocity], axis=1)
+    velocity = np.einsum("lm,lcm->cm", lever, z - mean_z) / np.where(spread > 0, spread, np.nan)
+    return mean_z - velocity * mean_t, velocity

@@ -7,25 +7,26 @@ steps L, in which unit, and with how much process noise in the track.
 """
 
 from dataclasses import dataclass, replace
-from itertools import repeat
 from math import factorial
 
 import numpy as np
+from scipy.special import erf
 
-from ..metrics import expected_absolute
 from ..model import simulate
+from ..steady import SteadyStateFilter
 
-AHEAD = 5  # the largest N
-# Steps after which the filter has forgotten its start: from there on the mean of |e| is constant, and not simulated.
+LARGEST_N = 5  # steps ahead in the table
+# After so many steps the filter has forgotten its start: the mean of |e| is constant then, and not simulated.
 TRANSIENT = 110
 AXES = ("x", "y", "both", "plane")
+LAST_DIGIT = 1e-4  # of a printed number
 
 
 @dataclass(frozen=True)
 class Column:
     """One column of the table: the filter, the start x(0) on each axis, the printed numbers of N = 0 ... 5 (6,)."""
 
-    steady: object
+    steady: SteadyStateFilter
     starts: tuple
     printed: np.ndarray
 
@@ -36,40 +37,55 @@ class Column:
 
     def positions(self, axis, steps):
         """Return s(k+N) for N = 0 ... 5 and k = 1 ... steps, (6, steps), of the track without process noise."""
-        t = self.steady.model.F[0, 1] * np.arange(1, steps + AHEAD + 1)  # F[0, 1] is the time step
+        t = self.steady.model.F[0, 1] * np.arange(1, steps + LARGEST_N + 1)  # F[0, 1] is the time step
         s = sum(component * t**i / factorial(i) for i, component in enumerate(self.starts[axis]))
-        return np.array([s[N : N + steps] for N in range(AHEAD + 1)])
+        return np.array([s[N : N + steps] for N in range(LARGEST_N + 1)])
 
 
-def ahead(model):
+def expected_absolute(mean, variance):
+    """Return the expected absolute value of Gaussian variables with a variance above zero (folded normal).
+
+    >>> expected_absolute(np.array([0.0, -3.0]), 1.0).round(4)
+    array([0.7979, 3.0008])
+    """
+    sigma = np.sqrt(variance)
+    ratio = mean / sigma
+    return sigma * np.sqrt(2 / np.pi) * np.exp(-(ratio**2) / 2) + mean * erf(ratio / np.sqrt(2))
+
+
+def position_rows(model):
     """Return the first rows of F^N for N = 0 ... 5, (6, n): they take a state to the position N steps later."""
-    return np.array([np.linalg.matrix_power(model.F, N)[0] for N in range(AHEAD + 1)])
+    return np.array([np.linalg.matrix_power(model.F, N)[0] for N in range(LARGEST_N + 1)])
 
 
-def error_moments(column, axis, L, gains=None):
+def mean_and_variance(column, axis, L, estimator=None):
     """Return the mean and the variance of e for N = 0 ... 5 and k = 1 ... L, each (6, L), without process noise.
 
-    gains is a list of (A, B) for the first 220 steps; without it they are those of the steady state. The error obeys
-    e(k+1) = A e(k) - B v(k+1). After 220 steps its mean is zero and its variance constant.
+    The estimator is the column's steady-state filter, or another filter of the same F, H and R. The error obeys
+    e(k+1) = A e(k) - B v(k+1). After 220 steps its mean is taken as zero and its variance as constant.
     """
-    model = column.steady.model
-    rows = ahead(model)
-    e = np.asarray(column.starts[axis], float)
-    P = np.zeros_like(model.Q)
-    mean = np.zeros((AHEAD + 1, L))
-    variance = np.empty((AHEAD + 1, L))
-    constant = repeat((column.steady.A, column.steady.B))
-    for k, (A, B) in zip(range(min(L, 2 * TRANSIENT)), gains or constant, strict=False):
-        e = A @ e
-        P = A @ P @ A.T + B @ model.R @ B.T
+    if estimator is None:
+        estimator = column.steady
+    steps = min(L, 2 * TRANSIENT)
+    A, B, _ = estimator.coefficients(steps)
+    rows = position_rows(estimator.model)
+    e = np.asarray(column.starts[axis], dtype=float)
+    P = np.zeros((len(e), len(e)))
+    mean = np.zeros((LARGEST_N + 1, L))
+    variance = np.empty((LARGEST_N + 1, L))
+    for k in range(steps):
+        e = A[k] @ e
+        P = A[k] @ P @ A[k].T + B[k] @ estimator.model.R @ B[k].T
         mean[:, k] = rows @ e
-        variance[:, k] = np.einsum("Ni,ij,Nj->N", rows, P, rows)
-    variance[:, k + 1 :] = variance[:, k : k + 1]
+        variance[:, k] = np.diag(rows @ P @ rows.T)
+    variance[:, steps:] = variance[:, [steps - 1]]
     return mean, variance
 
 
-def expected_averages(column, axis, L, gains=None):
+def expected_averages(column, axis, L, estimator=None):
     """Return the expected averages over the first 1 ... L steps, (6, L), exactly: the track has no process noise.
+
+    The estimator is that of `mean_and_variance`.
 
     >>> from mpt_helpers import SteadyStateFilter, constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -77,7 +93,7 @@ def expected_averages(column, axis, L, gains=None):
     >>> (100 * expected_averages(column, axis=0, L=10_000)[:2, -1]).round(4)
     array([0.0112, 0.0142])
     """
-    ratio = expected_absolute(*error_moments(column, axis, L, gains)) / column.positions(axis, L)
+    ratio = expected_absolute(*mean_and_variance(column, axis, L, estimator)) / column.positions(axis, L)
     return ratio.cumsum(axis=1) / np.arange(1, L + 1)
 
 
@@ -86,11 +102,11 @@ def errors(column, axis, noise, rng, runs, v=None):
 
     v is the measurement noise, (115, 1, runs), drawn like the rest if it is not given.
     """
-    x, z = simulate(column.truth(axis, noise), TRANSIENT + AHEAD, rng, tracks=runs)
+    x, z = simulate(column.truth(axis, noise), TRANSIENT + LARGEST_N, rng, tracks=runs)
     if v is not None:
         z = x[:, :1] + v
-    predicted = np.einsum("Ni,kim->Nkm", ahead(column.steady.model), column.steady.filter(z[:TRANSIENT]))
-    position = np.array([x[N : N + TRANSIENT, 0] for N in range(AHEAD + 1)])
+    predicted = np.einsum("Ni,kim->Nkm", position_rows(column.steady.model), column.steady.filter(z[:TRANSIENT]))
+    position = np.array([x[N : N + TRANSIENT, 0] for N in range(LARGEST_N + 1)])
     return position - predicted, position
 
 
@@ -100,7 +116,8 @@ def relative_errors(column, noise, rng, runs, v=(None, None)):
     The axes are x, y, the mean of both, and distances in the plane. noise is the process noise of the tracks as a
     multiple of the filter's, v the measurement noise on the axes x and y if it is given, each (115, 1, runs).
     """
-    (e_x, s_x), (e_y, s_y) = (errors(column, axis, noise, rng, runs, v[axis]) for axis in (0, 1))
+    e_x, s_x = errors(column, 0, noise, rng, runs, v[0])
+    e_y, s_y = errors(column, 1, noise, rng, runs, v[1])
     x = np.abs(e_x / s_x)
     y = np.abs(e_y / s_y)
     plane = np.sqrt((e_x**2 + e_y**2) / (s_x**2 + s_y**2))
@@ -113,68 +130,64 @@ def averages(column, ratio, lengths):
     Beyond step 110, |e| / |s| is replaced by its expectation: the mean of |e| is that of the last thirty steps
     simulated, and s grows as on the track without process noise.
     """
-    lengths = np.asarray(lengths)
     s = column.positions(0, max(TRANSIENT, *lengths))
     last = slice(TRANSIENT - 30, TRANSIENT)
-    at_rest = (ratio[:, last].mean(axis=2) * s[:, last]).mean(axis=1, keepdims=True)
-    later = np.concatenate([np.zeros((AHEAD + 1, 1)), (at_rest / s[:, TRANSIENT:]).cumsum(axis=1)], axis=1)
+    mean_error = (ratio[:, last].mean(axis=2) * s[:, last]).mean(axis=1, keepdims=True)
+    expected = mean_error / s[:, TRANSIENT:]  # |e| / |s| of step 111 and those after it
     sums = ratio.cumsum(axis=1)
-    total = sums[:, np.minimum(lengths, TRANSIENT) - 1] + later[:, np.maximum(lengths - TRANSIENT, 0), None]
-    return total.swapaxes(0, 1) / lengths[:, None, None]
+    result = []
+    for L in lengths:
+        simulated = sums[:, min(L, TRANSIENT) - 1]
+        beyond = expected[:, : max(L - TRANSIENT, 0)].sum(axis=1, keepdims=True)
+        result.append((simulated + beyond) / L)
+    return np.array(result)
 
 
-def implied_lengths(samples, lengths, tables):
-    """Return the length at which the mean of the runs is each number of some tables, (6, tables).
+def implied_lengths(column, ratio, scale, lengths, tables):
+    """Return for each number of some tables (6, tables) the length at which the mean of the runs is that number.
 
-    samples is (lengths, 6, runs) for increasing lengths, tables (6, tables) in the same unit.
+    ratio is |e| / |s| of simulated runs, (6, 110, runs). scale is 100 for tables in percent, 1 for fractions. lengths
+    are those tried, in increasing order. The result is (6, tables).
     """
-    mean = samples.mean(axis=2)
-    return np.array([np.interp(-tables[N], -mean[:, N], lengths) for N in range(AHEAD + 1)])
+    mean = scale * averages(column, ratio, lengths).mean(axis=2)  # falls as the length grows
+    return np.array([np.interp(-tables[N], -mean[:, N], lengths) for N in range(LARGEST_N + 1)])
 
 
-def printed_lengths(column, ratio, scale, lengths):
-    """Return the lengths that the six printed numbers imply, (6,). scale is 100 for percent, 1 for fractions.
-
-    ratio is |e| / |s| of simulated runs, (6, 110, runs); lengths are those tried, increasing.
-    """
-    samples = scale * averages(column, ratio, lengths)
-    return implied_lengths(samples, lengths, column.printed[:, None])[:, 0]
-
-
-def log_likelihood(samples, tables, digits=4):
+def log_likelihood(samples, tables):
     """Return the log of the probability of printing each table, (lengths, tables).
 
     samples are the averages of runs, (lengths, numbers, runs), six numbers for a column or twelve for both; tables are
-    (numbers, tables), printed with so many decimals. The averages of a run are taken as Gaussian with the mean and
+    (numbers, tables), printed with four decimals. The averages of a run are taken as Gaussian with the mean and
     covariance of the samples. Rounding adds the variance of a uniform error. The density, times the width of the last
     digit for each number, is a probability.
     """
-    unit = 10.0**-digits
-    numbers = samples.shape[1]
+    _, numbers, runs = samples.shape
     mean = samples.mean(axis=2, keepdims=True)
     centred = samples - mean
-    C = centred @ centred.swapaxes(1, 2) / (samples.shape[2] - 1) + unit**2 / 12 * np.eye(numbers)
+    rounding = LAST_DIGIT**2 / 12 * np.eye(numbers)
+    C = centred @ centred.swapaxes(1, 2) / (runs - 1) + rounding
     off = tables - mean
     distance = (off * np.linalg.solve(C, off)).sum(axis=1)
-    return numbers * np.log(unit) - (distance + np.linalg.slogdet(2 * np.pi * C)[1][:, None]) / 2
+    log_det = np.linalg.slogdet(2 * np.pi * C).logabsdet
+    return numbers * np.log(LAST_DIGIT) - (distance + log_det[:, None]) / 2
 
 
 def draw_lengths(ax, column, ratio, scale, lengths, L):
     """Draw the lengths that the printed numbers imply (dots), over N, and those of thirty simulated runs of L steps."""
-    samples = scale * averages(column, ratio, lengths)
-    tables = scale * averages(column, ratio, [L])[0, :, :30]
-    implied = implied_lengths(samples, lengths, tables)
-    ax.plot(implied[:, 1:], color="0.8", lw=0.7)
+    of_runs = scale * averages(column, ratio, [L])[0, :, :30]
+    implied = implied_lengths(column, ratio, scale, lengths, np.column_stack([of_runs, column.printed]))
+    ax.plot(implied[:, 1:-1], color="0.8", lw=0.7)
     ax.plot(implied[:, 0], color="0.8", lw=0.7, label="simulated runs")
     ax.axhline(L, color="0.3", lw=0.8, label="one length")
-    ax.plot(printed_lengths(column, ratio, scale, lengths), "o", color="C1", ms=5, label="printed")
+    ax.plot(implied[:, -1], "o", color="C1", ms=5, label="printed")
 
 
 def draw_errors(ax, column, e, N, some):
     """Draw e of one run on both axes, (steps, 2), for some of the steps, with bands: the mean of e ± 2σ."""
     k = np.arange(1, len(e) + 1)[some]
     for axis, (name, style) in enumerate((("x axis", "-"), ("y axis", "--"))):
-        mean, variance = (moment[N, some] for moment in error_moments(column, axis, len(e)))
-        sigma = np.sqrt(variance)
-        ax.fill_between(k, mean - 2 * sigma, mean + 2 * sigma, color=f"C{axis}", alpha=0.2, lw=0)
+        mean, variance = mean_and_variance(column, axis, len(e))
+        middle = mean[N, some]
+        sigma = np.sqrt(variance[N, some])
+        ax.fill_between(k, middle - 2 * sigma, middle + 2 * sigma, color=f"C{axis}", alpha=0.2, lw=0)
         ax.plot(k, e[some, axis], style, color=f"C{axis}", label=name)
