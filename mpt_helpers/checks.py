@@ -9,10 +9,12 @@ from numbers import Real
 import numpy as np
 
 # A covariance scaled to unit variances has entries of order one and comes out of a few products of doubles: asymmetry
-# or negative eigenvalues below this are rounding, above it they are a mistake; and a definite matrix has none below it.
+# or negative eigenvalues below this are rounding, above it they are a mistake. A positive definite matrix must have all
+# its eigenvalues above it.
 ROUNDING = 1e-12
 # The same for a covariance that a solver has made, for a model at the edge of double precision.
 SOLVED = 1e-6
+LARGEST = np.finfo(float).max
 
 
 def refuse(name, need, got, error=ValueError):
@@ -38,7 +40,7 @@ def number(name, value, need, accept):
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         refuse(name, need, f"{value!r:.60}", TypeError)
-    if not (np.isfinite(float(value)) and accept(value)):
+    if not (abs(value) <= LARGEST and accept(value)):
         refuse(name, need, f"{value!r:.60}")
     return float(value)
 
@@ -54,13 +56,7 @@ def not_negative(name, value):
 
 
 def count(name, value, least=1):
-    """Return an integer of at least `least`, or raise.
-
-    >>> count("N", 0)
-    Traceback (most recent call last):
-    ...
-    ValueError: N: needs an integer of at least 1, got 0
-    """
+    """Return an integer of at least `least`, or raise."""
     need = f"an integer of at least {least}"
     if isinstance(value, bool | np.bool_):
         refuse(name, need, value, TypeError)
@@ -74,13 +70,7 @@ def count(name, value, least=1):
 
 
 def array(name, value, shape):
-    """Return a read-only copy of an array of finite real numbers of this shape, or raise.
-
-    >>> array("F", 5.0, (2, 2))
-    Traceback (most recent call last):
-    ...
-    ValueError: F: needs a (2, 2) array of finite numbers, got shape ()
-    """
+    """Return a read-only copy of an array of finite real numbers of this shape, or raise."""
     need = f"a {shape} array of finite numbers"
     # In C order, since the rounding of a product depends on the memory layout.
     copy = real_numbers(name, value, need).astype(float, order="C")
@@ -120,7 +110,8 @@ def covariance(name, value, size, definite=False, rounding=ROUNDING):
     need = f"a symmetric positive {'definite' if definite else 'semidefinite'} {size}×{size} matrix"
     matrix = array(name, value, (size, size))
     variance = np.diag(matrix)
-    if variance.min() < -(rounding**2) * variance.max() or variance.max() < 0:  # a sigma may be off by `rounding`
+    # A variance of -rounding² relative to the largest is a sigma wrong by `rounding`.
+    if variance.min() < -(rounding**2) * variance.max() or variance.max() < 0:
         refuse(name, need, f"a variance of {variance.min():.6g}")
     sigma = np.sqrt(np.maximum(variance, 0))
     unit = np.where(sigma > 0, sigma, 1)
@@ -140,11 +131,6 @@ def measurements(z, m):
     """Return measurements as a float array of shape (N, m) or (N, m, M), or raise. NaN stands for a missing one.
 
     Infinity is not looked for here: `no_infinity` does that where a result is not finite.
-
-    >>> measurements([1.0], m=1)
-    Traceback (most recent call last):
-    ...
-    ValueError: z: needs an (N, 1) or (N, 1, M) array, got shape (1,)
     """
     need = f"an (N, {m}) or (N, {m}, M) array"
     z = real_numbers("z", z, need)

@@ -5,7 +5,7 @@ and of loops over tracks:
 
 - A missing measurement has a gain of zero, and nothing else has to be done about it.
 - A linear map x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all tracks.
-- Measurements are taken one after the other, each in a basis in which it measures one component of the state alone:
+- Measurements are taken one after the other, each in coordinates where it is one component of the state:
   for H = [1 dt] the state [s v] becomes [s + v dt, v]. There the update needs no matrix inverse, and the row of P that
   belongs to the measured component can be written without a difference of large numbers.
 """

@@ -1,6 +1,7 @@
 """Filters made of filters: the mean of two, and one for each axis."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -77,6 +78,7 @@ class JoinFilter(Filter):
             x_k /= 2
 
 
+@dataclass(frozen=True, eq=False, init=False)
 class Separate(Filter):
     """One filter for each axis: the papers' model B (2014 Section 5, Eqs. 17-18).
 
@@ -90,18 +92,28 @@ class Separate(Filter):
            [0.5557, 0.4681, 0.1164, 0.06  ]])
     """
 
+    filters: tuple
+
     def __init__(self, *filters):
         if not filters:
             checks.refuse("filters", "at least one filter", "none")
         for i, each in enumerate(filters):
             checks.instance(f"filters[{i}]", each, Filter)
             _require_equally_far_ahead(f"filters[{i}]", filters[0], each)
-        self.filters = filters
-        self.model = stack(*(each.model for each in filters))
-        self.steps_ahead = filters[0].steps_ahead
+        object.__setattr__(self, "filters", filters)
 
     def __reduce__(self):
         return type(self), self.filters
+
+    @cached_property
+    def model(self):
+        """The models of the filters, stacked."""
+        return stack(*(each.model for each in self.filters))
+
+    @property
+    def steps_ahead(self):
+        """The number of steps that all filters predict ahead."""
+        return self.filters[0].steps_ahead
 
     @property
     def P0(self):

@@ -1,8 +1,8 @@
 """The Kalman filter and the Lainiotis filter, and what all recursive filters share.
 
 Each filter is x(k+1/k+1) = A_k x(k/k) + B_k z(k+1). The filters differ only in `next_step`, which makes A_k, B_k and
-P(k+1/k+1) from P(k/k) as the papers print it. The values measured do not matter there, only which measurements are
-missing. A missing measurement has a row of zeros in H, and in R a one on the diagonal and zeros beside it: then every
+P(k+1/k+1) from P(k/k) as the papers print it. They depend on which measurements are missing, not on their values. A
+missing measurement has a row of zeros in H, and in R a one on the diagonal and zeros beside it: then every
 equation holds as printed, also when all measurements of an epoch are missing.
 """
 
@@ -17,7 +17,8 @@ from .model import Immutable, LinearModel
 from .recursion import TILE_OF_COVARIANCES, Step, lifted, run, tiles
 from .riccati import lainiotis_matrices, lainiotis_transition
 
-# A filter that converges within so many steps keeps the products of them. On the papers' models it does within 45.
+# A filter that converges within this many steps keeps its products for its next call. On the papers' models it does
+# within 45.
 MOST_KEPT = 256
 # A filter has converged when no P_ij moves by more than this times σ_i σ_j: the rounding of doubles.
 CONVERGED = 4e-16
@@ -33,15 +34,19 @@ class Filter(Immutable):
 
     @property
     def P0(self):
-        """P(0/0); raises TypeError for a filter that has none."""
-        self._refuse_covariances()
+        """P(0/0); raises TypeError for a filter that is not recursive."""
+        self._needs_a_recursion()
 
     def epochs(self, z):
         """Yield x(k/k) (n, M) and P(k/k), (n, n, 1) or (n, n, M), for k = 1 ... N of tracks z (N, m, M).
 
         P is (n, n, 1) where all tracks have the same gaps. Raises TypeError for a filter that has no covariances.
         """
-        self._refuse_covariances()
+        self._needs_a_recursion()
+
+    def step(self, x, P, z_k):
+        """Return x(k+1/k+1) and P(k+1/k+1); raises TypeError for a filter that is not recursive."""
+        self._needs_a_recursion()
 
     def filter(self, z):
         """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
@@ -82,8 +87,8 @@ class Filter(Immutable):
         z = checks.measurements(z, self.model.m)
         return (z, True) if z.ndim == 3 else (z[..., None], False)
 
-    def _refuse_covariances(self):
-        raise TypeError(f"needs a filter with a covariance of its estimates, got a {type(self).__name__}")
+    def _needs_a_recursion(self):
+        raise TypeError(f"needs a recursive filter or one made of such filters, got a {type(self).__name__}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +165,8 @@ class RecursiveFilter(Filter):
         if kept_for != (N, tracks):
             steps = list(self._steps(np.ones((N, self.model.m), bool)))
             products = lifted(steps, tracks)
-            if steps[-1] is steps[:MOST_KEPT][-1]:
+            converged = steps[:MOST_KEPT][-1]
+            if steps[-1] is converged:
                 vars(self)["_kept_products"] = (N, tracks), products
         return products
 

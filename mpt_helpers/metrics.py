@@ -44,8 +44,8 @@ class Innovations(NamedTuple):
 def innovations(estimator, z):
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N of a filter over measurements z.
 
-    `estimator` is a filter with covariances, z is (N, m) or (N, m, M). `values` has the shape of z, and is NaN where z
-    is. S is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many tracks.
+    `estimator` is a recursive filter, z is (N, m) or (N, m, M). `values` has the shape of z, with NaN where z has NaN.
+    S is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many tracks.
 
     Raises ValueError or TypeError for measurements of another kind, and TypeError for a filter that has no innovations:
     a predictor or a FIR filter.
@@ -60,16 +60,18 @@ def innovations(estimator, z):
     model = estimator.model
     z = checks.measurements(z, model.m)
     checks.no_infinity(z)
-    tracks = z if z.ndim == 3 else z[..., None]
-    N, m, M = tracks.shape
+    if z.ndim == 2:
+        values, S = innovations(estimator, z[..., None])
+        return Innovations(values[..., 0], S[..., 0])
+    N, m, M = z.shape
     values, S = np.empty((N, m, M)), np.empty((N, m, m, M))
-    for tile in tiles(M, TILE_OF_COVARIANCES):
+    for tracks in tiles(M, TILE_OF_COVARIANCES):
         expected, S_next = _next_measurement(model, model.x0[:, None], estimator.P0[..., None])
-        for k, (x, P) in enumerate(estimator.epochs(tracks[..., tile])):
-            values[k, :, tile] = tracks[k, :, tile] - expected
-            S[k, ..., tile] = S_next
+        for k, (x, P) in enumerate(estimator.epochs(z[..., tracks])):
+            values[k, :, tracks] = z[k, :, tracks] - expected
+            S[k, ..., tracks] = S_next
             expected, S_next = _next_measurement(model, x, P)
-    return Innovations(values, S) if z.ndim == 3 else Innovations(values[..., 0], S[..., 0])
+    return Innovations(values, S)
 
 
 def _next_measurement(model, x, P):
@@ -96,9 +98,9 @@ def nis(estimator, z):
 def log_likelihood(estimator, z):
     """Return the logarithm of the probability density of measurements z, a number or, for many tracks, (M,).
 
-    It is the sum of the log densities of the innovations. For a filter with a constant gain it
-    is a quasi-likelihood: its S is the covariance of the true error, but its innovations are correlated after the start
-    and after gaps. Raises as `innovations`.
+    It is the sum of the log densities of the innovations. For a filter with a constant gain it is a quasi-likelihood:
+    its S is the covariance of the true error, but its innovations are correlated after the start and after gaps. Raises
+    as `innovations`.
 
     >>> from mpt_helpers.filters import KalmanFilter
     >>> from mpt_helpers.model import constant_velocity
@@ -144,9 +146,12 @@ def nees(errors, P):
     >>> nees([[1.0, 2.0]], [[1.0, 0.0], [0.0, 4.0]])
     array([2.])
     """
-    errors, P = np.asarray(errors, float), np.asarray(P, float)
+    need = "an (N, n) or (N, n, M) array"
+    errors, P = checks.real_numbers("errors", errors, need), checks.real_numbers("P", P, "covariances")
+    if errors.ndim not in (2, 3):
+        checks.refuse("errors", need, f"shape {errors.shape}")
     N, n = errors.shape[:2]
-    if errors.ndim not in (2, 3) or P.shape not in ((n, n), (N, n, n), (N, n, *errors.shape[1:])):
+    if P.shape not in ((n, n), (N, n, n), (N, n, *errors.shape[1:])):
         need = f"an (n, n), (N, n, n) or (N, n, n, M) array for errors of {errors.shape}"
         checks.refuse("P", need, f"shape {P.shape}")
     if not (np.isfinite(P).all() and np.isfinite(errors).all()):

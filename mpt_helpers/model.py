@@ -14,9 +14,7 @@ from .recursion import Step, lifted, run
 
 
 class Immutable:
-    """Makes copies, deep copies and pickles of a frozen dataclass through its constructor, so that they are checked and
-    read-only too: numpy forgets that an array is read-only.
-    """
+    """A dataclass whose copies and pickles go through the constructor: numpy does not keep the read-only flag."""
 
     def __reduce__(self):
         return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()

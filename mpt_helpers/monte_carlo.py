@@ -9,12 +9,9 @@ from tqdm import tqdm
 
 from . import checks
 
-# Runs that share a stream of random numbers and are filtered together. Another number gives other results from a seed.
+# Runs that share a stream of random numbers and are filtered together. Changing this changes the results of a seed.
 BLOCK = 200
 RESULT = f"a result of M = {BLOCK} columns, (..., M)"
-# Once an array of this size has been freed, glibc keeps up to as much memory for the next block, in place of returning
-# it to the kernel.
-KEPT_MEMORY = 2**25 - 2**16
 
 
 def study(experiment, runs, seed, *, workers=1):
@@ -22,7 +19,7 @@ def study(experiment, runs, seed, *, workers=1):
 
     experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs. M is
     always 200: each block of 200 runs has its own stream of the seed, so that no result depends on the workers, and the
-    first runs of a longer study are those of a shorter one. What is more than `runs` is dropped.
+    first runs of a longer study are those of a shorter one. Columns beyond `runs` are dropped.
 
     runs is a positive count, seed an integer that is not negative. workers is a number of threads, or a callable like
     `map` that keeps the order, such as the `map` of a `concurrent.futures` executor, to whose workers the experiment
@@ -52,7 +49,7 @@ def study(experiment, runs, seed, *, workers=1):
 
 
 def _run_block(experiment, stream):
-    np.empty(KEPT_MEMORY, np.uint8)
+    np.empty(2**25 - 2**16, np.uint8)  # once this is freed, glibc keeps as much memory for the next block: measured
     part = np.asarray(experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK))
     if part.dtype.kind not in "biuf":
         checks.refuse("experiment", RESULT, f"an array of {part.dtype} data", TypeError)

@@ -18,7 +18,7 @@ import numpy as np
 TILE = 16_384
 # Tracks per tile where each track has a covariance of its own, which takes more room.
 TILE_OF_COVARIANCES = 4_096
-# (size, L): how many steps to take in one product when n times the tracks of a tile is at least the size. Small
+# (size, L): how many steps to take in one product when the states of a tile hold at least `size` numbers. Small
 # products cost calls, large ones leave the cache. Measured.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
 
@@ -66,7 +66,7 @@ def product_of_steps(A, B):
 
 
 def lifted(steps, tracks):
-    """Return the W of each block of steps, for `run` with so many tracks.
+    """Return the W of each block of steps, for `run` on this number of tracks.
 
     steps is a list of Steps. Where a filter has converged it repeats one Step, and its blocks share one W.
     """
@@ -88,7 +88,8 @@ def _are_the_same_objects(block, other):
 def run(products, x0, z, x):
     """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
 
-    products are those of `lifted`, x0 is (n, M) or (n, 1), z is (N, m, M). A track with NaN in z has NaN from there on.
+    products are those of `lifted`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. A track with NaN in z
+    has NaN at the end, and may have it some steps before the gap.
     """
     (_, n, M), m = x.shape, z.shape[1]
     x0 = np.broadcast_to(x0, (n, M))

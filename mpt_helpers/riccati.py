@@ -1,8 +1,8 @@
 """Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
 
-The two solvers share no algorithm, so that their agreement is a result. Each checks its solution against its own
-equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter stand here too,
-since its Riccati equation is made of them.
+The two solvers share no algorithm, so their agreement is a check and not built in. Each checks its solution against
+its own equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter stand here
+too, since its Riccati equation is made of them.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from . import checks
 from .model import LinearModel, predicted_covariance, square_root
 
 # A mode whose distance from being undetectable or unstabilizable is below this, relative to the matrix, counts as such:
-# the rounding of an eigenvalue of F, with room for n up to some hundreds.
+# the rounding of an eigenvalue of F, loose enough for n of a few hundred.
 MODE_ROUNDING = 1e-12
 # Rounding turns a double eigenvalue into two at a relative distance of 1e-8, a triple one into three at 6e-6. Computed
 # eigenvalues that are nearer than this may be one: their mean, as accurate as a simple eigenvalue, is tried too.
@@ -101,41 +101,7 @@ def rekf(model):
     array([[0.0597, 0.0257],
            [0.0257, 0.0227]])
     """
-    _require_steady_state(model)
-    # scipy is silently wrong where R is very small or very large, and fails where the variances of the states differ
-    # much, so it gets states and measurements of unit variance. Where the filter converges slowly it loses digits, so
-    # its solution is refined.
-    unit = _units(model)
-    F = model.F * unit / unit[:, None]
-    Q = model.Q / unit[:, None] / unit
-    H = np.linalg.solve(np.linalg.cholesky(model.R), model.H * unit)
-    try:
-        P = solve_discrete_are(F.T, H.T, Q, np.eye(model.m))
-        P = P + _newton_step(P, F, H, Q)
-        change = _newton_step(P, F, H, Q)
-    except np.linalg.LinAlgError:
-        _refuse_unsolved(model)
-    P = P + change
-    sigma = np.sqrt(np.maximum(np.diag(P), 1))  # at least the noise of n steps, which is 1 in these units
-    if not (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all():
-        _refuse_unsolved(model)
-    return (P + P.T) / 2 * unit[:, None] * unit
-
-
-def _newton_step(P, F, H, Q):
-    """Return what Newton's method adds to P, a solution of the REKF with R = I.
-
-    It is the sum of Aⁱ D Aᵀⁱ, i = 0, 1, ..., where D is what P misses in the equation.
-    """
-    identity = np.eye(len(H))
-    K = P @ innovation_weights(P, H, identity)
-    update = np.eye(len(P)) - K @ H
-    A = F @ update
-    D = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
-    with np.errstate(over="ignore", invalid="ignore"):  # where A is not stable, the sum has no end
-        for _ in range(ROUNDS):
-            A, D = A @ A, D + A @ D @ A.T
-    return (D + D.T) / 2
+    return _verified(model, _solve_rekf)
 
 
 def relf(model):
@@ -152,32 +118,81 @@ def relf(model):
     array([[0.0285, 0.008 ],
            [0.008 , 0.0127]])
     """
-    _require_steady_state(model)
-    Fn, _, _, Pn, On = lainiotis_matrices(model)
-    F_i, P, O_i = Fn, Pn, On  # of 2^i steps
-    with np.errstate(over="ignore", invalid="ignore"):  # where double precision does not resolve the steady state
-        for _ in range(ROUNDS):
-            A = lainiotis_transition(P, F_i, O_i)
-            longer = P + A @ P @ F_i.T
-            longer = (longer + longer.T) / 2
-            if np.array_equal(longer, P):  # no entry moves: one of a small variance may be the last to settle
-                break
-            O_i = O_i + F_i.T @ O_i @ np.linalg.solve(np.eye(model.n) + P @ O_i, F_i)
-            P, F_i = longer, A @ F_i
-    if not (np.isfinite(P).all() and _solves_relf(P, Fn, Pn, On)):
-        _refuse_unsolved(model)
+    return _verified(model, _solve_relf)
+
+
+def _verified(model, solve):
+    """Return the P that solve(model) finds, or raise a ValueError that says why there is none.
+
+    `solve` returns P and whether it solves its equation.
+    """
+    checks.instance("model", model, LinearModel)
+    for margin, condition, mode in _margins(model):
+        if margin < MODE_ROUNDING:
+            raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
+    try:
+        with np.errstate(all="ignore"):  # where double precision does not resolve the steady state
+            P, solved = solve(model)
+    except ValueError:  # scipy's, and numpy's LinAlgError
+        solved = False
+    if not solved:
+        margin, condition, mode = min(_margins(model), default=(1, "no condition fails", 0), key=lambda each: each[0])
+        nearest = f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
+        raise ValueError(f"model: needs a steady state that double precision can resolve; {nearest}")
     return P
 
 
-def _solves_relf(P, Fn, Pn, On):
-    """Tell whether P solves the RELF to six digits and its filter forgets the start."""
+def _solve_rekf(model):
+    # scipy is silently wrong where R is very small or very large, and fails where the variances of the states differ
+    # much, so it gets states and measurements of unit variance. Where the filter converges slowly it loses digits, so
+    # its solution is refined.
+    unit = _units(model)
+    F = model.F * unit / unit[:, None]
+    Q = model.Q / unit[:, None] / unit
+    H = np.linalg.solve(np.linalg.cholesky(model.R), model.H * unit)
+    P = solve_discrete_are(F.T, H.T, Q, np.eye(model.m))
+    P = P + _newton_step(P, F, H, Q)
+    change = _newton_step(P, F, H, Q)
+    P = P + change
+    sigma = np.sqrt(np.maximum(np.diag(P), 1))  # no less than 1, the noise of n steps in these units
+    solved = (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all()
+    return (P + P.T) / 2 * unit[:, None] * unit, solved
+
+
+def _newton_step(P, F, H, Q):
+    """Return what Newton's method adds to P, a solution of the REKF with R = I.
+
+    It is the sum of Aⁱ D Aᵀⁱ, i = 0, 1, ..., where D is what P misses in the equation.
+    """
+    identity = np.eye(len(H))
+    K = P @ innovation_weights(P, H, identity)
+    update = np.eye(len(P)) - K @ H
+    A = F @ update
+    D = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
+    for _ in range(ROUNDS):
+        A, D = A @ A, D + A @ D @ A.T
+    return (D + D.T) / 2
+
+
+def _solve_relf(model):
+    Fn, _, _, Pn, On = lainiotis_matrices(model)
+    F_i, P, O_i = Fn, Pn, On  # of 2^i steps
+    for _ in range(ROUNDS):
+        A = lainiotis_transition(P, F_i, O_i)
+        longer = P + A @ P @ F_i.T
+        longer = (longer + longer.T) / 2
+        if np.array_equal(longer, P):  # no entry moves: one of a small variance may be the last to settle
+            break
+        O_i = O_i + F_i.T @ O_i @ np.linalg.solve(np.eye(model.n) + P @ O_i, F_i)
+        P, F_i = longer, A @ F_i
     A = lainiotis_transition(P, Fn, On)
     sigma = np.sqrt(np.diag(P))
     terms = np.abs(Pn) + np.abs(A) @ np.abs(P) @ np.abs(Fn.T)
-    rounding = 100 * np.finfo(float).eps * terms  # of some 100 products; all there is where a variance is zero
+    rounding = 100 * np.finfo(float).eps * terms  # of some 100 products; the only tolerance where a variance is zero
     missed = np.abs(Pn + A @ P @ Fn.T - P)
-    closed_loop = np.abs(np.linalg.eigvals(A)).max()
-    return closed_loop < 1 and bool((missed <= RESIDUAL * np.outer(sigma, sigma) + rounding).all())
+    solved = (missed <= RESIDUAL * np.outer(sigma, sigma) + rounding).all()
+    forgets_the_start = np.abs(np.linalg.eigvals(A)).max() < 1
+    return P, solved and forgets_the_start
 
 
 def lainiotis_transition(P, Fn, On):
@@ -230,19 +245,6 @@ def _at_the_size_of(F, matrix):
     """Return the matrix scaled to the largest entry of F, so that the rank test depends on no unit of H or Q."""
     size = np.abs(matrix).max()
     return matrix * (np.abs(F).max() / size) if size else matrix
-
-
-def _require_steady_state(model):
-    checks.instance("model", model, LinearModel)
-    for margin, condition, mode in _margins(model):
-        if margin < MODE_ROUNDING:
-            raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
-
-
-def _refuse_unsolved(model):
-    margin, condition, mode = min(_margins(model), default=(1, "no condition fails", 0), key=lambda found: found[0])
-    nearest = f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
-    raise ValueError(f"model: needs a steady state that double precision can resolve; {nearest}")
 
 
 def _text(mode):

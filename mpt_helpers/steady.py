@@ -12,10 +12,8 @@ from .recursion import TILE, tiles
 
 # How far A may be from (I - B H) F, relative to the size of the terms: room for the rounding of the solvers.
 SAME_A = 1e-6
-# The most taps of a FIR filter: the steady-state filter does in one step what takes so many.
+# The most taps of a FIR filter; beyond this, use the steady-state filter itself.
 MOST_TAPS = 1_000_000
-# Steps of a FIR filter in one product.
-FIR_STEPS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +21,7 @@ class SteadyStateFilter(RecursiveFilter):
     """A filter with constant coefficients: A (n×n), B (n×m), and the error covariance P (n×n) of its steady state.
 
     2014 Eqs. 9-15, 2015 Eqs. 6-12, 2016 Eqs. 8-12. Made by `from_kalman` or `from_lainiotis`, which solve different
-    Riccati equations: that they agree (2014 Eq. 15) is a result.
+    Riccati equations: their agreement (2014 Eq. 15) is a check and not built in.
 
     While nothing is missing, its covariance is P. Through a gap it grows, and afterwards it returns to P as the true
     error does. A row of z that is partly NaN is refused, since the gain is that for a whole row. Raises ValueError for
@@ -216,8 +214,8 @@ class FIRFilter(Filter):
 
     def __post_init__(self):
         checks.instance("model", self.model, LinearModel)
-        order = max(1, len(checks.real_numbers("taps", self.taps, "an (order, n, m) array")))
-        object.__setattr__(self, "taps", checks.array("taps", self.taps, (order, self.model.n, self.model.m)))
+        order = len(np.atleast_1d(checks.real_numbers("taps", self.taps, "an (order, n, m) array")))
+        object.__setattr__(self, "taps", checks.array("taps", self.taps, (max(1, order), self.model.n, self.model.m)))
 
     @classmethod
     def from_steady_state(cls, steady, tol=1e-3):
@@ -250,19 +248,12 @@ class FIRFilter(Filter):
             x[k] = np.where(missed[k], predicted, x[k])
 
     def _convolve(self, x, z):
-        """Write Σ taps[j] z(k-j) of z (N, m, M) to x (N, n, M): some steps in one product with shifted taps."""
-        (N, m, M), n = z.shape, self.model.n
-        older = self.order - 1
-        W = np.zeros((FIR_STEPS, n, older + FIR_STEPS, m))
-        for i in range(FIR_STEPS):
-            W[i, :, i : i + self.order] = self.taps[::-1].swapaxes(0, 1)
-        W = W.reshape(FIR_STEPS * n, (older + FIR_STEPS) * m)
-        measured = np.ascontiguousarray(z).reshape(N * m, M)
+        """Write Σ taps[j] z(k-j) of z (N, m, M) to x (N, n, M)."""
+        N, m, M = z.shape
+        oldest_first = self.taps[::-1].swapaxes(0, 1).reshape(self.model.n, -1)  # [taps[order-1] ... taps[1] taps[0]]
+        rows = np.ascontiguousarray(z).reshape(N * m, M)
         for tracks in tiles(M, TILE):
-            outputs = np.empty((FIR_STEPS * n, tracks.stop - tracks.start))
-            for k in range(0, N, FIR_STEPS):
-                first, last = max(k - older, 0), min(k + FIR_STEPS, N)
-                weights = W[: (last - k) * n, (first - k + older) * m : (last - k + older) * m]
-                after = outputs[: len(weights)]
-                np.matmul(weights, measured[first * m : last * m, tracks], out=after)
-                x[k:last, :, tracks] = after.reshape(last - k, n, -1)
+            for k in range(N):
+                end = (k + 1) * m
+                used = min(k + 1, self.order) * m
+                x[k, :, tracks] = oldest_first[:, -used:] @ rows[end - used : end, tracks]

@@ -197,7 +197,7 @@ def test_several_of_a_kind_are_refused_by_their_number(make, name):
 @pytest.mark.parametrize("make", [metrics.innovations, metrics.nis, metrics.log_likelihood])
 @pytest.mark.parametrize("without", [AHEAD, FIR, mpt.JoinFilter(FIR, FIR), mpt.Separate(KF, FIR)])
 def test_a_filter_without_covariances_has_no_innovations(make, without):
-    with pytest.raises(TypeError, match="needs a filter with a covariance of its estimates, got a "):
+    with pytest.raises(TypeError, match="needs a recursive filter or one made of such filters, got a "):
         make(without, np.zeros((4, without.model.m)))
 
 

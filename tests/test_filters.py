@@ -262,7 +262,7 @@ def test_a_constant_gain_refuses_a_row_that_is_partly_missing(make):
 @pytest.mark.parametrize("gaps", [(), (5,), (0, 20, 21, 39)])
 @pytest.mark.parametrize("own", [False, True], ids=["alike", "one track of its own"])
 def test_tracks_of_common_gaps_are_filtered_in_common(monkeypatch, gaps, own):
-    """Epoch by epoch, with a covariance each, go only tracks whose gaps differ; tracks without gaps are none of them."""
+    """Epoch by epoch, with a covariance each, go only tracks whose gaps differ, and no track without gaps."""
     _, z = mpt.simulate(AXIS, 40, np.random.default_rng(1), tracks=100)
     z[list(gaps), :, 50:] = np.nan
     if own:
