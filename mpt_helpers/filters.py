@@ -233,7 +233,8 @@ class KalmanFilter(RecursiveFilter):
         A_k = (I - K_k H) F,   B_k = K_k
 
     `step` writes the same equations out, since filterpy's object costs more than they do; `columns` has them for tracks
-    with different gaps.
+    with different gaps. Where noises are correlated and rows partly missing, such tracks go one by one through filterpy,
+    which is slow.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1)).filter([[1.0], [2.0]]).round(4)
