@@ -1,7 +1,6 @@
 """Files are written whole or not at all."""
 
 import os
-from pathlib import Path
 
 
 def write_whole(path, data):
@@ -10,15 +9,15 @@ def write_whole(path, data):
 
 
 def write_together(contents):
-    """Write bytes to several files, of which contents maps the paths: beside them first, then all into their places.
+    """Write bytes to several files, {path: bytes}: beside them first, then all into their places.
 
     A full disk or an interrupt leaves every file as it was while they are written. What stops the moves, some
     microseconds in all, leaves some files new and some old, each whole.
     """
-    contents = {Path(path): data for path, data in contents.items()}
     parts = {path: path.with_name(path.name + ".part") for path in contents}
-    if there := [str(path) for path in contents if path.is_dir()]:
-        raise IsADirectoryError(f"a folder is in the place of the file {there[0]}")
+    for path in contents:
+        if path.is_dir():
+            raise IsADirectoryError(f"a folder is in the place of the file {path}")
     try:
         for path, part in parts.items():
             part.write_bytes(contents[path])
@@ -26,5 +25,4 @@ def write_together(contents):
             os.replace(part, path)
     finally:
         for part in parts.values():
-            if part.is_file():
-                part.unlink()
+            part.unlink(missing_ok=True)

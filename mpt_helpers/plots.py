@@ -6,22 +6,15 @@ that exactly, and it changes when the data change by one percent. The files are 
 
 import copy
 import re
-import sys
 import zlib
 from base64 import b64encode
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 from cycler import cycler
-from matplotlib.collections import PathCollection
-from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 # Gaps between two estimates below this are rounding and differ between processors: they are drawn at this value.
@@ -76,14 +69,6 @@ def finish(ax, xlabel, title):
         ax.xaxis.get_major_locator().set_params(integer=True)
 
 
-def label_ends(ax):
-    """Write the label of each curve at its last point, in its colour: easier to read than a legend."""
-    beside = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "annotation_clip": False}
-    for line in ax.get_legend_handles_labels()[0]:
-        end = [float(f"{value:.6g}") for value in line.get_xydata()[-1]]
-        ax.annotate(line.get_label(), end, color=line.get_color(), **beside)
-
-
 def visible_gap(gap):
     """Return gaps as they are drawn: clipped at 1e-12, with one digit below 1e-9 and three above.
 
@@ -123,14 +108,13 @@ def save_figure(fig, name, folder=None):
     if not re.fullmatch(r"\w+", name, re.ASCII):
         raise ValueError(f"name: needs letters, digits and underscores, got {name!r}")
     folder = figures_folder() if folder is None else Path(folder)
+    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     settled = _settled(fig)
-    png, svg = BytesIO(), BytesIO()
-    settled.savefig(png, format="png", metadata={"Software": None})
+    settled.savefig(png, metadata={"Software": None})
     with matplotlib.rc_context({"svg.hashsalt": name}):
-        settled.savefig(svg, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    (folder / f"{name}.png").write_bytes(png.getvalue())
-    (folder / f"{name}.svg").write_bytes(round_svg(svg.getvalue().decode()).encode())
-    return SavedFigure(png.getvalue(), f"{name}.png\n{describe(settled)}", alt_text(settled))
+        settled.savefig(svg, transparent=True, metadata={"Date": None, "Creator": None})
+    svg.write_bytes(round_svg(svg.read_text(encoding="utf-8")).encode())
+    return SavedFigure(png.read_bytes(), f"{png.name}\n{describe(settled)}", alt_text(settled))
 
 
 def figures_folder():
@@ -145,22 +129,14 @@ def figures_folder():
 def _settled(fig):
     """Return a copy whose drawn values and places are rounded: last bits differ between processors and move pixels."""
     fig = copy.deepcopy(fig)
-    if "matplotlib.pyplot" in sys.modules:  # which would show the copy too
-        sys.modules["matplotlib.pyplot"].close(fig)
     for ax in _axes(fig):
         scales = ax.get_xscale(), ax.get_yscale()
         for line in ax.lines:
             if not hasattr(line, "get_data_3d"):
                 line.set_data(*map(_nine_digits, line.get_xydata().T, scales))
-        for path in (path for each in ax.collections for path in each.get_paths()):
-            path.vertices = np.column_stack(list(map(_nine_digits, path.vertices.T, scales)))
-        for each in (*ax.collections, *ax.images):
-            if each.get_array() is not None and each.get_array().dtype.kind == "f":
-                each.set_array(_nine_digits(each.get_array(), "linear"))
-        for each in ax.patches:
-            if isinstance(each, Rectangle):
-                bounds = (*each.get_xy(), each.get_width(), each.get_height())
-                each.set_bounds([float(f"{value:.9g}") for value in bounds])
+        for drawn in ax.collections:
+            for path in drawn.get_paths():
+                path.vertices = np.column_stack([*map(_nine_digits, path.vertices.T, scales)])
     if fig.get_layout_engine():
         fig.get_layout_engine().execute(fig)
     fig.set_layout_engine("none")  # the layout stands: making it takes longer than writing the file
@@ -177,15 +153,9 @@ def _axes(fig):
 
 def _nine_digits(values, scale):
     """Round to nine digits: of each value on a log scale, of the largest otherwise."""
-    values = _plain(values)
     size = np.abs(values) if scale == "log" else np.nanmax(np.abs(values), initial=0)
     unit = 10.0 ** (np.floor(np.log10(np.where(size > 0, size, 1))) - 8)
     return np.round(values / unit) * unit
-
-
-def _plain(values):
-    """Return numbers, those that are masked as NaN."""
-    return np.ma.filled(np.ma.asarray(values, float), np.nan)
 
 
 def round_svg(text):
@@ -194,11 +164,14 @@ def round_svg(text):
     >>> round_svg('<path d="M 1.23456 7 L 2.5 -0.000001" stroke-width="0.123456" transform="scale(0.015625)"/>')
     '<path d="M 1.23 7 L 2.5 0" stroke-width="0.123456" transform="scale(0.015625)"/>'
     """
-    return re.sub(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)', lambda place: _round_all(place[0]), text)
 
+    def rounded(number):
+        return f"{round(float(number[0]), 2) + 0.0:g}"  # + 0.0 makes 0 of -0
 
-def _round_all(text):
-    return re.sub(r"-?\d+\.\d{3,}", lambda number: f"{round(float(number[0]), 2) + 0.0:g}", text)
+    def with_rounded(place):
+        return re.sub(r"-?\d+\.\d{3,}", rounded, place[0])
+
+    return re.sub(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)', with_rounded, text)
 
 
 def alt_text(fig):
@@ -211,19 +184,23 @@ def alt_text(fig):
     >>> alt_text(fig)
     '2 panels. σ of s (log scale); σ of v (log scale), over step k. Curves: KF.'
     """
-    alike = {}
+    alike = {}  # titles of the panels that share their x label and curves
     for ax in _axes(fig):
         drawn = [*ax.lines, *ax.collections, *ax.containers, *ax.patches, *ax.images]
         labels = dict.fromkeys(str(each.get_label()) for each in drawn)
         curves = "; ".join(label for label in labels if label and not label.startswith("_"))
-        log = " (log scale)" if ax.get_yscale() == "log" else ""
-        alike.setdefault((ax.get_xlabel(), curves), []).append((_title(ax) or ax.get_ylabel()) + log)
-    count = f"{len(_axes(fig))} panels. " if len(_axes(fig)) > 1 else ""
-    text = count + " ".join(
-        "; ".join(titles) + (f", over {xlabel}" if xlabel else "") + (f". Curves: {curves}." if curves else ".")
-        for (xlabel, curves), titles in alike.items()
-    )
-    return re.sub(r"[$\\{}]", "", " ".join(text.split()))
+        title = _title(ax) or ax.get_ylabel()
+        if ax.get_yscale() == "log":
+            title += " (log scale)"
+        alike.setdefault((ax.get_xlabel(), curves), []).append(title)
+    sentences = [f"{len(_axes(fig))} panels."] if len(_axes(fig)) > 1 else []
+    for (xlabel, curves), titles in alike.items():
+        place = f", over {xlabel}" if xlabel else ""
+        sentences.append(f"{'; '.join(titles)}{place}.")
+        if curves:
+            sentences.append(f"Curves: {curves}.")
+    in_one_line = re.sub(r"\s+", " ", " ".join(sentences))
+    return re.sub(r"[$\\{}]", "", in_one_line)
 
 
 def describe(fig):
@@ -238,62 +215,63 @@ def describe(fig):
     """
     lines = [f"text {text.get_text()!r}" for text in fig.texts]
     for i, ax in enumerate(_axes(fig), 1):
-        sides = [
-            f"{side} {axis.get_label_text()!r} {axis.get_scale()} {_digits(axis.get_view_interval(), '..')}"
-            for side, axis in (("x", ax.xaxis), ("y", ax.yaxis))
-        ]
-        lines.append(f"axes {i}: " + (f"{_title(ax)!r} " if _title(ax) else "") + "; ".join(sides))
-        bars = [each for each in ax.containers if isinstance(each, BarContainer)]
-        alone = [each for each in ax.patches if not any(each in container for container in bars)]
-        lines += [f"  {_describe_drawn(each)}" for each in (*ax.lines, *ax.collections, *bars, *alone, *ax.images)]
+        title = f"{_title(ax)!r} " if _title(ax) else ""
+        lines.append(f"axes {i}: {title}{_describe_axis('x', ax.xaxis)}; {_describe_axis('y', ax.yaxis)}")
+        lines += [f"  {_describe_drawn(*drawn)}" for drawn in _drawn(ax)]
         lines += [f"  text {text.get_text()!r}" for text in ax.texts]
-        lines += [f"  {_describe_legend(ax.get_legend())}"] if ax.get_legend() else []
-    return "\n".join(lines + [_describe_legend(legend) for legend in fig.legends])
+        if ax.get_legend():
+            lines.append(f"  {_describe_legend(ax.get_legend())}")
+    lines += [_describe_legend(legend) for legend in fig.legends]
+    return "\n".join(lines)
 
 
 def _title(ax):
     return ax.get_title(loc="left") or ax.get_title()
 
 
+def _describe_axis(side, axis):
+    low, high = axis.get_view_interval()
+    return f"{side} {axis.get_label_text()!r} {axis.get_scale()} {_digits(low)}..{_digits(high)}"
+
+
 def _describe_legend(legend):
     return f"legend {[text.get_text() for text in legend.get_texts()]}"
 
 
-def _describe_drawn(artist):
-    kind, points, values = _numbers(artist)
-    parts = [f"{kind} {artist.get_label()!r}: {len(points)} points"]
-    for name, column in (*zip("xyz", points.T, strict=False), ("value", np.ravel(values))):
+def _drawn(ax):
+    """Yield all that axes show: its kind, its label, its points (n, 2) or (n, 3), and the values shown by colours."""
+    for line in ax.lines:
+        points = np.transpose(line.get_data_3d()) if hasattr(line, "get_data_3d") else line.get_xydata()
+        yield "line", line.get_label(), points, []
+    for drawn in ax.collections:
+        offsets = drawn.get_offsets()
+        if offsets.any():  # where its markers are
+            kind, points = "points", offsets
+        else:
+            outlines = [path.vertices for path in drawn.get_paths()]
+            kind, points = "area", np.concatenate([np.empty((0, 2)), *outlines])
+        values = [] if drawn.get_array() is None else drawn.get_array()
+        yield kind, drawn.get_label(), points, values
+    for patch in ax.patches:
+        yield "patch", patch.get_label(), patch.get_patch_transform().transform(patch.get_path().vertices), []
+    for image in ax.images:
+        yield "image", image.get_label(), np.empty((0, 2)), image.get_array()
+
+
+def _describe_drawn(kind, label, points, values):
+    points = np.ma.filled(np.ma.asarray(points, float), np.nan)
+    values = np.ma.filled(np.ma.asarray(values, float), np.nan).ravel()
+    text = f"{kind} {label!r}: {len(points)} points"
+    columns = dict(zip("xyz", points.T, strict=False)) | {"value": values}
+    for name, column in columns.items():
         finite = column[np.isfinite(column)]
         if finite.size:
-            parts.append(f"{name} {_digits((finite.min(), finite.max()), '..')} mean {_digits([finite.mean()])}")
-    checksum = zlib.crc32(_digits([*points.ravel(), *np.ravel(values)]).encode())
-    return ", ".join([*parts, f"checksum {checksum:08x}"])
+            text += f", {name} {_digits(finite.min())}..{_digits(finite.max())} mean {_digits(finite.mean())}"
+    digits = ",".join(_digits(value) for value in (*points.ravel(), *values))
+    return f"{text}, checksum {zlib.crc32(digits.encode()):08x}"
 
 
-def _numbers(artist):
-    """Return what kind of thing is drawn, its points (n, 2) or (n, 3), and its values where colours show some."""
-    if isinstance(artist, Line2D):
-        kind = "line" if artist.get_drawstyle() == "default" else artist.get_drawstyle()
-        points = np.transpose(artist.get_data_3d()) if hasattr(artist, "get_data_3d") else artist.get_xydata()
-        return kind, np.asarray(points, float), []
-    if isinstance(artist, BarContainer):
-        return "bars", np.concatenate([_numbers(each)[1] for each in artist] or [np.empty((0, 2))]), []
-    if isinstance(artist, Patch):
-        return "patch", artist.get_patch_transform().transform(artist.get_path().vertices), []
-    values = _plain([] if artist.get_array() is None else artist.get_array())
-    if isinstance(artist, AxesImage):
-        left, right, bottom, top = artist.get_extent()
-        return f"image {'x'.join(map(str, values.shape))}", np.array([[left, bottom], [right, top]]), values
-    if isinstance(artist, PathCollection) or len(artist.get_offsets()) > 1:
-        return "points", _plain(artist.get_offsets()), values
-    return "area", np.concatenate([path.vertices for path in artist.get_paths()] or [np.empty((0, 2))]), values
-
-
-def _digits(values, separator=","):
-    return separator.join(map(_digit_text, values))
-
-
-def _digit_text(value):
+def _digits(value):
     if abs(value) < 0.9 * FLOOR:
         return "0"
     return f"{value:.4g}" if abs(value) >= QUANTUM else f"{value:.0e}"

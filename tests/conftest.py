@@ -110,6 +110,6 @@ def project(tmp_path, monkeypatch):
     (tmp_path / "mpt_helpers/ledger/small.toml").write_text(PAPER)
     (tmp_path / "notebooks/small.toml").write_text(PAPER)
     write_notebook(tmp_path / "notebooks/small.ipynb", VERDICTS, "1 + 1")
-    monkeypatch.setattr("mpt_helpers.ledger.paper._folder", lambda: tmp_path / "mpt_helpers/ledger")
+    monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", tmp_path / "mpt_helpers/ledger")
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -30,6 +30,14 @@ def paper():
     return read_paper("test", PAPER)
 
 
+@pytest.fixture
+def path(tmp_path, monkeypatch):
+    """Where a notebook on the made-up paper would stand."""
+    (tmp_path / "test.toml").write_text(PAPER)
+    monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", tmp_path)
+    return tmp_path / "test.ipynb"
+
+
 @pytest.mark.parametrize(
     ("printed", "value", "agrees"),
     [
@@ -226,7 +234,7 @@ def test_a_grid_is_one_item_for_each_cell_that_holds_one():
     [
         ("items = [", "test.toml: "),
         ('items = [{ id = "a" }]', "test.toml: needs id, where, kind, printed, got {'id': 'a'}"),
-        ("items = 5", "test.toml: needs a list for items, got 5"),
+        ("items = 5", "test.toml: needs lists of items, grids and causes, got items = 5"),
         ("items = [5]", "test.toml: needs id, where, kind, printed, got 5"),
         (PAPER.replace('"claim"', '"rumour"'), "test.toml, 'equal': needs kind number or .*, got 'rumour'"),
         (PAPER.replace('"claim"', '"claim", extra = "x"'), "test.toml: needs id, .*'equal'.*extra"),
@@ -238,7 +246,7 @@ def test_a_grid_is_one_item_for_each_cell_that_holds_one():
         (PAPER.replace('"our-copy"', '"one-missing"'), "test.toml: needs each id once, got one-missing again"),
         (PAPER.replace('"slip"', '"sin"'), "test.toml, 'one-missing': needs kind slip or .*, got 'sin'"),
         (PAPER.replace('meaning = "Nothing."', ""), "test.toml: needs id, kind, sentence, meaning, got .*'our-copy'"),
-        (PAPER + "\n[extra]\n", "test.toml: needs only items, grids and causes, got extra"),
+        (PAPER + "\n[extra]\n", "test.toml: needs lists of items, grids and causes, got extra = {}"),
         (GRID.replace("{column}", "{0}"), "test.toml, grid .*'t'.*: needs id, where"),
         (GRID.replace("{column}", "{colum}"), "test.toml, grid .*'colum'"),
         (GRID.replace("1 = [", "1 = 5 # ["), "test.toml, grid "),
@@ -265,11 +273,10 @@ def test_an_unknown_paper_lists_the_known_ones():
         '{"cells": [{"outputs": [{}]}]}', json.dumps({"cells": [{"id": "a", "outputs": [{"data": {MIME: [{}]}}]}]}),
     ],
 )  # fmt: skip
-def test_what_stores_no_verdicts_is_refused_by_name(tmp_path, paper, content):
-    path = tmp_path / "n.ipynb"
+def test_what_stores_no_verdicts_is_refused_by_name(path, content):
     path.write_text(content)
-    with pytest.raises(ValueError, match=r"n\.ipynb: needs an executed notebook"):
-        stored_verdicts(path, paper)
+    with pytest.raises(ValueError, match=r"test\.ipynb: needs an executed notebook"):
+        stored_verdicts(path)
 
 
 def stored(path, *reports):
@@ -278,20 +285,20 @@ def stored(path, *reports):
     for number, report in enumerate(reports):
         cells.append({"id": f"cell-{number}", "outputs": [{"data": report._repr_mimebundle_()}]})
     path.write_text(json.dumps({"cells": cells}))
-    return stored_verdicts(path, read_paper("test", PAPER))
+    return stored_verdicts(path)
 
 
-def test_a_stored_verdict_names_the_cell_that_shows_it_in_the_order_of_the_paper(tmp_path, paper):
+def test_a_stored_verdict_names_the_cell_that_shows_it_in_the_order_of_the_paper(path, paper):
     paper.claim("equal", True, "gap 0", basis="identity")
     first = paper.report()
     paper.check("count", 17)
-    given = stored(tmp_path / "n.ipynb", first, paper.report())
+    given = stored(path, first, paper.report())
     assert [(each.id, each.cell) for each in given] == [("count", "cell-1"), ("equal", "cell-0")]
     assert given.causes["test", "our-copy"].kind == "copy"
 
 
-def test_a_complete_notebook_has_one_verdict_on_each_item(tmp_path, paper):
-    given = stored(tmp_path / "n.ipynb", full(paper))
+def test_a_complete_notebook_has_one_verdict_on_each_item(path, paper):
+    given = stored(path, full(paper))
     assert paper.complete(given) is given
 
 

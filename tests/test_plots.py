@@ -102,16 +102,6 @@ def test_two_heat_maps_with_rows_and_columns_exchanged_are_not_the_same():
     assert described[0] != described[1]
 
 
-def test_steps_are_not_described_as_a_line():
-    assert words(lambda fig, ax: ax.lines[0].set_drawstyle("steps-post")) != words(lambda fig, ax: None)
-
-
-def test_bars_are_described_in_one_line():
-    fig, ax = panels([["a"]])
-    ax["a"].bar(range(30), range(30), label="counts")
-    assert re.findall(r"\n  (\w+ '\w+'): ", describe(fig)) == ["bars 'counts'"]
-
-
 @pytest.mark.parametrize(
     "draw",
     [
@@ -168,7 +158,6 @@ def test_no_text_is_smaller_than_11_points(tmp_path):
         for name in ax:
             ax[name].plot([1, 2], label="KF")
             finish(ax[name], "step k", "gain")
-        plots.label_ends(ax["a"])
         save_figure(fig, "a", tmp_path)
     sizes = re.findall(r"scale\(([\d.]+) -", (tmp_path / "a.svg").read_text(encoding="utf-8"))
     assert len(sizes) > 10
@@ -297,3 +286,18 @@ def test_the_last_bits_of_what_is_drawn_are_not_seen(tmp_path, scale):
         save_figure(fig, "bits", folder=tmp_path)
         drawn.append([(tmp_path / f"bits.{kind}").read_bytes() for kind in ("png", "svg")])
     assert drawn[0] == drawn[1] == drawn[2]
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_points_that_differ_in_their_last_bits_are_drawn_alike(scale):
+    drawn = []
+    for noise in (0, 1e-15 * np.random.default_rng(0).standard_normal(50)):
+        y = np.geomspace(1e-9, 1, 50) * (1 + noise)
+        fig, ax = panels([["a"]])
+        ax["a"].set_yscale(scale)
+        line(ax["a"], y)
+        band(ax["a"], y)
+        (settled,) = plots._settled(fig).axes
+        drawn.append((settled.lines[0].get_ydata(), settled.collections[0].get_paths()[0].vertices))
+    for first, second in zip(*drawn, strict=True):
+        np.testing.assert_array_equal(first, second)

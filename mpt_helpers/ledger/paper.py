@@ -6,9 +6,8 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from difflib import get_close_matches
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +28,7 @@ from .verdicts import (
     Verdicts,
 )
 
+FOLDER = Path(__file__).parent
 KINDS = ("number", "formula", "claim", "figure")
 # A cell that the paper prints and our copy of it has lost.
 LOST = "?"
@@ -73,11 +73,11 @@ class Cause:
 class Paper:
     """The items of one paper, the causes of what fails, and the verdicts given so far; made by `published`."""
 
-    def __init__(self, key, items, causes=()):
+    def __init__(self, key, items, causes):
         self.key = key
         self.items = {item.id: item for item in items}
         self.causes = {cause.id: cause for cause in causes}
-        self._verdicts = {}
+        self._outcomes = {}  # the last verdict on each item, in a word
         self._to_report = []
 
     def check(self, id, value, *, basis="arithmetic", band=None, cause=None, against=(), reason=""):
@@ -86,10 +86,10 @@ class Paper:
         Without a band it is `reproduced` when it rounds to the printed digits. With a band (low, high), the spread of
         simulations, it is `within band` when the printed number lies inside. Otherwise it `differs`, or is an `erratum`
         if `against` names items of the paper from which the value follows and which were reproduced: then the paper
-        contradicts itself. Either names a cause, whose sentence is the reason where none is given.
-        Raises ValueError for what makes no sense, naming the item.
+        contradicts itself. A verdict that fails needs a cause, whose sentence is the reason where none is given.
+        Raises ValueError for an argument that makes no sense, naming the item.
         """
-        item = self._item(id, ("number",))
+        item = self._item(id, ["number"])
         if not math.isfinite(value):
             raise self._error(id, "a finite number", value)
         computed = f"{value:.6g}"
@@ -103,7 +103,7 @@ class Paper:
                 raise self._error(id, "the basis of its band: exact, simulation or recording", repr(basis))
             verdict = WITHIN_BAND if low <= float(item.printed) <= high else DIFFERS
             computed += f" [{low:.6g}, {high:.6g}]"
-        return self._give(item, computed, verdict, reason, basis, cause, against)
+        return self._give(item, computed, verdict, basis, reason, cause, against)
 
     def claim(self, id, holds, evidence, *, basis, cause=None, against=(), reason=""):
         """Record whether a claim, a formula or what a figure shows holds, with the evidence, and return the Verdict.
@@ -111,10 +111,10 @@ class Paper:
         holds is a bool, or a mapping {condition in words: bool}. It is `reproduced` when all hold and `holds in part`
         when some do; the verdict names the conditions. When none holds, it `differs` or is an `erratum`, as in `check`.
         """
-        item = self._item(id, ("formula", "claim", "figure"))
-        named = isinstance(holds, Mapping)
-        outcomes = list(holds.values()) if named else [holds]
-        if not outcomes or not all(isinstance(outcome, (bool, np.bool_)) for outcome in outcomes):
+        item = self._item(id, ["formula", "claim", "figure"])
+        conditions = holds if isinstance(holds, Mapping) else {}
+        outcomes = list(conditions.values()) or [holds]
+        if not all(isinstance(outcome, (bool, np.bool_)) for outcome in outcomes):
             raise self._error(id, "True, False or {condition: True or False}", repr(holds))
         if all(outcomes):
             verdict = REPRODUCED
@@ -122,22 +122,25 @@ class Paper:
             verdict = IN_PART
         else:
             verdict = DIFFERS
-        conditions = []
-        for word, wanted in (("Holds", True), ("Fails", False)):
-            those = [condition for condition, outcome in holds.items() if outcome == wanted] if named else []
-            if those:
-                conditions.append(f"{word}: {'; '.join(those)}.")
-        return self._give(item, evidence, verdict, reason, basis, cause, against, " ".join(conditions))
+        where_it_holds = "; ".join(condition for condition in conditions if conditions[condition])
+        where_it_fails = "; ".join(condition for condition in conditions if not conditions[condition])
+        prefix = ""
+        if where_it_holds:
+            prefix += f"Holds: {where_it_holds}. "
+        if where_it_fails:
+            prefix += f"Fails: {where_it_fails}. "
+        return self._give(item, evidence, verdict, basis, reason, cause, against, prefix)
 
     def cannot_check(self, id, missing, *, cause=None):
         """Record that an item cannot be checked, and what is missing.
 
         What our copy of the paper has lost names a cause of kind "copy".
         """
-        item = self._item(id, KINDS, lost_too=True)
-        if item.printed == LOST and (cause not in self.causes or self.causes[cause].kind != "copy"):
+        item = self._item(id)
+        lost_by_us = [each.id for each in self.causes.values() if each.kind == "copy"]
+        if item.printed == LOST and cause not in lost_by_us:
             raise self._error(id, 'a cause of kind "copy", since our copy has lost it', repr(cause))
-        return self._give(item, "-", CANNOT_BE_CHECKED, missing, "reading", cause, ())
+        return self._give(item, "-", CANNOT_BE_CHECKED, "reading", missing, cause)
 
     def report(self):
         """Return the Verdicts given since the last report; as the last line of a cell, it shows and stores them."""
@@ -154,12 +157,9 @@ class Paper:
         """
         times = Counter(each.id for each in verdicts)
         named = {each.cause for each in verdicts if each.cause}
-        changed = [
-            each.id
-            for each in verdicts
-            if Item(each.id, each.where, each.kind, each.printed) != self.items.get(each.id)
-        ]
         failing = [each.id for each in verdicts if each.verdict in FAILS and not each.cause]
+        printed = {astuple(item) for item in self.items.values()}
+        changed = [each.id for each in verdicts if (each.id, each.where, each.kind, each.printed) not in printed]
         wrong = {
             "no verdict on": [id for id in self.items if id not in times],
             "no cause, although it fails, for": failing,
@@ -177,39 +177,40 @@ class Paper:
         """Return the causes as {(key of the paper, id): Cause}, as Verdicts take them."""
         return {(self.key, id): cause for id, cause in self.causes.items()}
 
-    def _item(self, id, kinds, lost_too=False):
+    def _item(self, id, kinds=None):
+        """Return an item; if kinds are named, one of these kinds that our copy of the paper has not lost."""
         if id not in self.items:
             near = get_close_matches(str(id), self.items, n=3, cutoff=0)
             raise self._error(id, f"an id of {self.key}.toml", f"none; the nearest are {', '.join(near)}")
         item = self.items[id]
-        if item.kind not in kinds:
+        if kinds and item.kind not in kinds:
             raise self._error(id, f"an item of kind {' or '.join(kinds)}", f"a {item.kind}")
-        if item.printed == LOST and not lost_too:
+        if kinds and item.printed == LOST:
             raise self._error(id, "an item that our copy of the paper has kept", "one that it has lost")
         return item
 
-    def _give(self, item, computed, verdict, reason, basis, cause, against, conditions=""):
+    def _give(self, item, computed, verdict, basis, reason, cause, against=(), prefix=""):
+        """Return the Verdict and keep it for the report; what holds has no cause, what fails has its sentence."""
         if basis not in BASES:
             raise self._error(item.id, f"one of the bases {', '.join(BASES)}", repr(basis))
         if cause is not None and cause not in self.causes:
             raise self._error(item.id, f"a cause of {self.key}.toml ({', '.join(self.causes) or 'none'})", repr(cause))
+        if cause is not None and self.causes[cause].kind == "copy" and verdict in FAILS:
+            raise self._error(item.id, "another cause: what our copy has lost cannot be checked", repr(cause))
         for id in against:
-            if id not in self._verdicts or self._verdicts[id].verdict != REPRODUCED:
+            if self._outcomes.get(id) != REPRODUCED:
                 raise self._error(item.id, "items in `against` that were reproduced before", repr(id))
         if verdict in HOLDS:
             cause, reason = None, ""
         elif cause is not None:
             reason = reason or self.causes[cause].sentence
-            if self.causes[cause].kind == "copy" and verdict != CANNOT_BE_CHECKED:
-                raise self._error(item.id, "another cause: what our copy has lost cannot be checked", repr(cause))
         if verdict == DIFFERS and against:
             verdict = ERRATUM
             sides = "; ".join(f"{self.items[id].where}: {self.items[id].printed}" for id in against)
             reason = f"{reason} Against {sides}."
-        reason = f"{conditions} {reason}".strip()
-        item_fields = (item.id, item.where, item.kind, item.printed)
-        given = Verdict(self.key, *item_fields, computed, verdict, reason, basis, cause or "")
-        self._verdicts[item.id] = given
+        reason = (prefix + reason).strip()
+        given = Verdict(self.key, *astuple(item), computed, verdict, reason, basis, cause or "")
+        self._outcomes[item.id] = verdict
         self._to_report.append(given)
         return given
 
@@ -229,39 +230,37 @@ def read_paper(key, text):
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{file}: {error}") from error
-    unknown = sorted(set(content) - {"items", "grids", "causes"})
-    if unknown:
-        raise ValueError(f"{file}: needs only items, grids and causes, got {', '.join(unknown)}")
-    for name in ("items", "grids", "causes"):
-        if not isinstance(content.setdefault(name, []), list):
-            raise ValueError(f"{file}: needs a list for {name}, got {content[name]!r}")
-    entries = [*content["items"], *(cell for grid in content["grids"] for cell in _cells(file, grid))]
-    items = [_entry(file, Item, entry, KINDS) for entry in entries]
-    causes = [_entry(file, Cause, entry, CAUSE_KINDS) for entry in content["causes"]]
+    for name, entries in content.items():
+        if name not in ("items", "grids", "causes") or not isinstance(entries, list):
+            raise ValueError(f"{file}: needs lists of items, grids and causes, got {name} = {entries!r}")
+    cells = [cell for grid in content.get("grids", []) for cell in _cells(file, grid)]
+    items = [_made(Item, entry, KINDS, file) for entry in content.get("items", []) + cells]
+    causes = [_made(Cause, entry, CAUSE_KINDS, file) for entry in content.get("causes", [])]
     for item in items:
         if item.kind == "number" and not re.fullmatch(r"\?|[+-]?\d+(\.\d+)?", item.printed, re.ASCII):
             raise ValueError(f"{file}, {item.id!r}: needs a number as printed, got {item.printed!r}")
-    for ids in ([item.id for item in items], [cause.id for cause in causes]):
-        twice = [id for id, times in Counter(ids).items() if times > 1]
+    for made in (items, causes):
+        twice = [id for id, times in Counter(each.id for each in made).items() if times > 1]
         if twice:
             raise ValueError(f"{file}: needs each id once, got {', '.join(twice)} again")
     return Paper(key, items, causes)
 
 
 def _cells(file, grid):
+    """Yield the entries of a grid, as they would stand among the items."""
     try:
-        id, where, columns, rows = grid["id"], grid["where"], grid["columns"], grid["rows"]
-        for row, cells in rows.items():
-            for column, printed in zip(columns, cells, strict=True):
+        for row, cells in grid["rows"].items():
+            for column, printed in zip(grid["columns"], cells, strict=True):
                 if printed != "":
-                    place = where.format(row=row, column=column)
-                    yield {"id": f"{id}.{row}.{column}", "where": place, "kind": "number", "printed": printed}
+                    place = grid["where"].format(row=row, column=column)
+                    yield {"id": f"{grid['id']}.{row}.{column}", "where": place, "kind": "number", "printed": printed}
     except (TypeError, LookupError, AttributeError, ValueError) as error:
         need = "id, where with {row} and {column}, columns, and rows with a text for each column"
         raise ValueError(f"{file}, grid {grid!r:.40}: needs {need} ({error})") from error
 
 
-def _entry(file, make, entry, kinds):
+def _made(make, entry, kinds, file):
+    """Return the Item or Cause that an entry describes, or raise."""
     names = [field.name for field in fields(make)]
     if not isinstance(entry, dict) or sorted(entry) != sorted(names):
         raise ValueError(f"{file}: needs {', '.join(names)}, got {entry!r}")
@@ -279,7 +278,7 @@ def keys():
     >>> "2014_gsm_2d" in keys()
     True
     """
-    return sorted(path.name.removesuffix(".toml") for path in _folder().iterdir() if path.name.endswith(".toml"))
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
 def published(key):
@@ -291,24 +290,21 @@ def published(key):
     """
     if key not in keys():
         raise ValueError(f"key: needs one of {', '.join(keys())}, got {key!r}")
-    return read_paper(key, _folder().joinpath(f"{key}.toml").read_text(encoding="utf-8"))
+    return read_paper(key, (FOLDER / f"{key}.toml").read_text(encoding="utf-8"))
 
 
-def stored_verdicts(notebook, paper=None):
+def stored_verdicts(notebook):
     """Return the Verdicts that the cells of an executed notebook store, in the paper's order, without running it.
 
     The paper is the one that the notebook is named for. Raises ValueError for a file that stores none.
     """
     path = Path(notebook)
-    paper = paper or published(path.stem)
+    paper = published(path.stem)
+    given = []
     try:
-        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-        given = [
-            Verdict(**record, cell=cell["id"])
-            for cell in cells
-            for output in cell.get("outputs", [])
-            for record in output.get("data", {}).get(MIME, [])
-        ]
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+            for output in cell.get("outputs", []):
+                given += [Verdict(**record, cell=cell["id"]) for record in output.get("data", {}).get(MIME, [])]
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise ValueError(f"{path}: needs an executed notebook with verdicts of this version ({error!r})") from error
     if not given:
@@ -323,13 +319,8 @@ def shipped_verdicts(*some):
     given = []
     causes = {}
     for key in some or keys():
-        paper = published(key)
-        path = _folder().joinpath(f"{key}.json")
+        path = FOLDER / f"{key}.json"
         if path.is_file():
             given += [Verdict(**record) for record in json.loads(path.read_text(encoding="utf-8"))]
-        causes |= paper.causes_by_paper()
+        causes |= published(key).causes_by_paper()
     return Verdicts(given, causes)
-
-
-def _folder():
-    return files(__package__)

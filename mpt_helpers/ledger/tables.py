@@ -1,6 +1,5 @@
 """A table that prints as text and displays as HTML, the same on every run and machine."""
 
-from dataclasses import dataclass
 from html import escape
 
 import numpy as np
@@ -28,7 +27,6 @@ def gap_text(gap, floor=1e-12):
     return f"below {floor:.0e}" if gap < floor else f"{gap:.1e}"
 
 
-@dataclass(frozen=True)
 class Table:
     """A header and rows of cells. Raises ValueError for a row whose length is not that of the header.
 
@@ -38,22 +36,17 @@ class Table:
     LF      670
     """
 
-    header: tuple
-    rows: tuple
-
-    def __post_init__(self):
-        header = tuple(cell_text(cell) for cell in self.header)
-        rows = tuple(tuple(cell_text(cell) for cell in row) for row in self.rows)
-        for i, row in enumerate(rows):
-            if len(row) != len(header):
-                raise ValueError(f"rows[{i}]: needs {len(header)} cells, got {len(row)}")
-        object.__setattr__(self, "header", header)
-        object.__setattr__(self, "rows", rows)
+    def __init__(self, header, rows):
+        self.header = [cell_text(cell) for cell in header]
+        self.rows = [[cell_text(cell) for cell in row] for row in rows]
+        for i, row in enumerate(self.rows):
+            if len(row) != len(self.header):
+                raise ValueError(f"rows[{i}]: needs {len(self.header)} cells, got {len(row)}")
 
     def __repr__(self):
         lines = [self.header, *self.rows]
-        widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
-        padded = [[cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in lines]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        padded = [map(str.ljust, line, widths) for line in lines]
         return "\n".join("  ".join(line).rstrip() for line in padded)
 
     def markdown(self):
@@ -64,12 +57,10 @@ class Table:
         |---|---|
         | a\|b | 509 |
         """
-        lines = []
-        for line in (self.header, *self.rows):
-            cells = [cell.replace("|", r"\|") for cell in line]
-            lines.append("| " + " | ".join(cells) + " |")
+        lines = [" | ".join(cell.replace("|", r"\|") for cell in line) for line in (self.header, *self.rows)]
+        header, *rows = [f"| {line} |" for line in lines]
         rule = "|" + "---|" * len(self.header)
-        return "\n".join([lines[0], rule, *lines[1:]])
+        return "\n".join([header, rule, *rows])
 
     def _repr_html_(self):
         def line(cells, tag):

@@ -1,7 +1,6 @@
 """Verdicts on what a paper prints: one record each, shown folded in a notebook, stored there for machines, counted."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from html import escape
 from textwrap import shorten
@@ -21,7 +20,7 @@ CAUSE_KINDS = (*WRONG, "copy")
 # The output of a notebook cell in which `python -m mpt_helpers` and the site find the verdicts.
 MIME = "application/vnd.mpt-helpers.verdicts+json"
 
-# How a claim with this verdict is called where claims are counted.
+# What a claim with this verdict is called where claims are counted.
 OF_CLAIMS = {
     REPRODUCED: "hold",
     IN_PART: "hold in part",
@@ -29,8 +28,7 @@ OF_CLAIMS = {
     ERRATUM: "contradict their own paper",
     CANNOT_BE_CHECKED: "cannot be checked",
 }
-
-
+# The plural of each word that has one of its own.
 PLURALS = {
     IN_PART: "hold in part",
     DIFFERS: "differ",
@@ -101,7 +99,7 @@ class Tally:
         return f"{agree} of {self.values.total()} numbers, formulas and figures agree"
 
     def claims_bar(self):
-        """Return the claims by outcome, [("hold", 107), ...]: what a bar of claims shows."""
+        """Return the claims by outcome, [("hold", 107), ...], without outcomes that no claim has."""
         return [(words, self.claims[verdict]) for verdict, words in OF_CLAIMS.items() if self.claims[verdict]]
 
     def cause_text(self, kind):
@@ -113,14 +111,13 @@ class Tally:
 
     def causes_text(self):
         """Return what is wrong in the paper, and what our copy of it has lost."""
-        parts = [self.cause_text(kind) for kind in WRONG if self.causes[kind]]
-        text = ", ".join(parts) or "nothing wrong"
+        text = ", ".join(self.cause_text(kind) for kind in WRONG if self.causes[kind]) or "nothing wrong"
         lost = self.causes["copy"].total()
         return f"{text}; our copy has lost {counted(lost, 'cell')}" if lost else text
 
 
-class Verdicts(Sequence):
-    """Verdicts and the causes that they name; a notebook that displays them stores them for machines too.
+class Verdicts(list):
+    """A list of Verdicts with their causes; a notebook that displays it stores it for machines too.
 
     causes maps (paper, id of the cause) to a Cause.
 
@@ -133,23 +130,13 @@ class Verdicts(Sequence):
     IN_TEXT = ("id", "printed", "computed", "verdict", "basis", "cause")
     IN_HTML = ("id", "where", "printed", "computed", "verdict", "basis", "reason")
 
-    def __init__(self, verdicts, causes=None):
-        self._verdicts = tuple(verdicts)
-        self.causes = dict(causes or {})
-
-    def __getitem__(self, i):
-        return self._verdicts[i]
-
-    def __len__(self):
-        return len(self._verdicts)
+    def __init__(self, verdicts, causes=()):
+        super().__init__(verdicts)
+        self.causes = dict(causes)
 
     def of(self, paper):
-        """Return those on one paper."""
+        """Return the Verdicts on one paper."""
         return Verdicts([each for each in self if each.paper == paper], self.causes)
-
-    def table(self, columns=FIELDS):
-        """Return some fields of all verdicts as a Table."""
-        return Table(columns, [[getattr(each, name) for name in columns] for each in self])
 
     def records(self):
         """Return the verdicts as a list of dictionaries of text."""
@@ -169,22 +156,22 @@ class Verdicts(Sequence):
     def summary(self):
         """Return the counts in one line."""
         given = Counter(each.verdict for each in self)
-        parts = [counted(given[verdict], verdict) for verdict in VERDICTS if given[verdict]]
+        verdicts = ", ".join(counted(given[verdict], verdict) for verdict in VERDICTS if given[verdict])
         causes = self.tally().causes
         why = ", ".join(counted(len(causes[kind]), kind) for kind in WRONG if causes[kind])
-        return f"{counted(len(self), 'verdict')}: {', '.join(parts)}" + (f" ({why})" if why else "")
+        return f"{counted(len(self), 'verdict')}: {verdicts}" + (f" ({why})" if why else "")
 
     def __repr__(self):
         rows = [[shorten(getattr(each, name), 30, placeholder="...") for name in self.IN_TEXT] for each in self]
         return f"{self.summary()}\n{Table(self.IN_TEXT, rows)}"
 
     def _repr_mimebundle_(self, include=None, exclude=None):
-        table = self.table(self.IN_HTML)._repr_html_()
+        table = Table(self.IN_HTML, [[getattr(each, name) for name in self.IN_HTML] for each in self])
         records = self.records()
         for record in records:
             del record["cell"]  # a running cell does not know its id: the reader of the notebook does
         return {
             "text/plain": repr(self),
-            "text/html": f"<details><summary>{escape(self.summary())}</summary>\n{table}\n</details>",
+            "text/html": f"<details><summary>{escape(self.summary())}</summary>\n{table._repr_html_()}\n</details>",
             MIME: records,
         }
