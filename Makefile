@@ -15,8 +15,7 @@ test: $(VENV)/.ok
 	@echo "all of the tests; a part of them: $(PY) -m pytest tests/test_filters.py -k lainiotis"
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(PY) -m pytest -n auto --dist loadfile -p no:nbval
-	$(PY) -m pytest -n auto --dist loadfile -p tests.exact $(NBVAL) notebooks
+	$(PY) -m pytest -n auto -p tests.exact $(NBVAL) mpt_helpers tests notebooks
 
 # The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.
 nbval: $(VENV)/.ok

@@ -1,8 +1,8 @@
 """The command line: `python -m mpt_helpers` reproduce, verdicts, readme, tidy."""
 
 import argparse
+import asyncio
 import csv
-import io
 import json
 import os
 import re
@@ -47,29 +47,80 @@ def chosen(some, known):
     return some or known
 
 
+def chosen_notebooks(root, some):
+    """Return the paths of some of the project's notebooks by key, or of all if there are no keys."""
+    paths = {path.stem: path for path in sorted(root.glob(f"{NOTEBOOKS}/*.ipynb"))}
+    return {key: paths[key] for key in chosen(some, list(paths))}
+
+
 def reproduce(some):
     """Execute notebooks in place; write their figures and, for a notebook of a paper, its verdicts into the package.
 
-    A notebook that fails leaves all files as they were. Raises CommandError for an unknown key, a folder that cannot be
-    written to, a notebook that fails (naming the cell and the error) and verdicts that do not cover the paper.
+    As many notebooks run side by side as there are processors. The first that fails ends those that still run; a
+    notebook that does not finish leaves its files as they were. Raises CommandError for an unknown key, a folder that
+    cannot be written to and a notebook that fails (naming the cell and the error), ValueError for verdicts that do not
+    cover the paper, ModuleNotFoundError without Jupyter.
     """
     root = project()
-    some = chosen(some, sorted(path.stem for path in root.glob(f"{NOTEBOOKS}/*.ipynb")))
+    paths = chosen_notebooks(root, some)
     for folder in (FIGURES, NOTEBOOKS):
         path = root / folder
         if path.exists() and not (path.is_dir() and os.access(path, os.W_OK)):
             raise CommandError(f"{folder}: needs a folder that can be written to")
-    for key in some:
+    notebooks = {key: _read(path) for key, path in paths.items()}
+    with asyncio.Runner(loop_factory=_Loop) as runner:
+        try:
+            runner.run(_reproduce_all(root, notebooks))
+        except ExceptionGroup as failures:
+            raise failures.exceptions[0] from None  # the others are ends that it caused
+
+
+def _read(path):
+    import nbformat  # here, as nbclient below, so that verdicts are shown without Jupyter
+
+    try:
+        return nbformat.read(path, as_version=4)
+    except Exception as error:  # nbformat's own, or what a file of another form leads to
+        raise CommandError(f"{path.stem}: needs a notebook ({error!r:.200})") from error
+
+
+class _Loop(asyncio.SelectorEventLoop):
+    """Leaves an interrupt to asyncio, which cancels all notebooks; nbclient's own handler would end one of them."""
+
+    def add_signal_handler(self, *_):
+        raise RuntimeError  # nbclient goes on without a handler, as outside the main thread
+
+
+async def _reproduce_all(root, notebooks):
+    """Reproduce notebooks, given by key; those with the most cells, which take longest, start first."""
+    cells = {key: sum(cell.cell_type == "code" for cell in each.cells) for key, each in notebooks.items()}
+    processors = asyncio.Semaphore(os.cpu_count() or 1)
+    line = "cell {n} of {total}, {elapsed} so far, some {remaining} left"
+    hidden = not sys.stdout.isatty()
+    with tqdm(total=sum(cells.values()), bar_format=line, file=sys.stdout, disable=hidden, leave=False) as bar:
+        async with asyncio.TaskGroup() as group:
+            for key in sorted(cells, key=cells.get, reverse=True):
+                group.create_task(_reproduce(root, key, notebooks[key], processors, bar))
+
+
+async def _reproduce(root, key, notebook, processors, bar):
+    """When a processor is free, execute a notebook in a copy of the project's notebooks, and write what it makes."""
+    import nbformat
+
+    async with processors:
         with staged(root) as stage:
-            notebook = stage / NOTEBOOKS / f"{key}.ipynb"
-            _execute(notebook)
+            count = await _execute(key, notebook, stage / NOTEBOOKS, bar)
+            executed = stage / NOTEBOOKS / f"{key}.ipynb"
+            nbformat.write(tidied(notebook), executed)
             made = {FIGURES / path.name: path.read_bytes() for path in stage.joinpath(FIGURES).iterdir()}
-            made[NOTEBOOKS / notebook.name] = notebook.read_bytes()
+            made[NOTEBOOKS / executed.name] = executed.read_bytes()
             if key in keys() and root.joinpath(LEDGER).is_dir():
-                verdicts = published(key).complete(stored_verdicts(notebook))
+                verdicts = published(key).complete(stored_verdicts(executed))
                 made[LEDGER / f"{key}.json"] = f"{as_json(verdicts)}\n".encode()
-            root.joinpath(FIGURES).mkdir(exist_ok=True)
-            write_together({root / path: made[path] for path in sorted(made)})
+    root.joinpath(FIGURES).mkdir(exist_ok=True)
+    write_together({root / path: made[path] for path in sorted(made)})
+    with bar.external_write_mode():
+        print(f"{key}: {count} cells executed", flush=True)
 
 
 @contextmanager
@@ -82,52 +133,36 @@ def staged(root):
         yield stage
 
 
-def _execute(path):
-    # Imported here, so that the verdicts can be read without Jupyter.
+async def _execute(key, notebook, folder, bar):
+    """Run a notebook's code cells in a folder, store their outputs in it, and return how many they are.
+
+    Raises CommandError for a cell that fails.
+    """
+    from nbclient import NotebookClient
+    from nbclient.exceptions import CellExecutionError
+
+    started = ["none"]  # the ids of the cells so far
+    client = NotebookClient(
+        notebook,
+        timeout=CELL_TIMEOUT,
+        kernel_name="python3",
+        extra_arguments=["--IPKernelApp.log_level=50"],  # what it says below that is not about the notebook
+        shutdown_kernel="immediate",
+        coalesce_streams=True,
+        on_cell_start=lambda cell, cell_index: started.append(cell.id),
+        on_cell_executed=lambda cell, cell_index, execute_reply: bar.update(),
+    )
     try:
-        import nbformat
-        from nbclient import NotebookClient
-    except ModuleNotFoundError as error:
-        raise CommandError("reproduce needs Jupyter: pip install 'mpt_helpers[notebooks]'") from error
-    key = path.stem
-    try:
-        notebook = nbformat.read(path, as_version=4)
-    except (ValueError, TypeError, LookupError, AttributeError, nbformat.ValidationError) as error:
-        raise CommandError(f"{key}: needs a notebook ({error!r:.200})") from error
-    ran = ["none"]
-    total = sum(cell.cell_type == "code" for cell in notebook.cells)
-    line = "{desc}: cell {n} of {total}, {elapsed} so far, some {remaining} left"
-    terminal = sys.stdout.isatty()
-
-    def on_cell_start(cell, cell_index):
-        ran.append(cell.id)
-
-    def on_cell_executed(cell, cell_index, execute_reply):
-        bar.update()
-
-    with tqdm(total=total, desc=key, bar_format=line, file=sys.stdout, disable=not terminal) as bar:
-        client = NotebookClient(
-            notebook,
-            timeout=CELL_TIMEOUT,
-            kernel_name="python3",
-            extra_arguments=["--IPKernelApp.log_level=50"],  # what it says below that is not about the notebook
-            resources={"metadata": {"path": str(path.parent)}},
-            record_timing=False,
-            coalesce_streams=True,
-            on_cell_start=on_cell_start,
-            on_cell_executed=on_cell_executed,
-        )
-        try:
-            client.execute()
-        except Exception as error:  # a cell's, a timeout's, a dead kernel's, or what nbclient makes of an interrupt
-            if hasattr(client, "_async_cleanup_kernel_future"):  # nbclient caught a signal, and stopped the kernel
-                raise KeyboardInterrupt from error
-            what = getattr(error, "evalue", str(error)) or "the kernel is gone, as after an interrupt"
-            name = f"{error.ename}: " if hasattr(error, "ename") else ""
-            raise CommandError(f"{key}: cell {ran[-1]} failed: {name}{what}") from error
-    if not terminal:
-        print(f"{key}: {total} cells executed", flush=True)
-    nbformat.write(tidied(notebook), path)
+        await client.async_execute(cwd=str(folder))
+    except Exception as error:
+        if asyncio.current_task().cancelling():  # this notebook is ended, and nbclient says that its kernel died
+            raise asyncio.CancelledError from error
+        what = f"{error.ename}: {error.evalue}" if isinstance(error, CellExecutionError) else error
+        raise CommandError(f"{key}: cell {started[-1]} failed: {what}") from error
+    finally:
+        if client.km is not None:  # ended while the kernel was starting: nbclient leaves it running
+            await client.km.shutdown_kernel(now=True)
+    return client.code_cells_executed
 
 
 def tidied(notebook):
@@ -140,9 +175,7 @@ def tidied(notebook):
 
 def tidy(some):
     """Rewrite notebooks so that after `jupyter execute --inplace` or JupyterLab only outputs differ."""
-    root = project()
-    for key in chosen(some, sorted(path.stem for path in root.glob(f"{NOTEBOOKS}/*.ipynb"))):
-        path = root / NOTEBOOKS / f"{key}.ipynb"
+    for path in chosen_notebooks(project(), some).values():
         notebook = tidied(json.loads(path.read_text(encoding="utf-8")))
         text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True)
         write_whole(path, f"{text}\n".encode())
@@ -153,15 +186,6 @@ def as_json(verdicts):
     return json.dumps(verdicts.records(), indent=1, ensure_ascii=False)
 
 
-def as_csv(verdicts):
-    """Return Verdicts as CSV text, with a header also where there are none."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, FIELDS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(verdicts.records())
-    return text.getvalue().rstrip()
-
-
 def as_text(verdicts, every, width):
     """Return Verdicts as text in lines of a width: each paper's counts and causes, then its rows if asked for all."""
     lines = []
@@ -169,18 +193,31 @@ def as_text(verdicts, every, width):
         own = verdicts.of(paper)
         tally = own.tally()
         lines.append(fill(f"{paper}: {tally.claims_text()}; {tally.values_text()}; {tally.causes_text()}.", width))
+        rows = []
         for kind, cells in tally.causes.items():
             for place, count in cells.items():
                 cause = own.causes[place]
-                text = f"{kind} {cause.id} ({count}): {cause.sentence} {cause.meaning}"
-                lines.append(fill(text, width, initial_indent="  ", subsequent_indent="    "))
-        if every:
-            for each in own:
-                why = ", ".join(part for part in (each.basis, each.cause) if part)
-                text = f"{each.id}: {each.where}: printed {each.printed}; computed {each.computed}"
-                text += f"; {each.verdict} ({why}). {each.reason}"
-                lines.append(fill(text, width, initial_indent="  ", subsequent_indent="    "))
+                rows.append(f"{kind} {cause.id} ({count}): {cause.sentence} {cause.meaning}")
+        for each in own if every else []:
+            why = ", ".join(part for part in (each.basis, each.cause) if part)
+            row = f"{each.id}: {each.where}: printed {each.printed}; computed {each.computed}"
+            rows.append(f"{row}; {each.verdict} ({why}). {each.reason}")
+        lines += [fill(row, width, initial_indent="  ", subsequent_indent="    ") for row in rows]
     return "\n".join(lines or ["no verdicts are stored yet: run `make reproduce`"])
+
+
+def show_verdicts(some, form):
+    """Print the stored verdicts of some papers, or of all: as "json", "csv", text on "all" or on the causes only."""
+    verdicts = shipped_verdicts(*chosen(some, keys()))
+    if form == "json":
+        print(as_json(verdicts))
+    elif form == "csv":
+        writer = csv.DictWriter(sys.stdout, FIELDS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(verdicts.records())
+    else:
+        print(as_text(verdicts, form == "all", shutil.get_terminal_size().columns))
+    sys.stdout.flush()
 
 
 def readme(verdicts):
@@ -202,12 +239,8 @@ def readme(verdicts):
 def write_readme():
     """Write the block on the verdicts into the README; raises CommandError where it has no place for it."""
     path = project() / "README.md"
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise CommandError(f"{path.name}: {error.strerror}") from error
     block = readme(shipped_verdicts())
-    text, places = BLOCK.subn(lambda old: f"{old[1]}\n{block}\n\n{old[2]}", text)
+    text, places = BLOCK.subn(lambda old: f"{old[1]}\n{block}\n\n{old[2]}", path.read_text(encoding="utf-8"))
     if places != 1:
         raise CommandError(f"{path.name}: needs one place for the verdicts, got {places}")
     write_whole(path, text.encode())
@@ -220,14 +253,13 @@ def main(arguments=None):
     commands = parser.add_subparsers(dest="command", required=True)
     run = commands.add_parser("reproduce", help="execute the notebooks in place and write every figure")
     clean = commands.add_parser("tidy", help="after `jupyter execute --inplace`: leave a difference of outputs only")
-    for command in (run, clean):
-        command.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
     show = commands.add_parser("verdicts", help="print what holds and what is wrong, without running anything")
-    show.add_argument("keys", metavar="KEY", nargs="?", help="a notebook's name without .ipynb (default: all)")
+    for command in (run, clean, show):
+        command.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
     form = show.add_mutually_exclusive_group()
-    form.add_argument("--all", action="store_true", help="print every verdict, not the causes only")
-    form.add_argument("--json", action="store_true", help="print every verdict as JSON")
-    form.add_argument("--csv", action="store_true", help="print every verdict as CSV")
+    form.add_argument("--all", action="store_const", dest="form", const="all", help="print every verdict")
+    form.add_argument("--json", action="store_const", dest="form", const="json", help="print every verdict as JSON")
+    form.add_argument("--csv", action="store_const", dest="form", const="csv", help="print every verdict as CSV")
     commands.add_parser("readme", help="write the counts of the verdicts into the README")
     options = parser.parse_args(arguments)
     try:
@@ -235,21 +267,17 @@ def main(arguments=None):
             reproduce(options.keys)
         elif options.command == "tidy":
             tidy(options.keys)
-        elif options.command == "readme":
-            write_readme()
+        elif options.command == "verdicts":
+            show_verdicts(options.keys, options.form)
         else:
-            verdicts = shipped_verdicts(*chosen([options.keys] if options.keys else [], keys()))
-            if options.json:
-                print(as_json(verdicts))
-            elif options.csv:
-                print(as_csv(verdicts))
-            else:
-                print(as_text(verdicts, options.all, shutil.get_terminal_size().columns))
-            sys.stdout.flush()
+            write_readme()
         return 0
     except BrokenPipeError:  # as in `verdicts | head`: what is not yet written goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except ModuleNotFoundError:
+        print("error: reproduce needs Jupyter: pip install 'mpt_helpers[notebooks]'", file=sys.stderr)
+        return 1
     except (CommandError, OSError, ValueError) as failure:  # OSError: a full disk; ValueError: the ledger's files
         print(f"error: {failure}", file=sys.stderr)
         return 1

@@ -15,11 +15,10 @@ import numpy as np
 from mpt_helpers.ledger import Table
 
 ROOT = Path(__file__).parents[1]
-PYTEST = ["-m", "pytest", "-q", "-n", "auto", "--dist", "loadfile"]
+NBVAL = ["-p", "tests.exact", "--nbval", "--nbval-current-env"]
 COMMANDS = {
     "`make reproduce`": ["-m", "mpt_helpers", "reproduce"],
-    "`make test`, the tests": [*PYTEST, "-p", "no:nbval"],
-    "`make test`, the notebooks": [*PYTEST, "-p", "tests.exact", "--nbval", "--nbval-current-env", "notebooks"],
+    "`make test`": ["-m", "pytest", "-q", "-n", "auto", *NBVAL, "mpt_helpers", "tests", "notebooks"],
 }
 
 

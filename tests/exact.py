@@ -1,4 +1,4 @@
-"""A pytest plugin, `-p tests.exact`: one run of nbval holds each notebook to every committed byte.
+"""A pytest plugin, `-p tests.exact`: nbval holds each notebook to every committed byte, beside any other tests.
 
 nbval alone skips pictures and metadata, and the files that a notebook writes. With this plugin it compares them too:
 PNG and SVG, the alt text and the description of each figure, which must also change when anything drawn changes by one
@@ -9,23 +9,51 @@ import os
 import re
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 TESTS = Path(__file__).parent
 NOT_SEEN = ("execution_count", "prompt_number", "traceback")  # the count is tested where nothing runs
 DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
+STARTUP = "startup.py"  # in this folder: what a kernel runs before its first cell
+TOGETHER = (".ipynb", "test_fifth_paper.py")  # ends of files whose tests need one kernel, or share a slow fixture
 
 
 def pytest_configure(config):
-    """Let each kernel that nbval starts run `watch` before the first cell."""
+    """Make the folder into which the kernels draw, and in it the code that each runs before its first cell."""
     drawn = tempfile.TemporaryDirectory(prefix="drawn-")
     config.add_cleanup(drawn.cleanup)
     os.environ[DRAWN] = drawn.name
-    startup = Path(drawn.name, "startup.py")
-    startup.write_text('__import__("exact").watch()\n')  # leaves no name behind
-    os.environ["PYTHONSTARTUP"] = str(startup)
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
+    Path(drawn.name, STARTUP).write_text('__import__("exact").watch()\n')  # leaves no name behind
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Spread tests over processors one by one; those of a notebook stay together, and xdist runs them first."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduler(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return file if file.endswith(TOGETHER) else nodeid
+
+    return Scheduler(config, log)
+
+
+def is_cell(item):
+    """Say whether a test is a notebook's cell."""
+    return hasattr(item, "cell")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item):
+    """Let the kernel of a notebook, which its first cell starts, run `watch`; kernels of other tests must not."""
+    with pytest.MonkeyPatch.context() as here:
+        if is_cell(item):
+            here.setenv("PYTHONSTARTUP", os.path.join(os.environ[DRAWN], STARTUP))
+            here.setenv("PYTHONPATH", str(TESTS), prepend=os.pathsep)
+        return (yield)
 
 
 def pytest_collectstart(collector):
@@ -36,9 +64,10 @@ def pytest_collectstart(collector):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
-    """Run a cell, and compare the files of its figures with the committed ones."""
+    """Run a test; if it is a cell, compare the files of its figures with the committed ones."""
     result = yield
-    for name in re.findall(r'save_figure\(\w+, "(\w+)"\)', item.cell.source):
+    names = re.findall(r'save_figure\(\w+, "(\w+)"\)', item.cell.source) if is_cell(item) else []
+    for name in names:
         for file in (f"{name}.png", f"{name}.svg"):
             drawn, committed = Path(os.environ[DRAWN], file), item.path.parents[1] / "figures" / file
             assert drawn.read_bytes() == committed.read_bytes(), f"figures/{file} is not what this cell draws"
@@ -65,15 +94,18 @@ def every_change_is_described(fig, plots):
 
     Drawn values below plots.QUANTUM are described with one digit, and left out here; of many bars, twenty are tried.
     """
-    before = plots.describe(fig)
-    for ax in (ax for outer in fig.axes for ax in (outer, *outer.child_axes)):
-        for artist in (*ax.lines, *ax.collections, *ax.patches[:20], *ax.images):
-            for values, put in drawn_numbers(artist):
-                if max(map(abs, values.ravel()), default=0) > plots.QUANTUM:
-                    put(1.01 * values)
-                    assert plots.describe(fig) != before, f"1 % more is not described: {artist} {artist.get_label()}"
-                    put(values)
-    assert plots.describe(fig) == before
+    for outer in fig.axes:
+        alone = SimpleNamespace(axes=[outer], texts=[], legends=[])  # faster than the whole figure each time
+        before = plots.describe(alone)
+        for ax in (outer, *outer.child_axes):
+            for artist in (*ax.lines, *ax.collections, *ax.patches[:20], *ax.images):
+                for values, put in drawn_numbers(artist):
+                    if max(map(abs, values.ravel()), default=0) > plots.QUANTUM:
+                        put(1.01 * values)
+                        changed = plots.describe(alone) != before
+                        assert changed, f"1 % more is not described: {artist} {artist.get_label()}"
+                        put(values)
+        assert plots.describe(alone) == before
 
 
 def drawn_numbers(artist):

@@ -11,6 +11,9 @@ import pytest
 from conftest import NOTEBOOKS, ROOT, write_notebook
 from test_notebooks import LINES
 
+from mpt_helpers.__main__ import main
+from mpt_helpers.ledger import keys, read_paper, stored_verdicts
+
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 KEY = re.search(r"The key is .*, here `(\w+)`", PAGE)[1]
 FOLDED = json.loads(re.search(r"metadata `(\{.*\})`", PAGE)[1])
@@ -31,19 +34,25 @@ def copy(tmp_path_factory):
     (toml,) = blocks("toml")
     (copy / "mpt_helpers" / "ledger" / f"{KEY}.toml").write_text(toml, encoding="utf-8")
     write_notebook(copy / "notebooks" / f"{KEY}.ipynb", *blocks("python"))
-    run(copy, "reproduce", KEY)
+    command = [sys.executable, "-m", "mpt_helpers", "reproduce", KEY]
+    subprocess.run(command, cwd=copy, env=os.environ | {"PYTHONPATH": str(copy)}, capture_output=True, check=True)
     return copy
 
 
-def run(copy, *arguments):
-    """Return what the command line of the copy says."""
-    command = [sys.executable, "-m", "mpt_helpers", *arguments]
-    here = os.environ | {"PYTHONPATH": str(copy)}
-    return subprocess.run(command, cwd=copy, env=here, capture_output=True, text=True, check=True).stdout
+@pytest.fixture
+def said(copy, monkeypatch, capsys):
+    """What the command line says of the copy's verdicts."""
+
+    def said(*arguments):
+        monkeypatch.setattr("mpt_helpers.ledger.paper._folder", lambda: copy / "mpt_helpers" / "ledger")
+        assert main(["verdicts", *arguments]) == 0
+        return capsys.readouterr().out
+
+    return said
 
 
-def test_the_verdicts_on_the_new_paper_are_won(copy):
-    given = {each["id"]: each for each in json.loads(run(copy, "verdicts", KEY, "--json"))}
+def test_the_verdicts_on_the_new_paper_are_won(said):
+    given = {each["id"]: each for each in json.loads(said(KEY, "--json"))}
     verdicts = {id: each["verdict"] for id, each in given.items()}
     assert verdicts == {"gain": "reproduced", "variance": "differs", "units": "reproduced"}
     assert given["variance"]["cause"] == "digits-exchanged"
@@ -51,22 +60,19 @@ def test_the_verdicts_on_the_new_paper_are_won(copy):
     assert {each["basis"] for each in given.values()} == {"exact", "identity"}
 
 
-def test_the_new_paper_is_counted_beside_the_others(copy):
-    shown = run(copy, "verdicts")
-    assert re.findall(r"(?m)^(\w+): ", shown) == sorted([KEY, *re.findall(r"(?m)^(\w+): ", run(ROOT, "verdicts"))])
+def test_the_new_paper_is_counted_beside_the_others(said):
+    others = keys()
+    shown = said()
+    assert re.findall(r"(?m)^(\w+): ", shown) == sorted([KEY, *others])
     assert f"{KEY}: 1 of 1 claims hold; 1 of 2 numbers" in " ".join(shown.split())
     assert "The filter is a little better than printed." in " ".join(shown.split())
 
 
 def test_an_item_without_a_verdict_is_an_error_that_names_it(copy):
-    path = copy / "notebooks" / f"{KEY}.ipynb"
-    before = path.read_text(encoding="utf-8")
-    setup, ledger = blocks("python")
-    write_notebook(path, setup, "\n".join(line for line in ledger.splitlines() if '"units"' not in line))
-    with pytest.raises(subprocess.CalledProcessError) as failed:
-        run(copy, "reproduce", KEY)
-    path.write_text(before, encoding="utf-8")
-    assert f"error: {KEY}.toml and its notebook: no verdict on units" in failed.value.stderr
+    paper = read_paper(KEY, *blocks("toml"))
+    verdicts = stored_verdicts(copy / "notebooks" / f"{KEY}.ipynb", paper)
+    with pytest.raises(ValueError, match=f"{KEY}.toml and its notebook: no verdict on units"):
+        paper.complete([each for each in verdicts if each.id != "units"])
 
 
 def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
