@@ -233,7 +233,7 @@ class KalmanFilter(RecursiveFilter):
         A_k = (I - K_k H) F,   B_k = K_k
 
     `step` writes the same equations out, since filterpy's object costs more than they do; `columns` has them for tracks
-    with different gaps. Where noises are correlated and rows partly missing, such tracks go one by one through filterpy,
+    with different gaps. Where noises are correlated and rows partly missing, such tracks go through filterpy singly,
     which is slow.
 
     >>> from mpt_helpers.model import gsm_axis
