@@ -12,7 +12,7 @@ from conftest import NOTEBOOKS, ROOT, write_notebook
 from test_notebooks import LINES
 
 from mpt_helpers.__main__ import main
-from mpt_helpers.ledger import keys, read_paper, stored_verdicts
+from mpt_helpers.ledger import keys, published, stored_verdicts
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 KEY = re.search(r"The key is .*, here `(\w+)`", PAGE)[1]
@@ -44,7 +44,7 @@ def said(copy, monkeypatch, capsys):
     """What the command line says of the copy's verdicts."""
 
     def said(*arguments):
-        monkeypatch.setattr("mpt_helpers.ledger.paper._folder", lambda: copy / "mpt_helpers" / "ledger")
+        monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", copy / "mpt_helpers" / "ledger")
         assert main(["verdicts", *arguments]) == 0
         return capsys.readouterr().out
 
@@ -68,11 +68,11 @@ def test_the_new_paper_is_counted_beside_the_others(said):
     assert "The filter is a little better than printed." in " ".join(shown.split())
 
 
-def test_an_item_without_a_verdict_is_an_error_that_names_it(copy):
-    paper = read_paper(KEY, *blocks("toml"))
-    verdicts = stored_verdicts(copy / "notebooks" / f"{KEY}.ipynb", paper)
+def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
+    monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", copy / "mpt_helpers" / "ledger")
+    verdicts = stored_verdicts(copy / "notebooks" / f"{KEY}.ipynb")
     with pytest.raises(ValueError, match=f"{KEY}.toml and its notebook: no verdict on units"):
-        paper.complete([each for each in verdicts if each.id != "units"])
+        published(KEY).complete([each for each in verdicts if each.id != "units"])
 
 
 def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
