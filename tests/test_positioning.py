@@ -273,6 +273,7 @@ def test_ranges_that_cannot_be_are_named(bad, named):
         ({"satellites": positioning.sky(RIGA, 0.0) / 1e3}, "satellites: needs positions of .* m, got"),
         ({"ranges": [2e7]}, r"ranges: needs one for each of 8 satellites, got shape \(1,\)"),
         ({"variance": 0.0}, "variance: needs a positive number, or one for each range, got 0"),
+        ({"start": [0.0, 0.0, 0.0]}, r"start: needs a \(4,\) array of finite numbers, got shape \(3,\)"),
     ],
 )
 def test_what_is_no_epoch_is_refused(change, message):
@@ -280,6 +281,33 @@ def test_what_is_no_epoch_is_refused(change, message):
     good = {"satellites": satellites, "ranges": positioning.pseudoranges(satellites, np.append(RIGA, 0.0))}
     with pytest.raises(ValueError, match=message):
         positioning.position(**good | change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"linearisations": 0}, "linearisations: needs an integer of at least 1, got 0"),
+        ({"variance": 0.0}, "variance: needs a positive number, or one for each range, got 0"),
+        ({"start": RIGA}, r"start: needs a \(4,\) array of finite numbers, got shape \(3,\)"),
+    ],
+)
+def test_a_filter_of_positions_refuses_by_name(change, message):
+    X = np.append(RIGA, 0.0)
+    satellites = positioning.sky(RIGA, 0.0)
+    ranges = positioning.pseudoranges(satellites, X)[None]
+    good = {"start": X, "P0": np.eye(4), "Q": np.eye(4), "variance": 1.0}
+    with pytest.raises(ValueError, match=message):
+        positioning.position_kalman(satellites, ranges, **good | change)
+
+
+def test_a_satellite_that_is_not_measured_needs_no_variance():
+    X = np.append(RIGA, 0.0)
+    satellites = positioning.sky(RIGA, 0.0)
+    ranges = positioning.pseudoranges(satellites, X)[None]
+    ranges[0, 2] = np.nan
+    variance = np.where(np.isnan(ranges), np.nan, 1.0)
+    track = positioning.position_kalman(satellites, ranges, X, np.eye(4), np.eye(4), variance)
+    np.testing.assert_allclose(track.X[0], X, rtol=0, atol=EXACT)
 
 
 def test_positions_are_on_the_ellipsoid():
@@ -305,6 +333,18 @@ def test_line_fit_equals_polyfit(n, dt):
     np.testing.assert_allclose([one.start, one.velocity], [line.start[0], line.velocity[0]], atol=SAME / dt)
 
 
+def test_a_line_through_many_points_is_exact():
+    """n² (n² - 1) / 12, the d of Eq. 10, is above the largest int64 here."""
+    line = line_fit(3.0 + 0.5 * np.arange(1, 200_001), 2.0)
+    assert line.velocity == pytest.approx(0.25, rel=1e-9)
+    assert line.start == pytest.approx(3.0, rel=1e-6)
+
+
+def test_a_line_needs_two_points():
+    with pytest.raises(ValueError, match="x: needs at least 2 positions, got 1"):
+        line_fit(np.array([1.0]), 1.0)
+
+
 @pytest.mark.parametrize("n", [2, 5, 100])
 def test_line_sigma_is_the_covariance_of_the_fit(n):
     i = np.arange(1.0, n + 1)
@@ -328,8 +368,10 @@ def test_line_sigma_of_correlated_errors_is_that_of_the_weights(n):
 
 
 def test_line_sigma_refuses_too_few_lags():
-    with pytest.raises(ValueError, match="n: needs at least 2 points, and an autocorrelation for each, got 5"):
+    with pytest.raises(ValueError, match="autocorrelation: needs at least n = 5 lags, got 4"):
         line_sigma(5, 5, np.ones(4))
+    with pytest.raises(ValueError, match="n: needs at least 2 points, got 1"):
+        line_sigma(1, 1)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -93,6 +93,13 @@ def test_expected_averages_are_the_mean_of_many_runs(column):
             assert (off < 5 * runs.std(axis=1) / np.sqrt(2000) + 1e-3 * expected[:, L - 1]).all()
 
 
+@pytest.mark.parametrize("starts", [((0, 20), (5, 30)), ((0, 20), (30, 0)), ((0, 0), (0, 0))])
+def test_starts_that_are_not_in_proportion_are_refused(starts):
+    """Beyond step 110, averages take the positions on both axes to grow alike."""
+    with pytest.raises(ValueError, match=r"starts: needs x\(0\) on both axes in proportion, got "):
+        replace(COLUMNS["cv"], starts=starts)
+
+
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_averages_over_long_runs_are_those_of_long_simulations(noise, monkeypatch):
     column = COLUMNS["cv"]

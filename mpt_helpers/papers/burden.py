@@ -3,8 +3,8 @@
 A burden is the number of scalar additions, multiplications and divisions of one iteration. Each filter is a function of
 n, the dimension of the state, and m, that of the measurement; it returns a list of (operation, burden).
 
-2014 and 2015 print totals only. 2016 itemises one filter, and zeros are not exploited there: `product`. The other rules
-are inferred, and give exactly the printed totals: of a symmetric result only the upper triangle is computed, and
+2014 and 2015 print totals only. 2016 itemises one filter, with full matrix products (`product`). We infer the rest, and
+it gives exactly the printed totals: of a symmetric result only the upper triangle is computed, and inversion costs
 `inverse`.
 """
 

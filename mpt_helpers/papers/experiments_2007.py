@@ -82,7 +82,8 @@ def recorded_day(path):
 def autocorrelation(x):
     """Return the autocorrelation (N,) of a series (N,) about its mean.
 
-    The sum of each lag is divided by that of lag 0, not by its own number of terms, so that no cᵀ R c is negative.
+    The sum of each lag is divided by that of lag 0, not by its own number of terms, which keeps the matrix R of the
+    entries ρ_|j-k| positive semidefinite.
 
     >>> autocorrelation(np.array([1.0, -1.0, 1.0, -1.0]))
     array([ 1.  , -0.75,  0.5 , -0.25])
@@ -147,7 +148,7 @@ def exact_moments(tracker, z, truth, sigmas):
 def exact_rms(tracker, z, truth, sigmas):
     """Return the root mean square (N, n, M) of a linear tracker's errors, with the arguments of `exact_moments`."""
     mean, covariance = exact_moments(tracker, z, truth, sigmas)
-    variance = np.einsum("kii->ki", covariance)
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
     return np.sqrt(mean**2 + variance[..., None])
 
 

@@ -11,6 +11,8 @@ import numpy as np
 from scipy.linalg import toeplitz
 from scipy.special import gammaincc
 
+from .. import checks
+
 EARTH_RADIUS = 6_378_137.0  # m, at the equator
 FLATNESS = 6.69437999014e-3  # e² of the WGS 84 ellipsoid
 ORBIT_RADIUS = 26_560e3  # m
@@ -116,7 +118,7 @@ def position_steps(satellites, ranges, start, steps):
     3e+05 2e+03 5e-02
     """
     satellites, ranges, sigma = _checked_epoch(satellites, ranges, variance=1.0)
-    path = [np.asarray(start, dtype=float)]
+    path = [checks.array("start", start, (4,))]
     for _ in range(steps):
         path.append(path[-1] + _correction(satellites, ranges, sigma, path[-1]))
     return np.array(path)
@@ -136,7 +138,8 @@ class Fix(NamedTuple):
 
     P (4, 4) holds for the variances that were stated. used (m,) says which satellites made the fix. residuals (m,) are
     measured minus computed ranges, of excluded satellites too. chi_square is the sum of the squared residuals of the
-    satellites used, over their variances. probability is that of a sum as large by chance, NaN with four satellites.
+    satellites used, over their variances. probability is the probability that chance alone gives a sum at least this
+    large, NaN with four satellites.
     """
 
     X: np.ndarray
@@ -169,7 +172,7 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
     """
     satellites, ranges, sigma = _checked_epoch(satellites, ranges, variance)
     everyone = np.full(len(ranges), True)
-    fix = _fix(satellites, ranges, sigma, np.asarray(start, dtype=float), everyone)
+    fix = _fix(satellites, ranges, sigma, checks.array("start", start, (4,)), everyone)
     if false_alarm is None or not fix.probability < false_alarm:  # NaN, with four satellites, is not lower
         return fix
     best = fix
@@ -208,10 +211,16 @@ def _checked_epoch(satellites, ranges, variance):
         raise ValueError(f"ranges: needs one for each of {len(satellites)} satellites, got shape {ranges.shape}")
     _require_plausible("satellites", "positions", np.linalg.norm(satellites, axis=1))
     _require_plausible("ranges", "pseudoranges", ranges)
-    sigma = np.sqrt(np.broadcast_to(np.asarray(variance, dtype=float), ranges.shape))
-    if not (np.isfinite(sigma) & (sigma > 0)).all():
+    return satellites, ranges, _checked_sigma(variance, np.full(ranges.shape, True))
+
+
+def _checked_sigma(variance, measured):
+    """Return the standard deviations of ranges, in the shape of `measured` (where there are any), or raise."""
+    of_each = np.broadcast_to(np.asarray(variance, dtype=float), measured.shape)
+    used = of_each[measured]
+    if not (np.isfinite(used) & (used > 0)).all():
         raise ValueError(f"variance: needs a positive number, or one for each range, got {variance}")
-    return satellites, ranges, sigma
+    return np.sqrt(of_each)
 
 
 def _require_plausible(name, what, distances):
@@ -236,14 +245,17 @@ def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisation
     before the first epoch, and Q (4, 4) is added at each epoch, so that the last X and P of one track start the next.
 
     H is linearised at the prediction. With more linearisations the next ones are at the estimate so far (the iterated
-    filter). Raises ValueError for ranges that are zero or absurd.
+    filter). Raises ValueError for ranges that are zero or absurd, a variance that is not positive, a start of another
+    shape and fewer than one linearisation.
     """
     ranges = np.asarray(ranges, dtype=float)
     measured = ~np.isnan(ranges)
     _require_plausible("ranges", "pseudoranges", np.where(measured, ranges, NEAREST))
-    sigma = np.sqrt(np.broadcast_to(variance, ranges.shape))
+    sigma = _checked_sigma(variance, measured)
+    checks.count("linearisations", linearisations)
     satellites = np.broadcast_to(satellites, (*ranges.shape, 3))
-    X, P = np.asarray(start, dtype=float), np.asarray(P0, dtype=float)
+    X = checks.array("start", start, (4,))
+    P = np.asarray(P0, dtype=float)
     estimates, covariances = [], []
     for k, seen in enumerate(measured):
         P = P + Q
@@ -278,13 +290,16 @@ class Line(NamedTuple):
 def line_fit(x, dt):
     """Return the least-squares line through n >= 2 positions, dt seconds apart (2007 Eqs. 8-10).
 
-    x is (n,) or (n, ...), in metres. Eq. 9 gives a displacement for each step; it is divided by dt.
+    x is (n,) or (n, ...), in metres. Eq. 9 gives a displacement for each step; it is divided by dt. Raises ValueError
+    for fewer than two positions.
 
     >>> line_fit(np.array([1.0, 3.0, 5.0]), dt=0.5)
     Line(start=np.float64(-1.0), velocity=np.float64(4.0))
     """
     n = len(x)
-    i = np.arange(1, n + 1)
+    if n < 2:
+        raise ValueError(f"x: needs at least 2 positions, got {n}")
+    i = np.arange(1.0, n + 1)  # the sums of integers would overflow above n = 100,000
     sum_i, sum_ii = i.sum(), i @ i
     sum_x, sum_ix = x.sum(axis=0), np.tensordot(i, x, 1)
     d = n * sum_ii - sum_i**2
@@ -305,8 +320,10 @@ def line_sigma(n, i, autocorrelation=None):
     >>> line_sigma(100, 100, autocorrelation=0.99 ** np.arange(100)).round(3)
     np.float64(1.064)
     """
-    if n < 2 or (autocorrelation is not None and len(autocorrelation) < n):
-        raise ValueError(f"n: needs at least 2 points, and an autocorrelation for each, got {n}")
+    if n < 2:
+        raise ValueError(f"n: needs at least 2 points, got {n}")
+    if autocorrelation is not None and len(autocorrelation) < n:
+        raise ValueError(f"autocorrelation: needs at least n = {n} lags, got {len(autocorrelation)}")
     off = np.asarray(i, dtype=float)[..., None] - (n + 1) / 2
     c = 1 / n + 12 * off * (np.arange(1, n + 1) - (n + 1) / 2) / (n * (n**2 - 1))
     R = np.eye(n) if autocorrelation is None else toeplitz(np.asarray(autocorrelation, dtype=float)[:n])

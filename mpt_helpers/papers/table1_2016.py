@@ -16,7 +16,7 @@ from ..model import simulate
 from ..steady import SteadyStateFilter
 
 LARGEST_N = 5  # steps ahead in the table
-# After so many steps the filter has forgotten its start: the mean of |e| is constant then, and not simulated.
+# After TRANSIENT steps the mean of |e| is taken as constant; after 2·TRANSIENT the mean of e as zero.
 TRANSIENT = 110
 AXES = ("x", "y", "both", "plane")
 LAST_DIGIT = 1e-4  # of a printed number
@@ -24,11 +24,18 @@ LAST_DIGIT = 1e-4  # of a printed number
 
 @dataclass(frozen=True)
 class Column:
-    """One column of the table: the filter, the start x(0) on each axis, the printed numbers of N = 0 ... 5 (6,)."""
+    """One column of the table: the filter, the start x(0) on each axis, the printed numbers of N = 0 ... 5 (6,).
+
+    Raises ValueError unless both starts are multiples of one: `averages` takes positions to grow alike on both axes.
+    """
 
     steady: SteadyStateFilter
     starts: tuple
     printed: np.ndarray
+
+    def __post_init__(self):
+        if np.linalg.matrix_rank(self.starts) != 1:
+            raise ValueError(f"starts: needs x(0) on both axes in proportion, got {self.starts}")
 
     def truth(self, axis, noise=0.0):
         """Return the model of the track on axis 0 or 1. Its process noise is `noise` times that of the filter's Q."""
@@ -62,7 +69,7 @@ def mean_and_variance(column, axis, L, estimator=None):
     """Return the mean and the variance of e for N = 0 ... 5 and k = 1 ... L, each (6, L), without process noise.
 
     The estimator is the column's steady-state filter, or another filter of the same F, H and R. The error obeys
-    e(k+1) = A e(k) - B v(k+1). After 220 steps its mean is taken as zero and its variance as constant.
+    e(k+1) = A e(k) - B v(k+1). After 2·TRANSIENT steps its mean is taken as zero and its variance as constant.
     """
     if estimator is None:
         estimator = column.steady
@@ -128,7 +135,7 @@ def averages(column, ratio, lengths):
     """Return the averages of runs over their first L steps, (lengths, 6, runs), from ratio, |e| / |s|, (6, 110, runs).
 
     Beyond step 110, |e| / |s| is replaced by its expectation: the mean of |e| is that of the last thirty steps
-    simulated, and s grows as on the track without process noise.
+    simulated, and s grows as on the track without process noise (the starts of both axes are in proportion).
     """
     s = column.positions(0, max(TRANSIENT, *lengths))
     last = slice(TRANSIENT - 30, TRANSIENT)
