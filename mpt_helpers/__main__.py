@@ -2,6 +2,7 @@
 
 import argparse
 import asyncio
+import atexit
 import csv
 import json
 import os
@@ -9,14 +10,15 @@ import re
 import shutil
 import sys
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from textwrap import fill
 
 from tqdm import tqdm
 
-from . import __version__
-from .files import write_together, write_whole
+from . import __version__, ledger
+from .files import project, write_together, write_whole
 from .ledger import keys, published, shipped_verdicts, stored_verdicts
 from .ledger.tables import Table
 from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, HOLDS, WRONG
@@ -30,25 +32,16 @@ class CommandError(Exception):
     """A failure in words for the terminal."""
 
 
-def project():
-    """Return the project's folder: the working directory or, from within notebooks/, the one above."""
-    here = Path.cwd()
-    for folder in (here, here.parent):
-        if any(folder.glob(f"{NOTEBOOKS}/*.ipynb")):
-            return folder
-    raise CommandError(f"no notebooks in {here / NOTEBOOKS}: run this in the project's folder")
-
-
 def chosen(some, known):
-    """Return some keys, or all that are known if there are none; raises CommandError for one that is not known."""
+    """Return the given keys, or all known keys if none is given. Raises CommandError for an unknown one."""
     for key in some:
         if key not in known:
             raise CommandError(f"unknown notebook {key!r}; the known ones are {', '.join(known)}")
-    return some or known
+    return list(dict.fromkeys(some)) or known  # each once
 
 
 def chosen_notebooks(root, some):
-    """Return the paths of some of the project's notebooks by key, or of all if there are no keys."""
+    """Return {key: path} of the given notebooks of the project, or of all if none is given."""
     paths = {path.stem: path for path in sorted(root.glob(f"{NOTEBOOKS}/*.ipynb"))}
     return {key: paths[key] for key in chosen(some, list(paths))}
 
@@ -56,13 +49,16 @@ def chosen_notebooks(root, some):
 def reproduce(some):
     """Execute notebooks in place; write their figures and, for a notebook of a paper, its verdicts into the package.
 
-    As many notebooks run side by side as there are processors. The first that fails ends those that still run; a
-    notebook that does not finish leaves its files as they were. Raises CommandError for an unknown key, a folder that
-    cannot be written to and a notebook that fails (naming the cell and the error), ValueError for verdicts that do not
-    cover the paper, ModuleNotFoundError without Jupyter.
+    As many notebooks run side by side as there are processors. A notebook that fails stops those still running; none of
+    these changes any file. Raises CommandError for an unknown key, another project than that of the package that runs,
+    a folder that cannot be written to and a notebook that fails (naming the cell and the error), ValueError for
+    verdicts that do not cover the paper, ModuleNotFoundError without Jupyter.
     """
     root = project()
     paths = chosen_notebooks(root, some)
+    if root.joinpath(LEDGER).is_dir() and not root.joinpath(LEDGER).samefile(ledger.paper.FOLDER):
+        running = ledger.paper.FOLDER.parent
+        raise CommandError(f"the package that runs is {running}, not that of {root}: run this in {root}")
     for folder in (FIGURES, NOTEBOOKS):
         path = root / folder
         if path.exists() and not (path.is_dir() and os.access(path, os.W_OK)):
@@ -146,22 +142,24 @@ async def _execute(key, notebook, folder, bar):
         notebook,
         timeout=CELL_TIMEOUT,
         kernel_name="python3",
-        extra_arguments=["--IPKernelApp.log_level=50"],  # what it says below that is not about the notebook
+        extra_arguments=["--IPKernelApp.log_level=50"],  # messages below level 50 do not concern the notebook
         shutdown_kernel="immediate",
         coalesce_streams=True,
         on_cell_start=lambda cell, cell_index: started.append(cell.id),
         on_cell_executed=lambda cell, cell_index, execute_reply: bar.update(),
     )
     try:
-        await client.async_execute(cwd=str(folder))
+        # The kernel imports the package that runs here.
+        await client.async_execute(cwd=str(folder), env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
     except Exception as error:
         if asyncio.current_task().cancelling():  # this notebook is ended, and nbclient says that its kernel died
             raise asyncio.CancelledError from error
         what = f"{error.ename}: {error.evalue}" if isinstance(error, CellExecutionError) else error
         raise CommandError(f"{key}: cell {started[-1]} failed: {what}") from error
     finally:
-        if client.km is not None:  # ended while the kernel was starting: nbclient leaves it running
+        if client.km is not None:  # nbclient does not stop a kernel that was still starting
             await client.km.shutdown_kernel(now=True)
+        atexit.unregister(client._cleanup_kernel)  # which would find no kernel
     return client.code_cells_executed
 
 
@@ -175,9 +173,10 @@ def tidied(notebook):
 
 def tidy(some):
     """Rewrite notebooks so that after `jupyter execute --inplace` or JupyterLab only outputs differ."""
+    import nbformat
+
     for path in chosen_notebooks(project(), some).values():
-        notebook = tidied(json.loads(path.read_text(encoding="utf-8")))
-        text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True)
+        text = nbformat.writes(tidied(_read(path)))
         write_whole(path, f"{text}\n".encode())
 
 
@@ -188,11 +187,12 @@ def as_json(verdicts):
 
 def as_text(verdicts, every, width):
     """Return Verdicts as text in lines of a width: each paper's counts and causes, then its rows if asked for all."""
+    wrapped = partial(fill, width=width, break_on_hyphens=False)
     lines = []
     for paper in dict.fromkeys(each.paper for each in verdicts):
         own = verdicts.of(paper)
         tally = own.tally()
-        lines.append(fill(f"{paper}: {tally.claims_text()}; {tally.values_text()}; {tally.causes_text()}.", width))
+        lines.append(wrapped(f"{paper}: {tally.claims_text()}; {tally.values_text()}; {tally.causes_text()}."))
         rows = []
         for kind, cells in tally.causes.items():
             for place, count in cells.items():
@@ -202,7 +202,7 @@ def as_text(verdicts, every, width):
             why = ", ".join(part for part in (each.basis, each.cause) if part)
             row = f"{each.id}: {each.where}: printed {each.printed}; computed {each.computed}"
             rows.append(f"{row}; {each.verdict} ({why}). {each.reason}")
-        lines += [fill(row, width, initial_indent="  ", subsequent_indent="    ") for row in rows]
+        lines += [wrapped(row, initial_indent="  ", subsequent_indent="    ") for row in rows]
     return "\n".join(lines or ["no verdicts are stored yet: run `make reproduce`"])
 
 
@@ -252,7 +252,7 @@ def main(arguments=None):
     parser.add_argument("--version", action="version", version=f"mpt_helpers {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     run = commands.add_parser("reproduce", help="execute the notebooks in place and write every figure")
-    clean = commands.add_parser("tidy", help="after `jupyter execute --inplace`: leave a difference of outputs only")
+    clean = commands.add_parser("tidy", help="normalise notebooks so that only outputs differ in git")
     show = commands.add_parser("verdicts", help="print what holds and what is wrong, without running anything")
     for command in (run, clean, show):
         command.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
@@ -275,8 +275,10 @@ def main(arguments=None):
     except BrokenPipeError:  # as in `verdicts | head`: what is not yet written goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except ModuleNotFoundError:
-        print("error: reproduce needs Jupyter: pip install 'mpt_helpers[notebooks]'", file=sys.stderr)
+    except ModuleNotFoundError as error:
+        if error.name not in ("nbformat", "nbclient"):
+            raise
+        print(f"error: {options.command} needs Jupyter: pip install 'mpt_helpers[notebooks]'", file=sys.stderr)
         return 1
     except (CommandError, OSError, ValueError) as failure:  # OSError: a full disk; ValueError: the ledger's files
         print(f"error: {failure}", file=sys.stderr)

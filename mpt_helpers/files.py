@@ -1,6 +1,16 @@
-"""Files are written whole or not at all."""
+"""Where the project's files are; and files are written whole or not at all."""
 
 import os
+from pathlib import Path
+
+
+def project():
+    """Return the project's root, seen from there or from its notebooks/. Raises FileNotFoundError elsewhere."""
+    here = Path.cwd()
+    root = here.parent if here.name == "notebooks" else here
+    if not any(root.glob("notebooks/*.ipynb")):
+        raise FileNotFoundError(f"{here}: needs the project's root or its notebooks/, with notebooks in it")
+    return root
 
 
 def write_whole(path, data):
@@ -11,8 +21,8 @@ def write_whole(path, data):
 def write_together(contents):
     """Write bytes to several files, {path: bytes}: beside them first, then all into their places.
 
-    A full disk or an interrupt leaves every file as it was while they are written. What stops the moves, some
-    microseconds in all, leaves some files new and some old, each whole.
+    A full disk or an interrupt during the writing leaves every file as it was. An interrupt during the moves
+    (microseconds) may leave some files new and others old, but none partial.
     """
     parts = {path: path.with_name(path.name + ".part") for path in contents}
     for path in contents:

@@ -6,6 +6,7 @@ that exactly, and it changes when the data change by one percent. The files are 
 
 import copy
 import re
+import sys
 import zlib
 from base64 import b64encode
 from dataclasses import dataclass
@@ -14,12 +15,16 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from cycler import cycler
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from .files import project
+
 # Gaps between two estimates below this are rounding and differ between processors: they are drawn at this value.
 FLOOR = 1e-12
-# Drawn values below this are described with one digit: the rounding of the tracks plotted here reaches some 1e-14.
+# Drawn values below this are described with one significant digit: the rounding of the tracks plotted here reaches
+# some 1e-14.
 QUANTUM = 1e-9
 # Colours: Okabe and Ito, with blue and green darker, so that the first four differ in grey too.
 COLOURS = ["#0060A0", "#D55E00", "#008060", "#CC79A7", "#56B4E9", "#E69F00"]
@@ -70,7 +75,7 @@ def finish(ax, xlabel, title):
 
 
 def visible_gap(gap):
-    """Return gaps as they are drawn: clipped at 1e-12, with one digit below 1e-9 and three above.
+    """Return gaps as they are drawn: clipped at 1e-12, with one significant digit below 1e-9 and three above.
 
     A gap is the difference of numbers of order 10, so its digits beyond some 1e-14 are rounding: drawn, they would move
     a pixel on another processor.
@@ -102,13 +107,16 @@ class SavedFigure:
 def save_figure(fig, name, folder=None):
     """Save a figure as {folder}/{name}.png and .svg, the same bytes on every run, and return it for display.
 
-    The folder is the project's figures/, found from the working directory: the project's root or its notebooks/. Raises
-    ValueError for a name that is not a plain file name, and FileNotFoundError anywhere else without a folder.
+    The folder is the project's figures/, found from the working directory: the project's root or its notebooks/. A
+    figure of pyplot is closed, so that a notebook does not show it twice. Raises ValueError for a name that is not a
+    plain file name, and FileNotFoundError anywhere else without a folder.
     """
     if not re.fullmatch(r"\w+", name, re.ASCII):
         raise ValueError(f"name: needs letters, digits and underscores, got {name!r}")
-    folder = figures_folder() if folder is None else Path(folder)
+    folder = project() / "figures" if folder is None else Path(folder)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close(fig)  # and it does not take hold of the copy either
     settled = _settled(fig)
     settled.savefig(png, metadata={"Software": None})
     with matplotlib.rc_context({"svg.hashsalt": name}):
@@ -117,19 +125,10 @@ def save_figure(fig, name, folder=None):
     return SavedFigure(png.read_bytes(), f"{png.name}\n{describe(settled)}", alt_text(settled))
 
 
-def figures_folder():
-    """Return the project's figures/, seen from its root or from its notebooks/; raises FileNotFoundError elsewhere."""
-    here = Path.cwd()
-    root = here.parent if here.name == "notebooks" else here
-    if not ((root / "notebooks").is_dir() and (root / "figures").is_dir()):
-        raise FileNotFoundError(f"{here}: needs the project's root or its notebooks/, with figures/; or give a folder")
-    return root / "figures"
-
-
 def _settled(fig):
     """Return a copy whose drawn values and places are rounded: last bits differ between processors and move pixels."""
     fig = copy.deepcopy(fig)
-    for ax in _axes(fig):
+    for ax in fig.axes:
         scales = ax.get_xscale(), ax.get_yscale()
         for line in ax.lines:
             if not hasattr(line, "get_data_3d"):
@@ -146,13 +145,8 @@ def _settled(fig):
     return fig
 
 
-def _axes(fig):
-    """Return the axes of a figure, insets included."""
-    return [ax for outer in fig.axes for ax in (outer, *outer.child_axes)]
-
-
 def _nine_digits(values, scale):
-    """Round to nine digits: of each value on a log scale, of the largest otherwise."""
+    """Round to nine significant digits: of each value on a log scale, of the largest otherwise."""
     size = np.abs(values) if scale == "log" else np.nanmax(np.abs(values), initial=0)
     unit = 10.0 ** (np.floor(np.log10(np.where(size > 0, size, 1))) - 8)
     return np.round(values / unit) * unit
@@ -185,15 +179,15 @@ def alt_text(fig):
     '2 panels. σ of s (log scale); σ of v (log scale), over step k. Curves: KF.'
     """
     alike = {}  # titles of the panels that share their x label and curves
-    for ax in _axes(fig):
-        drawn = [*ax.lines, *ax.collections, *ax.containers, *ax.patches, *ax.images]
+    for ax in fig.axes:
+        drawn = [*ax.lines, *ax.collections, *ax.patches]
         labels = dict.fromkeys(str(each.get_label()) for each in drawn)
         curves = "; ".join(label for label in labels if label and not label.startswith("_"))
-        title = _title(ax) or ax.get_ylabel()
+        title = _title(ax) or ax.get_ylabel() or "untitled panel"
         if ax.get_yscale() == "log":
             title += " (log scale)"
         alike.setdefault((ax.get_xlabel(), curves), []).append(title)
-    sentences = [f"{len(_axes(fig))} panels."] if len(_axes(fig)) > 1 else []
+    sentences = [f"{len(fig.axes)} panels."] if len(fig.axes) > 1 else []
     for (xlabel, curves), titles in alike.items():
         place = f", over {xlabel}" if xlabel else ""
         sentences.append(f"{'; '.join(titles)}{place}.")
@@ -205,7 +199,7 @@ def alt_text(fig):
 
 def describe(fig):
     """Return what a figure plots in words and numbers: texts and scales of all axes; points, extremes and mean of all
-    that is drawn, with a checksum over the points at four digits (one digit below 1e-9, and zero below 1e-12).
+    that is drawn, with a checksum over the points at four significant digits (one below 1e-9, and zero below 1e-12).
 
     >>> fig, ax = panels([["a"]])
     >>> line = ax["a"].plot([1, 2, 3], [0.0, 0.5, 1.0], label="a")
@@ -214,7 +208,7 @@ def describe(fig):
       line 'a': 3 points, x 1..3 mean 2, y 0..1 mean 0.5, checksum 43970567
     """
     lines = [f"text {text.get_text()!r}" for text in fig.texts]
-    for i, ax in enumerate(_axes(fig), 1):
+    for i, ax in enumerate(fig.axes, 1):
         title = f"{_title(ax)!r} " if _title(ax) else ""
         lines.append(f"axes {i}: {title}{_describe_axis('x', ax.xaxis)}; {_describe_axis('y', ax.yaxis)}")
         lines += [f"  {_describe_drawn(*drawn)}" for drawn in _drawn(ax)]
@@ -244,9 +238,8 @@ def _drawn(ax):
         points = np.transpose(line.get_data_3d()) if hasattr(line, "get_data_3d") else line.get_xydata()
         yield "line", line.get_label(), points, []
     for drawn in ax.collections:
-        offsets = drawn.get_offsets()
-        if offsets.any():  # where its markers are
-            kind, points = "points", offsets
+        if isinstance(drawn, PathCollection):
+            kind, points = "points", drawn.get_offsets()
         else:
             outlines = [path.vertices for path in drawn.get_paths()]
             kind, points = "area", np.concatenate([np.empty((0, 2)), *outlines])

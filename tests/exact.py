@@ -82,7 +82,7 @@ def watch():
     save = plots.save_figure
 
     def save_figure(fig, name):
-        plots.figures_folder()  # is found from here too
+        plots.project()  # is found from here too
         every_change_is_described(fig, plots)
         return save(fig, name, os.environ[DRAWN])
 

@@ -93,6 +93,12 @@ def test_two_scatters_of_one_point_each_have_another_checksum():
     assert described[0] != described[1]
 
 
+def test_a_scatter_of_one_point_at_the_origin_is_no_area():
+    fig, ax = panels([["a"]])
+    one_dot(ax["a"], [0.0, 0.0])
+    assert "points '_child0': 1 points, x 0..0 mean 0, y 0..0 mean 0" in describe(fig)
+
+
 def test_two_heat_maps_with_rows_and_columns_exchanged_are_not_the_same():
     described = []
     for values in (np.arange(9.0).reshape(3, 3), np.arange(9.0).reshape(3, 3).T):
@@ -137,6 +143,7 @@ def test_figures_are_found_from_the_root_and_from_the_notebooks_and_nowhere_else
     project, fig = tmp_path / "project", panels([["a"]])[0]
     for folder in ("notebooks", "figures", "docs"):
         (project / folder).mkdir(parents=True)
+    (project / "notebooks" / "paper.ipynb").touch()
     for place in (project, project / "notebooks"):
         monkeypatch.chdir(place)
         save_figure(fig, f"from_{place.name}")
@@ -148,7 +155,7 @@ def test_figures_are_found_from_the_root_and_from_the_notebooks_and_nowhere_else
             save_figure(fig, "elsewhere")
     with pytest.raises(ValueError, match="name: needs letters, digits and underscores"):
         save_figure(fig, "../a", tmp_path)
-    assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(project.glob("figures/from_*"))
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(project.glob("*/*.*"))
 
 
 def test_no_text_is_smaller_than_11_points(tmp_path):
@@ -241,6 +248,28 @@ def test_an_alt_text_names_every_panel_and_curve():
     assert alt_text(fig) == (
         "2 panels. gain a (log scale), over step k. Curves: KF. gain b (log scale), over step k. Curves: LF."
     )
+
+
+def test_an_alt_text_says_that_a_panel_has_no_title():
+    fig, ax = panels([["a"]])
+    line(ax["a"], np.arange(3.0))
+    assert alt_text(fig) == "untitled panel."
+    finish(ax["a"], "step k", "")
+    assert alt_text(fig) == "untitled panel, over step k."
+
+
+def test_a_figure_of_pyplot_is_shown_once(tmp_path):
+    """As `save_figure` shows it: a notebook shows what pyplot still holds at the end of the cell."""
+    from matplotlib import pyplot
+
+    others = pyplot.get_fignums()
+    fig, ax = pyplot.subplots()
+    line(ax, np.arange(3.0))
+    saved = save_figure(fig, "a", tmp_path)
+    assert pyplot.get_fignums() == others
+    assert saved.png
+    line(ax, np.arange(4.0))  # it can still be drawn on and saved
+    assert save_figure(fig, "a", tmp_path).png != saved.png
 
 
 # How dichromats see linear RGB: Machado, Oliveira and Fernandes 2009, severity 1.

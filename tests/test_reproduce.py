@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -93,6 +94,63 @@ def test_without_jupyter_the_extra_is_named(project, monkeypatch, capsys):
     assert capsys.readouterr().err == "error: reproduce needs Jupyter: pip install 'mpt_helpers[notebooks]'\n"
 
 
+@pytest.mark.parametrize("command", ["reproduce", "tidy"])
+def test_without_nbformat_too(project, monkeypatch, capsys, command):
+    monkeypatch.setitem(sys.modules, "nbformat", None)
+    assert main([command]) == 1
+    assert capsys.readouterr().err == f"error: {command} needs Jupyter: pip install 'mpt_helpers[notebooks]'\n"
+
+
+def test_another_module_that_is_missing_is_named(project, monkeypatch):
+    monkeypatch.setitem(sys.modules, "nbclient.exceptions", None)
+    with pytest.raises(ModuleNotFoundError, match=r"nbclient\.exceptions"):
+        main(["reproduce"])
+
+
+@pytest.fixture
+def copied(tmp_path, monkeypatch):
+    """A project with a copy of the package, whose notebook says which package it runs."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(Path(mpt.__file__).parent, tmp_path / "mpt_helpers", ignore=ignored)
+    (tmp_path / "notebooks").mkdir()
+    write_notebook(tmp_path / "notebooks/own.ipynb", "import mpt_helpers; print(mpt_helpers.__file__)")
+    return tmp_path
+
+
+def reproduce_in(folder):
+    command = [sys.executable, "-m", "mpt_helpers", "reproduce"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True)
+
+
+def test_the_notebooks_of_a_copied_project_run_its_own_package(copied):
+    run = reproduce_in(copied)
+    assert (run.stdout, run.stderr, run.returncode) == ("own: 1 cells executed\n", "", 0)
+    assert str(copied / "mpt_helpers/__init__.py") in (copied / "notebooks/own.ipynb").read_text()
+
+
+def test_a_copied_project_is_refused_to_another_package(copied):
+    """From its notebooks/, Python finds the installed package."""
+    before = files(copied)
+    run = reproduce_in(copied / "notebooks")
+    running = Path(mpt.__file__).parent
+    assert run.stderr == f"error: the package that runs is {running}, not that of {copied}: run this in {copied}\n"
+    assert (run.stdout, run.returncode) == ("", 1)
+    assert files(copied) == before
+
+
+def test_a_kernel_that_was_never_ready_leaves_no_message_at_exit(project):
+    """nbclient has ended it already, and would end it once more."""
+    shutil.rmtree(project / "mpt_helpers")  # which is not the package that the command runs
+    ends = "import nbclient, sys; from mpt_helpers.__main__ import main\n"
+    ends += "async def never_ready(*args, **kwargs): raise RuntimeError('Kernel died before replying')\n"
+    ends += "import jupyter_client; jupyter_client.AsyncKernelClient.wait_for_ready = never_ready\n"
+    ends += "sys.exit(main(['reproduce']))"
+    run = subprocess.run([sys.executable, "-c", ends], capture_output=True, text=True)
+    assert run.returncode == 1
+    assert run.stderr.splitlines()[-1] == "error: small: cell none failed: Kernel died before replying"
+    assert "Exception ignored" not in run.stderr
+
+
 def test_a_notebook_that_fails_is_named_ends_the_others_and_all_are_left_as_they_were(project, capsys):
     write_notebook(project / SMALL, MAKES_FIGURE, "x = 1", "{}['missing']", "2")
     write_notebook(project / "notebooks/other.ipynb", MAKES_FIGURE, "import time; time.sleep(300)")
@@ -117,6 +175,7 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, 
     for key in ("small", "other"):
         sleeps = SLEEPS.format(sign=str(signs / key))
         write_notebook(project / f"notebooks/{key}.ipynb", MAKES_FIGURE, sleeps)
+    shutil.rmtree(project / "mpt_helpers")  # which is not the package that the command runs
     before = files(project)
     command = [sys.executable, "-m", "mpt_helpers", "reproduce"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
@@ -221,11 +280,12 @@ def test_figures_that_are_a_file_or_read_only_are_refused_before_anything_runs(p
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"cells": 5, "nbformat": 4}', "\udcff"])
-def test_what_is_no_notebook_is_named(project, capsys, content):
+@pytest.mark.parametrize("command", ["reproduce", "tidy"])
+def test_what_is_no_notebook_is_named(project, capsys, command, content):
     path = project / "notebooks" / "small.ipynb"
     path.write_bytes(content.encode(errors="surrogateescape"))
     before = files(project)
-    assert main(["reproduce"]) == 1
+    assert main([command]) == 1
     assert capsys.readouterr().err.startswith("error: small: needs a notebook (")
     assert files(project) == before
 
@@ -242,7 +302,7 @@ def test_an_unknown_key_lists_the_known_ones(project, capsys, command):
 def test_another_folder_is_refused(tmp_path, monkeypatch, capsys, command):
     monkeypatch.chdir(tmp_path)
     assert main([command]) == 1
-    assert "run this in the project's folder" in capsys.readouterr().err
+    assert "needs the project's root or its notebooks/" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [[], ["reproduce"], ["verdicts"]])
@@ -319,6 +379,27 @@ def test_the_summary_of_verdicts_comes_first_in_lines_of_the_terminal(shipped, m
         "One is missing: 326 for 336. Against Table 1: 17."
     )
     assert [row.split(":")[0].strip() for row in rows] == ["count", "ratio", "wrong", "equal", "lost"]
+
+
+def test_a_paper_that_is_named_twice_is_counted_once(shipped, capsys):
+    assert main(["verdicts", "small"]) == 0
+    once = capsys.readouterr().out
+    assert main(["verdicts", "small", "small"]) == 0
+    assert capsys.readouterr().out == once
+
+
+def test_verdicts_of_another_version_are_an_error_that_names_their_file(shipped, project, capsys):
+    path = project / "mpt_helpers/ledger/small.json"
+    path.write_text(path.read_text().replace("one-missing", "another"))
+    for command in ("verdicts", "readme"):
+        assert main([command]) == 1
+        assert capsys.readouterr().err.startswith(f"error: {path}: needs verdicts of this version")
+
+
+def test_ids_are_not_broken_at_their_hyphens(shipped, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "17")
+    assert main(["verdicts"]) == 0
+    assert "one-missing" in capsys.readouterr().out
 
 
 def test_without_verdicts_the_header_stands_alone(project, capsys):
