@@ -347,7 +347,9 @@ def main():
         "speed": (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8"),
     }
     for page in sorted(DOCS.glob("*.md")):
-        text = INCLUDE.sub(raw_html(r'{% include "\1" %}'), page.read_text(encoding="utf-8"))
+        # In a checkout, the notebooks' folder stands beside docs/; on the site, below its pages.
+        text = page.read_text(encoding="utf-8").replace("](../notebooks/", "](notebooks/")
+        text = INCLUDE.sub(raw_html(r'{% include "\1" %}'), text)
         text = env.from_string(text).render(root="")
         if page.name == "guide.md":
             text = with_pictures(text, BUILD / "static")

@@ -21,7 +21,7 @@ from . import __version__, ledger
 from .files import project, write_together, write_whole
 from .ledger import keys, published, shipped_verdicts, stored_verdicts
 from .ledger.tables import Table
-from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, HOLDS, WRONG
+from .ledger.verdicts import CANNOT_BE_CHECKED, FAILS, FIELDS, HOLDS, WRONG
 
 NOTEBOOKS, FIGURES, LEDGER = Path("notebooks"), Path("figures"), Path("mpt_helpers") / "ledger"
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
@@ -223,8 +223,19 @@ def show_verdicts(some, form):
 def readme(verdicts):
     """Return the README's block on Verdicts: what is wrong and what holds in words, then a row for each paper."""
     tally = verdicts.tally()
+    slips, lost = tally.causes["slip"], tally.causes["copy"].total()
+    worst = f"; one slip alone spoils {slips.most_common(1)[0][1]} cells" if len(slips) > 1 else ""
     others = "".join(f", {count} {words}" for words, count in tally.claims_bar() if words != "hold")
-    words = f"**What is wrong: {tally.causes_text()}.** {tally.claims_text()}{others}. {tally.values_text()}."
+    disagree = sum(tally.values[each] for each in FAILS)
+    unchecked_values = tally.values[CANNOT_BE_CHECKED]
+    unchecked = tally.claims[CANNOT_BE_CHECKED] + unchecked_values
+    sentences = [
+        f"**What is wrong: {tally.wrong_text()}{worst}.**",
+        f"{tally.claims_text()}{others}.",
+        f"{tally.values_text()}, {disagree} do not, {unchecked_values} cannot be checked.",
+        f"Of the {unchecked} that cannot be checked, {lost} are missing or illegible in our copy;",
+        f"for {unchecked - lost} the paper leaves something out.",
+    ]
     rows = []
     for paper in [*dict.fromkeys(each.paper for each in verdicts), "all"]:
         own = tally if paper == "all" else verdicts.of(paper).tally()
@@ -233,7 +244,7 @@ def readme(verdicts):
         row += [f"{sum(counts[each] for each in HOLDS)} of {counts.total()}" for counts in (own.claims, own.values)]
         rows.append([*row, own.claims[CANNOT_BE_CHECKED] + own.values[CANNOT_BE_CHECKED]])
     header = ["paper", *(f"{kind}s (cells)" for kind in WRONG), "claims hold", "numbers, formulas, figures agree"]
-    return f"{words}\n\n{Table([*header, 'cannot be checked'], rows).markdown()}"
+    return f"{' '.join(sentences)}\n\n{Table([*header, 'cannot be checked'], rows).markdown()}"
 
 
 def write_readme():

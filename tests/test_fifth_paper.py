@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md, "A paper is added", followed to the letter in a copy of the project: the smallest fifth paper."""
+"""CONTRIBUTING.md, "Adding a paper", followed to the letter in a copy of the project: the smallest fifth paper."""
 
 import json
 import os
@@ -7,16 +7,29 @@ import shutil
 import subprocess
 import sys
 
+import nbformat
 import pytest
-from conftest import NOTEBOOKS, ROOT, write_notebook
+from conftest import NOTEBOOKS, ROOT
 from test_notebooks import LINES
 
 from mpt_helpers.__main__ import main
 from mpt_helpers.ledger import keys, published, stored_verdicts
+from mpt_helpers.ledger.paper import KINDS
+from mpt_helpers.ledger.verdicts import BASES, CAUSE_KINDS
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 KEY = re.search(r"The key is .*, here `(\w+)`", PAGE)[1]
-FOLDED = json.loads(re.search(r"metadata `(\{.*\})`", PAGE)[1])
+KERNEL = json.loads(re.search(r"has the metadata `(\{.*?\})`", PAGE)[1])
+FOLDED = json.loads(re.search(r"folded by the metadata `(\{.*?\})`", PAGE)[1])
+IGNORED = shutil.ignore_patterns(".*", "__pycache__", "_build", "dist", "*.egg-info")
+# What `make site` makes before Sphinx runs, without the guide's figures and the file of MathJax, which other tests see.
+SITE = """\
+import sys
+sys.path.insert(0, "docs")
+import pages
+pages.with_pictures = lambda text, place: text
+pages.mathjax = lambda: b""
+pages.main()"""
 
 
 def blocks(kind):
@@ -24,19 +37,41 @@ def blocks(kind):
     return re.findall(rf"```{kind}\n(.*?)```", PAGE, re.DOTALL)
 
 
+def run(folder, *arguments):
+    """Run Python in a copy of the project, with the package of this copy; return what it prints."""
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
-    """A copy of the project to which the page has added a paper, and its notebook is executed."""
-    copy = tmp_path_factory.mktemp("project")
-    shutil.copytree(ROOT / "mpt_helpers", copy / "mpt_helpers", ignore=shutil.ignore_patterns("__pycache__"))
-    for folder in ("notebooks", "figures"):
-        (copy / folder).mkdir()
-    (toml,) = blocks("toml")
-    (copy / "mpt_helpers" / "ledger" / f"{KEY}.toml").write_text(toml, encoding="utf-8")
-    write_notebook(copy / "notebooks" / f"{KEY}.ipynb", *blocks("python"))
-    command = [sys.executable, "-m", "mpt_helpers", "reproduce", KEY]
-    subprocess.run(command, cwd=copy, env=os.environ | {"PYTHONPATH": str(copy)}, capture_output=True, check=True)
+    """A copy of the project to which the page has added a paper: its notebook is executed, its counts in the README."""
+    copy = tmp_path_factory.mktemp("project") / "copy"
+    shutil.copytree(ROOT, copy, ignore=IGNORED)
+    ledger, words = blocks("toml")
+    (copy / "mpt_helpers" / "ledger" / f"{KEY}.toml").write_text(ledger, encoding="utf-8")
+    path = copy / "docs" / "papers.toml"
+    path.write_text(f"{path.read_text(encoding='utf-8')}\n{words}", encoding="utf-8")
+    path = copy / "README.md"
+    (line,) = blocks("text")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("\n\n    make reproduce", f"\n{line}\n    make reproduce", 1), encoding="utf-8")
+    write_the_notebook(copy / "notebooks" / f"{KEY}.ipynb")
+    run(copy, "-m", "mpt_helpers", "reproduce", KEY)
+    run(copy, "-m", "mpt_helpers", "readme")
     return copy
+
+
+def write_the_notebook(path):
+    """Write the page's cells, not yet executed."""
+    (title,) = blocks("markdown")
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_markdown_cell(title)], metadata=KERNEL)
+    for text in blocks("python"):
+        metadata = FOLDED if text.startswith("# Ledger") else {}
+        notebook.cells.append(nbformat.v4.new_code_cell(text.rstrip("\n"), metadata=metadata))
+    nbformat.write(notebook, path)
 
 
 @pytest.fixture
@@ -51,7 +86,7 @@ def said(copy, monkeypatch, capsys):
     return said
 
 
-def test_the_verdicts_on_the_new_paper_are_won(said):
+def test_the_new_paper_has_its_verdicts(said):
     given = {each["id"]: each for each in json.loads(said(KEY, "--json"))}
     verdicts = {id: each["verdict"] for id, each in given.items()}
     assert verdicts == {"gain": "reproduced", "variance": "differs", "units": "reproduced"}
@@ -68,6 +103,21 @@ def test_the_new_paper_is_counted_beside_the_others(said):
     assert "The filter is a little better than printed." in " ".join(shown.split())
 
 
+def test_the_projects_tests_of_papers_and_pages_pass_with_the_new_paper(copy):
+    files = [f"tests/test_{name}.py" for name in ("readme", "ledger", "notebooks")]
+    said = run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files)
+    assert " passed" in said
+    assert f"| [{KEY}](notebooks/{KEY}.ipynb) | 1 (1) |" in (copy / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_site_has_the_new_paper(copy):
+    run(copy, "-c", SITE)
+    source = copy / "docs" / "_build" / "source"
+    assert f"A random walk (1960) <notebooks/{KEY}>" in (source / "index.md").read_text(encoding="utf-8")
+    assert "is 0.618034, not 0.681" in (source / "index.md").read_text(encoding="utf-8")
+    assert (source / "notebooks" / f"{KEY}.ipynb").is_file()
+
+
 def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
     monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", copy / "mpt_helpers" / "ledger")
     verdicts = stored_verdicts(copy / "notebooks" / f"{KEY}.ipynb")
@@ -82,7 +132,12 @@ def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
     assert f"at most {LINES} lines" in PAGE
 
 
-def test_the_page_names_every_room():
-    (table,) = re.findall(r"(?s)\| room \|.*?\n\n", PAGE)
+def test_the_page_names_every_kind_of_item_and_cause_and_every_basis():
+    for kind in (*KINDS, *CAUSE_KINDS, *BASES):
+        assert f"`{kind}`" in PAGE, kind
+
+
+def test_the_page_names_every_part():
+    (table,) = re.findall(r"(?s)\| part \|.*?\n\n", PAGE)
     for name in ("ledger/", "papers/", "plots", "__main__", "notebooks/", "docs/", "benchmarks/"):
         assert f"`{name}`" in table, name

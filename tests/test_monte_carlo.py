@@ -14,6 +14,7 @@ from itertools import count
 import numpy as np
 import pytest
 from conftest import MODELS_2016, ROOT
+from tqdm import tqdm
 
 import mpt_helpers as mpt
 from mpt_helpers.monte_carlo import BLOCK
@@ -123,6 +124,23 @@ def test_an_interrupt_ends_the_study_with_the_blocks_at_work(workers):
     _, errors = run.communicate(timeout=20)  # a fraction of a second; the study takes four minutes
     assert run.returncode != 0
     assert b"KeyboardInterrupt" in errors
+
+
+def test_an_interrupt_between_two_blocks_starts_no_further_block(monkeypatch):
+    ran = []
+
+    def slow(rng, M):
+        ran.append(M)
+        time.sleep(0.01)
+        return rng.random(M)
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tqdm, "update", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        mpt.study(slow, 100 * BLOCK, 1, workers=2)
+    assert len(ran) < 50
 
 
 def test_an_error_in_an_experiment_is_passed_on():

@@ -365,7 +365,8 @@ def test_the_summary_of_verdicts_comes_first_in_lines_of_the_terminal(shipped, m
     summary = capsys.readouterr().out
     assert summary.replace("\n    ", " ").splitlines() == [
         "small: 1 of 1 claims hold; 2 of 4 numbers, formulas and",
-        "figures agree; 1 slip (1 cell); our copy has lost 1 cell.",
+        "figures agree; 1 slip (1 cell); 1 cell missing or illegible",
+        "in our copy.",
         "  slip one-missing (1): One is missing: 326 for 336. Count ten more.",
         "  copy our-copy (1): Our copy has lost the cell. Nothing.",
     ]
@@ -447,8 +448,9 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         "above",
         "<!-- verdicts: here -->",
         "",
-        "**What is wrong: 1 slip (1 cell); our copy has lost 1 cell.** 1 of 1 claims hold. "
-        "2 of 4 numbers, formulas and figures agree.",
+        "**What is wrong: 1 slip (1 cell).** 1 of 1 claims hold. 2 of 4 numbers, formulas and figures agree, 1 do not, "
+        "1 cannot be checked. Of the 1 that cannot be checked, 1 are missing or illegible in our copy; for 0 the paper "
+        "leaves something out.",
         "",
         "| paper | slips (cells) | wordings (cells) | findings (cells) | claims hold "
         "| numbers, formulas, figures agree | cannot be checked |",

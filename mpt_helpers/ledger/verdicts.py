@@ -109,11 +109,14 @@ class Tally:
             return "none"
         return f"{counted(len(cells), kind)} ({counted(cells.total(), 'cell')})"
 
+    def wrong_text(self):
+        """Return what is wrong in the paper: the causes of each kind with their cells."""
+        return ", ".join(self.cause_text(kind) for kind in WRONG if self.causes[kind]) or "nothing wrong"
+
     def causes_text(self):
-        """Return what is wrong in the paper, and what our copy of it has lost."""
-        text = ", ".join(self.cause_text(kind) for kind in WRONG if self.causes[kind]) or "nothing wrong"
-        lost = self.causes["copy"].total()
-        return f"{text}; our copy has lost {counted(lost, 'cell')}" if lost else text
+        """Return what is wrong in the paper, and how many cells our copy of it lacks."""
+        text, lost = self.wrong_text(), self.causes["copy"].total()
+        return f"{text}; {counted(lost, 'cell')} missing or illegible in our copy" if lost else text
 
 
 class Verdicts(list):
