@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from conftest import NOTEBOOKS, PAPER, ROOT
 
@@ -64,12 +65,6 @@ def test_what_holds_names_no_cause(paper):
     assert (given.verdict, given.cause, given.reason) == ("reproduced", "", "")
 
 
-def test_a_failure_without_a_cause_is_said_when_the_notebook_is_complete(paper):
-    """Not before: with another seed a verdict may come out otherwise, and the rest of the notebook is to go on."""
-    given = paper.claim("equal", {"x": True, "y": False}, "", basis="simulation")
-    assert (given.verdict, given.cause, given.reason) == ("holds in part", "", "Holds: x. Fails: y.")
-
-
 def test_the_sentence_of_the_cause_is_the_reason_where_none_is_given(paper):
     assert paper.check("wrong", 336, cause="one-missing").reason == "One is missing: 326 for 336."
 
@@ -123,17 +118,34 @@ def test_a_claim_holds_fails_or_holds_where_it_says(paper, holds, verdict, reaso
     assert given.cause == ("" if verdict == "reproduced" else "one-missing")
 
 
+BAND = r"'ratio': needs a band \(low, high\) of finite numbers with low <= high, got "
+PART = {"in x": True, "in y": False}
+
+
 @pytest.mark.parametrize(
     ("message", "call"),
     [
-        ("test, 'cuont': needs an id of test.toml, got none; the nearest are count", lambda p: p.check("cuont", 1)),
+        (r"test, 'cuont': unknown id of test.toml; did you mean count, .*\?$", lambda p: p.check("cuont", 1)),
         ("'equal': needs an item of kind number, got a claim", lambda p: p.check("equal", 1)),
         ("'count': needs an item of kind formula or claim or", lambda p: p.claim("count", True, "", basis="exact")),
-        ("'lost': needs an item that our copy of the paper has kept", lambda p: p.check("lost", 1)),
+        ("'lost': our copy has lost this item: use cannot_check", lambda p: p.check("lost", 1)),
         ("'lost': needs a cause of kind \"copy\", .* got None", lambda p: p.cannot_check("lost", "a cell")),
         ("'lost': needs a cause of kind", lambda p: p.cannot_check("lost", "a cell", cause="one-missing")),
+        ("'ratio': needs a cause of kind \"copy\", or", lambda p: p.cannot_check("ratio", "", cause="one-missing")),
+        ("'ratio': needs a cause, since the verdict is 'differs'", lambda p: p.check("ratio", 1.3)),
+        ("'equal': needs a cause, since .* 'holds in part'", lambda p: p.claim("equal", PART, "", basis="simulation")),
         ("'count': needs a finite number, got nan", lambda p: p.check("count", float("nan"))),
-        (r"needs a band \(low, high\) with low <= high", lambda p: p.check("ratio", 1, basis="exact", band=(2, 1))),
+        ("'count': needs a finite number, got '17'", lambda p: p.check("count", "17")),
+        ("'count': needs a finite number, got array", lambda p: p.check("count", np.array([17.0, 18.0]))),
+        (BAND, lambda p: p.check("ratio", 1, basis="exact", band=(2, 1))),
+        (BAND, lambda p: p.check("ratio", 1, basis="exact", band=(-np.inf, np.inf))),
+        (BAND, lambda p: p.check("ratio", 1, basis="exact", band=(1, 2, 3))),
+        (BAND, lambda p: p.check("ratio", 1, basis="exact", band=("1", "2"))),
+        (BAND, lambda p: p.check("ratio", 1, basis="exact", band=5)),
+        (
+            "'wrong': needs a list of ids in `against`, got 'count'",
+            lambda p: p.check("wrong", 336, cause="one-missing", against="count"),
+        ),
         ("'ratio': needs the basis of its band", lambda p: p.check("ratio", 1.29, band=(1, 2))),
         ("'equal': needs one of the bases identity, .*, got 'gut'", lambda p: p.claim("equal", True, "", basis="gut")),
         ("'equal': needs True, False or .*, got 'yes'", lambda p: p.claim("equal", "yes", "", basis="exact")),
@@ -274,7 +286,7 @@ def test_an_unknown_paper_lists_the_known_ones():
 )  # fmt: skip
 def test_what_stores_no_verdicts_is_refused_by_name(path, content):
     path.write_text(content)
-    with pytest.raises(ValueError, match=r"test\.ipynb: needs an executed notebook"):
+    with pytest.raises(ValueError, match=r"test\.ipynb: needs (an executed notebook|verdicts of this version)"):
         stored_verdicts(path)
 
 
@@ -294,6 +306,39 @@ def test_a_stored_verdict_names_the_cell_that_shows_it_in_the_order_of_the_paper
     given = stored(path, first, paper.report())
     assert [(each.id, each.cell) for each in given] == [("count", "cell-1"), ("equal", "cell-0")]
     assert given.causes["test", "our-copy"].kind == "copy"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"one-missing"', '"two-missing"', "got 'wrong': 'erratum', cause 'two-missing': run"),
+        ('"erratum"', '"error"', "got 'wrong': 'error', cause 'one-missing': run"),
+        ('"paper": "test"', '"paper": "other"', "got 'count': 'reproduced', cause '': run"),
+        ('"basis"', '"base"', "unexpected keyword argument 'base'.*: run"),
+        ('"verdict": "erratum", ', "", "missing 1 required positional argument: 'verdict'.*: run"),
+        ("[{", "[5, {", "test.json: needs verdicts of this version .*: run"),
+    ],
+)
+def test_verdicts_of_another_version_are_refused_with_the_file_and_the_cure(path, paper, old, new, message):
+    """Read from the package and from a notebook."""
+    records = json.dumps([each | {"cell": "a"} for each in full(paper).records()])
+    shipped = path.with_suffix(".json")
+    shipped.write_text(records)
+    assert list(shipped_verdicts("test")) == [replace(each, cell="a") for each in full(paper)]
+    assert old in records
+    shipped.write_text(records.replace(old, new))
+    with pytest.raises(ValueError, match=f"test.json: .*{message.removeprefix('test.json: ')} .*reproduce test"):
+        shipped_verdicts("test")
+    cell = f'{{"id": "a", "outputs": [{{"data": {{"{MIME}": {records.replace(old, new)}}}}}]}}'
+    path.write_text(f'{{"cells": [{cell}]}}')
+    with pytest.raises(ValueError, match=r"test.ipynb: needs "):
+        stored_verdicts(path)
+
+
+def test_a_shipped_file_that_is_no_json_is_named(path):
+    path.with_suffix(".json").write_text("[{")
+    with pytest.raises(ValueError, match=r"test\.json: "):
+        shipped_verdicts("test")
 
 
 def test_a_complete_notebook_has_one_verdict_on_each_item(path, paper):
@@ -318,13 +363,9 @@ def test_a_notebook_that_is_not_complete_is_refused(paper, change, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('printed = "17"', 'printed = "18"', "a verdict on what the file does not have, or no longer so count"),
-        ('id = "count"', 'id = "counts"', "no verdict on counts; a verdict on what the file .* count"),
-        (
-            'id = "our-copy"',
-            'id = "copy"',
-            "no verdict names the cause copy; a verdict names an unknown cause our-copy",
-        ),
+        ('printed = "17"', 'printed = "18"', "verdicts that do not match the file .*: count"),
+        ('id = "count"', 'id = "counts"', "no verdict on counts; verdicts that do not match .*: count"),
+        ('id = "our-copy"', 'id = "copy"', "no verdict names the cause copy"),
     ],
 )
 def test_a_notebook_that_is_older_than_the_file_is_refused(paper, old, new, message):

@@ -16,7 +16,7 @@ def test_a_table_prints_and_displays_the_same_cells():
     ("value", "text"),
     [
         (123456.789, "123457"), (1e-7, "1e-07"), (3, "3"), ("π", "π"), (False, "no"),
-        (np.True_, "yes"), (np.float32(1 / 3), "0.333333"), (np.int64(5), "5"),
+        (np.True_, "yes"), (np.float32(1 / 3), "0.333333"), (np.int64(5), "5"), (-0.0, "0"), (-1.5, "-1.5"),
     ],
 )  # fmt: skip
 def test_cells_hold_at_most_six_digits(value, text):
@@ -24,7 +24,15 @@ def test_cells_hold_at_most_six_digits(value, text):
 
 
 @pytest.mark.parametrize(
-    ("gap", "text"), [(0, "below 1e-12"), (9.9e-13, "below 1e-12"), (1e-12, "1.0e-12"), (0.5, "5.0e-01")]
+    ("gap", "text"),
+    [
+        (0, "below 1e-12"),
+        (9.9e-13, "below 1e-12"),
+        (1e-12, "1.0e-12"),
+        (0.5, "5.0e-01"),
+        (-5.0, "-5.0e+00"),
+        (-1e-13, "below 1e-12"),
+    ],
 )
 def test_gaps_at_rounding_level_have_no_digits(gap, text):
     assert gap_text(gap) == text

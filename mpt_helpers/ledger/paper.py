@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 from difflib import get_close_matches
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from .verdicts import (
     IN_PART,
     MIME,
     REPRODUCED,
+    VERDICTS,
     WITHIN_BAND,
     Verdict,
     Verdicts,
@@ -30,8 +32,6 @@ from .verdicts import (
 
 FOLDER = Path(__file__).parent
 KINDS = ("number", "formula", "claim", "figure")
-# A cell that the paper prints and our copy of it has lost.
-LOST = "?"
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,11 @@ class Item:
     where: str
     kind: str
     printed: str
+
+    @property
+    def lost(self):
+        """Whether our copy of the paper has lost what is printed; it stands as "?" then."""
+        return self.printed == "?"
 
     def agrees(self, value):
         """Say whether a number rounds to the printed digits.
@@ -61,7 +66,7 @@ class Cause:
 
     kind is "slip" (a wrong number or formula), "wording" (a sentence that says it wrongly while nothing computed
     depends on it), "finding" (a claim that fails or holds only in part) or "copy" (lost by our copy, not by the paper).
-    sentence says what is wrong and what is right, meaning what that means for somebody who uses the filter.
+    `sentence` says what is wrong and what is right, `meaning` says what follows for a user of the filter.
     """
 
     id: str
@@ -86,21 +91,21 @@ class Paper:
         Without a band it is `reproduced` when it rounds to the printed digits. With a band (low, high), the spread of
         simulations, it is `within band` when the printed number lies inside. Otherwise it `differs`, or is an `erratum`
         if `against` names items of the paper from which the value follows and which were reproduced: then the paper
-        contradicts itself. A verdict that fails needs a cause, whose sentence is the reason where none is given.
+        contradicts itself. A failing verdict needs a cause; its sentence serves as the reason unless you give one.
         Raises ValueError for an argument that makes no sense, naming the item.
         """
         item = self._item(id, ["number"])
-        if not math.isfinite(value):
-            raise self._error(id, "a finite number", value)
+        if not _is_finite(value):
+            raise self._error(id, f"needs a finite number, got {value!r}")
         computed = f"{value:.6g}"
         if band is None:
             verdict = REPRODUCED if item.agrees(value) else DIFFERS
         else:
-            low, high = band
-            if not low <= high:
-                raise self._error(id, "a band (low, high) with low <= high", band)
+            if np.shape(band) != (2,) or not all(map(_is_finite, band)) or band[0] > band[1]:
+                raise self._error(id, f"needs a band (low, high) of finite numbers with low <= high, got {band!r}")
             if basis in ("identity", "arithmetic", "reading"):
-                raise self._error(id, "the basis of its band: exact, simulation or recording", repr(basis))
+                raise self._error(id, f"needs the basis of its band: exact, simulation or recording, got {basis!r}")
+            low, high = band
             verdict = WITHIN_BAND if low <= float(item.printed) <= high else DIFFERS
             computed += f" [{low:.6g}, {high:.6g}]"
         return self._give(item, computed, verdict, basis, reason, cause, against)
@@ -115,7 +120,7 @@ class Paper:
         conditions = holds if isinstance(holds, Mapping) else {}
         outcomes = list(conditions.values()) or [holds]
         if not all(isinstance(outcome, (bool, np.bool_)) for outcome in outcomes):
-            raise self._error(id, "True, False or {condition: True or False}", repr(holds))
+            raise self._error(id, f"needs True, False or {{condition: True or False}}, got {holds!r}")
         if all(outcomes):
             verdict = REPRODUCED
         elif any(outcomes):
@@ -134,12 +139,12 @@ class Paper:
     def cannot_check(self, id, missing, *, cause=None):
         """Record that an item cannot be checked, and what is missing.
 
-        What our copy of the paper has lost names a cause of kind "copy".
+        A cause is given where our copy of the paper has lost the item, and only there: it is of kind "copy".
         """
         item = self._item(id)
         lost_by_us = [each.id for each in self.causes.values() if each.kind == "copy"]
-        if item.printed == LOST and cause not in lost_by_us:
-            raise self._error(id, 'a cause of kind "copy", since our copy has lost it', repr(cause))
+        if (item.lost or cause is not None) and cause not in lost_by_us:
+            raise self._error(id, f'needs a cause of kind "copy", or none if our copy has the item, got {cause!r}')
         return self._give(item, "-", CANNOT_BE_CHECKED, "reading", missing, cause)
 
     def report(self):
@@ -164,9 +169,8 @@ class Paper:
             "no verdict on": [id for id in self.items if id not in times],
             "no cause, although it fails, for": failing,
             "two verdicts on": [id for id in times if times[id] > 1],
-            "a verdict on what the file does not have, or no longer so": changed,
+            "verdicts that do not match the file (unknown id or changed text):": changed,
             "no verdict names the cause": [id for id in self.causes if id not in named],
-            "a verdict names an unknown cause": sorted(named - set(self.causes)),
         }
         parts = [f"{what} {', '.join(ids)}" for what, ids in wrong.items() if ids]
         if parts:
@@ -181,25 +185,30 @@ class Paper:
         """Return an item; if kinds are named, one of these kinds that our copy of the paper has not lost."""
         if id not in self.items:
             near = get_close_matches(str(id), self.items, n=3, cutoff=0)
-            raise self._error(id, f"an id of {self.key}.toml", f"none; the nearest are {', '.join(near)}")
+            raise self._error(id, f"unknown id of {self.key}.toml; did you mean {', '.join(near)}?")
         item = self.items[id]
         if kinds and item.kind not in kinds:
-            raise self._error(id, f"an item of kind {' or '.join(kinds)}", f"a {item.kind}")
-        if kinds and item.printed == LOST:
-            raise self._error(id, "an item that our copy of the paper has kept", "one that it has lost")
+            raise self._error(id, f"needs an item of kind {' or '.join(kinds)}, got a {item.kind}")
+        if kinds and item.lost:
+            raise self._error(id, "our copy has lost this item: use cannot_check")
         return item
 
     def _give(self, item, computed, verdict, basis, reason, cause, against=(), prefix=""):
         """Return the Verdict and keep it for the report; what holds has no cause, what fails has its sentence."""
         if basis not in BASES:
-            raise self._error(item.id, f"one of the bases {', '.join(BASES)}", repr(basis))
+            raise self._error(item.id, f"needs one of the bases {', '.join(BASES)}, got {basis!r}")
         if cause is not None and cause not in self.causes:
-            raise self._error(item.id, f"a cause of {self.key}.toml ({', '.join(self.causes) or 'none'})", repr(cause))
-        if cause is not None and self.causes[cause].kind == "copy" and verdict in FAILS:
-            raise self._error(item.id, "another cause: what our copy has lost cannot be checked", repr(cause))
+            known = ", ".join(self.causes) or "none"
+            raise self._error(item.id, f"needs a cause of {self.key}.toml ({known}), got {cause!r}")
+        if verdict in FAILS and cause is None:
+            raise self._error(item.id, f"needs a cause, since the verdict is {verdict!r} (computed: {computed})")
+        if verdict in FAILS and self.causes[cause].kind == "copy":
+            raise self._error(item.id, f"needs another cause: what our copy has lost cannot be checked, got {cause!r}")
+        if isinstance(against, str):
+            raise self._error(item.id, f"needs a list of ids in `against`, got {against!r}")
         for id in against:
             if self._outcomes.get(id) != REPRODUCED:
-                raise self._error(item.id, "items in `against` that were reproduced before", repr(id))
+                raise self._error(item.id, f"needs items in `against` that were reproduced before, got {id!r}")
         if verdict in HOLDS:
             cause, reason = None, ""
         elif cause is not None:
@@ -214,8 +223,12 @@ class Paper:
         self._to_report.append(given)
         return given
 
-    def _error(self, id, need, got):
-        return ValueError(f"{self.key}, {id!r}: needs {need}, got {got}")
+    def _error(self, id, problem):
+        return ValueError(f"{self.key}, {id!r}: {problem}")
+
+
+def _is_finite(value):
+    return isinstance(value, Real) and math.isfinite(value)
 
 
 def read_paper(key, text):
@@ -296,31 +309,55 @@ def published(key):
 def stored_verdicts(notebook):
     """Return the Verdicts that the cells of an executed notebook store, in the paper's order, without running it.
 
-    The paper is the one that the notebook is named for. Raises ValueError for a file that stores none.
+    The paper is the one that the notebook is named for. Raises ValueError for a file that stores none, and for
+    verdicts that do not fit this version of the package.
     """
     path = Path(notebook)
     paper = published(path.stem)
-    given = []
+    records = []
     try:
         for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
             for output in cell.get("outputs", []):
-                given += [Verdict(**record, cell=cell["id"]) for record in output.get("data", {}).get(MIME, [])]
+                records += [{**record, "cell": cell["id"]} for record in output.get("data", {}).get(MIME, [])]
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: needs an executed notebook with verdicts of this version ({error!r})") from error
-    if not given:
+        raise ValueError(f"{path}: needs an executed notebook ({error!r})") from error
+    if not records:
         raise ValueError(f"{path}: needs an executed notebook whose cells end with paper.report()")
+    given = _read_verdicts(path, paper, records)
     order = {id: place for place, id in enumerate(paper.items)}
     given.sort(key=lambda each: order.get(each.id, len(order)))
     return Verdicts(given, paper.causes_by_paper())
 
 
 def shipped_verdicts(*some):
-    """Return the Verdicts of some papers, or of all, that come with the package."""
+    """Return the Verdicts of some papers, or of all, that come with the package.
+
+    Raises ValueError for a file whose verdicts do not fit this version of the package.
+    """
     given = []
     causes = {}
     for key in some or keys():
+        paper = published(key)
         path = FOLDER / f"{key}.json"
         if path.is_file():
-            given += [Verdict(**record) for record in json.loads(path.read_text(encoding="utf-8"))]
-        causes |= published(key).causes_by_paper()
+            try:
+                records = json.loads(path.read_text(encoding="utf-8"))
+            except ValueError as error:
+                raise ValueError(f"{path}: {error}") from error
+            given += _read_verdicts(path, paper, records)
+        causes |= paper.causes_by_paper()
     return Verdicts(given, causes)
+
+
+def _read_verdicts(path, paper, records):
+    """Return the records of a file as a list of Verdicts on this paper, or raise."""
+    cure = f"run `python -m mpt_helpers reproduce {paper.key}`"
+    try:
+        given = [Verdict(**record) for record in records]
+    except TypeError as error:
+        raise ValueError(f"{path}: needs verdicts of this version ({error}): {cure}") from error
+    for each in given:
+        if each.paper != paper.key or each.verdict not in VERDICTS or each.cause not in ("", *paper.causes):
+            need = f"needs verdicts of this version, with causes of {paper.key}.toml"
+            raise ValueError(f"{path}: {need}, got {each.id!r}: {each.verdict!r}, cause {each.cause!r}: {cure}")
+    return given

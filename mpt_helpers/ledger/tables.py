@@ -14,7 +14,7 @@ def cell_text(value):
     if isinstance(value, (bool, np.bool_)):
         return "yes" if value else "no"
     if isinstance(value, (float, np.floating)):
-        return f"{float(value):.6g}"
+        return f"{float(value) + 0.0:.6g}"  # + 0.0 makes 0 of -0
     return str(value)
 
 
@@ -24,7 +24,7 @@ def gap_text(gap, floor=1e-12):
     >>> gap_text(3e-16), gap_text(0.0123)
     ('below 1e-12', '1.2e-02')
     """
-    return f"below {floor:.0e}" if gap < floor else f"{gap:.1e}"
+    return f"below {floor:.0e}" if abs(gap) < floor else f"{gap:.1e}"
 
 
 class Table:

@@ -28,26 +28,17 @@ OF_CLAIMS = {
     ERRATUM: "contradict their own paper",
     CANNOT_BE_CHECKED: "cannot be checked",
 }
-# The plural of each word that has one of its own.
-PLURALS = {
-    IN_PART: "hold in part",
-    DIFFERS: "differ",
-    ERRATUM: "errata",
-    "slip": "slips",
-    "wording": "wordings",
-    "finding": "findings",
-    "cell": "cells",
-    "verdict": "verdicts",
-}
+# Plurals that are not the word with an s.
+PLURALS = {each: each for each in VERDICTS} | {IN_PART: "hold in part", DIFFERS: "differ", ERRATUM: "errata"}
 
 
 def counted(number, word):
     """Return a number and its word, in the plural if need be.
 
-    >>> counted(1, "erratum"), counted(2, "erratum"), counted(3, "reproduced")
-    ('1 erratum', '2 errata', '3 reproduced')
+    >>> counted(1, "erratum"), counted(2, "erratum"), counted(3, "reproduced"), counted(4, "slip")
+    ('1 erratum', '2 errata', '3 reproduced', '4 slips')
     """
-    return f"{number} {word if number == 1 else PLURALS.get(word, word)}"
+    return f"{number} {word if number == 1 else PLURALS.get(word, word + 's')}"
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """Table 4 of 2014: from which numbers it was made, and a map of which of its cells are right.
 
 The cells are {(i, j): item}. An item is what the ledger knows of the printed ratio of number i over number j:
-`item.printed` is its text, "?" where our copy has lost it, and `item.agrees(value)` says whether a value rounds to it.
+`item.printed` is its text, `item.lost` says whether our copy has lost it, and `item.agrees(value)` whether a value
+rounds to it.
 """
 
 import numpy as np
@@ -23,7 +24,7 @@ def numbers_behind(cells, known):
     >>> numbers_behind(cells, known={0: 10})
     {1: [5]}
     """
-    printed = [pair for pair, item in cells.items() if item.printed != "?"]
+    printed = [pair for pair, item in cells.items() if not item.lost]
     behind = {}
     for unknown in sorted({i for pair in cells for i in pair} - set(known)):
         pairs = [pair for pair in printed if set(pair) - set(known) == {unknown}]
@@ -36,9 +37,9 @@ def numbers_behind(cells, known):
 
 
 def compare(cells, numbers):
-    """Return the state of each cell of a table of ratios, and the cells that turn a comparison round.
+    """Return the state of each cell of a table of ratios, and the cells that reverse a comparison.
 
-    A wrong ratio turns a comparison round if it is above 1 and the right one below, or the other way round.
+    A wrong ratio reverses a comparison if it is above 1 and the right one below, or the other way round.
 
     >>> from mpt_helpers.ledger import Item
     >>> cells = {(0, 1): Item("t.1", "Table", "number", "0.50"), (1, 0): Item("t.2", "Table", "number", "0.90")}
@@ -47,18 +48,18 @@ def compare(cells, numbers):
            [1, 3]]), [(1, 0)])
     """
     states = np.full((len(numbers), len(numbers)), NONE)
-    turned = []
+    reversing = []
     for (row, column), item in cells.items():
         ratio = numbers[row] / numbers[column]
-        if item.printed == "?":
+        if item.lost:
             states[row, column] = LOST
         elif item.agrees(ratio):
             states[row, column] = RIGHT
         else:
             states[row, column] = WRONG
             if (float(item.printed) - 1) * (ratio - 1) < 0:
-                turned.append((row, column))
-    return states, turned
+                reversing.append((row, column))
+    return states, reversing
 
 
 def draw(ax, states, names, notes, framed):
