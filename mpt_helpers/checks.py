@@ -1,6 +1,6 @@
 """What a model, measurements and counts must be: bad input is refused by name, before anything is computed.
 
-The checks stand at the doors where a user hands something in. Everything behind a door trusts what it gets.
+The checks run where a user passes something in. Everything behind that point trusts what it gets.
 """
 
 import operator
@@ -14,7 +14,7 @@ import numpy as np
 ROUNDING = 1e-12
 # The same for a covariance that a solver has made, for a model at the edge of double precision.
 SOLVED = 1e-6
-LARGEST = np.finfo(float).max
+LARGEST = float(np.finfo(float).max)
 
 
 def refuse(name, need, got, error=ValueError):
@@ -114,7 +114,8 @@ def covariance(name, value, size, definite=False, rounding=ROUNDING):
     if variance.min() < -(rounding**2) * variance.max() or variance.max() < 0:
         refuse(name, need, f"a variance of {variance.min():.6g}")
     sigma = np.sqrt(np.maximum(variance, 0))
-    unit = np.where(sigma > 0, sigma, 1)
+    # Beside a variance of zero there is no covariance but rounding: up to `rounding` of the largest one possible.
+    unit = np.where(sigma > 0, sigma, np.sqrt(rounding) * sigma.max() or np.finfo(float).tiny)
     with np.errstate(over="ignore"):
         scaled = matrix / unit[:, None] / unit
     if not np.isfinite(scaled).all():

@@ -3,7 +3,7 @@
 Tracks are columns, and so are their covariances: P is (n, n, M). Three ideas keep the Kalman filter free of branches
 and of loops over tracks:
 
-- A missing measurement has a gain of zero, and nothing else has to be done about it.
+- A missing measurement has a gain of zero, and needs no other treatment.
 - A linear map x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all tracks.
 - Measurements are taken one after the other, each in coordinates where it is one component of the state:
   for H = [1 dt] the state [s v] becomes [s + v dt, v]. There the update needs no matrix inverse, and the row of P that
@@ -34,7 +34,7 @@ def kalman_epochs(model, z):
     for j, h in enumerate(H):
         if h.any():  # a row of zeros tells nothing
             new_T, i = _basis(h)
-            updates.append((linear_map(new_T @ np.linalg.inv(T)), j, i))
+            updates.append((linear_map(new_T @ np.linalg.inv(T)), j, i))  # from the last basis straight to this one
             T = new_T
     predict, back = linear_map(model.F), linear_map(np.linalg.inv(T))
 
@@ -53,8 +53,8 @@ def kalman_epochs(model, z):
 def _corrected(x, P, z, variance, i):
     """Return x (n, M) and P (n, n, M) after a measurement z (M,) of component i of the state, NaN where it is missing.
 
-    It is the textbook's update with eᵢᵀ for H. Row i of it, c - cᵢ c / S with S = cᵢ + v, equals c v / S, which has no
-    difference. P is written over.
+    It is the textbook's update with eᵢᵀ for H. Its row and column i, c - cᵢ c / S with S = cᵢ + v, equal c v / S, which
+    is no difference of large numbers. P is written over.
     """
     lost = np.isnan(z)
     c = P[i].copy()

@@ -19,8 +19,8 @@ class JoinFilter(Filter):
         x(k/k) = [x_1(k/k) + x_2(k/k)] / 2,   P(k/k) = [P_1(k/k) + P_2(k/k)] / 2
 
     The papers join the Kalman and the Lainiotis filter, JKLF, and both steady-state filters, JSSKLF. P is the papers'
-    formula: it is the covariance of the mean's error only where both filters are equal. Raises TypeError for anything
-    but two filters, and ValueError where their models differ or one predicts further ahead than the other.
+    formula: it is the covariance of the mean's error only where both give the same estimate. Raises TypeError for
+    anything but two filters, and ValueError where their models differ or one predicts further ahead than the other.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)

@@ -1,9 +1,9 @@
 """The Kalman filter and the Lainiotis filter, and what all recursive filters share.
 
-Each filter is x(k+1/k+1) = A_k x(k/k) + B_k z(k+1). The filters differ only in `next_step`, which makes A_k, B_k and
-P(k+1/k+1) from P(k/k) as the papers print it. They depend on which measurements are missing, not on their values. A
-missing measurement has a row of zeros in H, and in R a one on the diagonal and zeros beside it: then every
-equation holds as printed, also when all measurements of an epoch are missing.
+Each filter computes x(k+1/k+1) = A_k x(k/k) + B_k z(k+1). The filters differ only in `next_step`, which makes A_k, B_k
+and P(k+1/k+1) from P(k/k) as the papers print it. These depend on which measurements are missing, not on their values.
+A missing measurement has a row of zeros in H, and in R a one on the diagonal and zeros beside it: then every equation
+holds as printed, also when all measurements of an epoch are missing.
 """
 
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ import filterpy.kalman
 import numpy as np
 
 from . import checks, columns
-from .model import Immutable, LinearModel
+from .model import Immutable, LinearModel, predicted_covariance
 from .recursion import TILE_OF_COVARIANCES, Step, lifted, run, tiles
-from .riccati import lainiotis_matrices, lainiotis_transition
+from .riccati import innovation_weights, lainiotis_matrices, lainiotis_transition
 
-# A filter that converges within this many steps keeps its products for its next call. On the papers' models it does
-# within 45.
+# A filter keeps the products of its steps for its next call, if no more than this many steps differ. On the papers'
+# models it converges within 45.
 MOST_KEPT = 256
-# A filter has converged when no P_ij moves by more than this times σ_i σ_j: the rounding of doubles.
-CONVERGED = 4e-16
+# A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
+CONVERGED = 2e-16
 
 
 class Filter(Immutable):
@@ -30,23 +30,23 @@ class Filter(Immutable):
     A subclass defines `_fill(x, z)`, and `P0` and `epochs(z)` where its estimates have covariances.
     """
 
-    steps_ahead = 0  # of the last measurement that an estimate takes; more in a predictor
+    steps_ahead = 0  # how far an estimate lies past its last measurement: 0, or N in a predictor
 
     @property
     def P0(self):
         """P(0/0); raises TypeError for a filter that is not recursive."""
-        self._needs_a_recursion()
+        raise self._not_recursive()
 
     def epochs(self, z):
         """Yield x(k/k) (n, M) and P(k/k), (n, n, 1) or (n, n, M), for k = 1 ... N of tracks z (N, m, M).
 
         P is (n, n, 1) where all tracks have the same gaps. Raises TypeError for a filter that has no covariances.
         """
-        self._needs_a_recursion()
+        raise self._not_recursive()
 
     def step(self, x, P, z_k):
         """Return x(k+1/k+1) and P(k+1/k+1); raises TypeError for a filter that is not recursive."""
-        self._needs_a_recursion()
+        raise self._not_recursive()
 
     def filter(self, z):
         """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
@@ -87,8 +87,8 @@ class Filter(Immutable):
         z = checks.measurements(z, self.model.m)
         return (z, True) if z.ndim == 3 else (z[..., None], False)
 
-    def _needs_a_recursion(self):
-        raise TypeError(f"needs a recursive filter or one made of such filters, got a {type(self).__name__}")
+    def _not_recursive(self):
+        return TypeError(f"needs a recursive filter or one made of such filters, got a {type(self).__name__}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class RecursiveFilter(Filter):
     def step(self, x, P, z_k):
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
-        NaN stands for a missing measurement. The start is `model.x0` and `P0`.
+        NaN stands for a missing measurement. The start is `model.x0` and `P0`. Only z_k is checked.
         """
         z_k = one_measurement(z_k, self.model.m)
         seen = ~np.isnan(z_k)
@@ -165,8 +165,7 @@ class RecursiveFilter(Filter):
         if kept_for != (N, tracks):
             steps = list(self._steps(np.ones((N, self.model.m), bool)))
             products = lifted(steps, tracks)
-            converged = steps[:MOST_KEPT][-1]
-            if steps[-1] is converged:
+            if N <= MOST_KEPT or steps[-1] is steps[MOST_KEPT - 1]:
                 vars(self)["_kept_products"] = (N, tracks), products
         return products
 
@@ -175,7 +174,7 @@ class RecursiveFilter(Filter):
         as_before = [False, *(seen[1:] == seen[:-1]).all(axis=1)]
         P, converged = self.P0, False
         for seen_k, same in zip(seen, as_before, strict=True):
-            if not (same and converged):
+            if not (same and converged):  # otherwise the last step again
                 step = Step(*self.next_step(P, seen_k))
                 for array in step:
                     array.flags.writeable = False
@@ -191,13 +190,10 @@ class RecursiveFilter(Filter):
             x, P = x.copy(), P.copy()
             for pattern in np.unique(seen_k, axis=1).T:
                 tracks = np.flatnonzero((pattern == seen_k.T).all(axis=1))
-                A, B, P[tracks] = self._next_steps(P[tracks], pattern)
+                A, B, after = self._next_steps(P[tracks], pattern)
+                P[tracks] = after
                 x[tracks] = (A @ x[tracks, :, None] + B @ z_k.T[tracks, :, None])[..., 0]
             yield x.T, P.transpose(1, 2, 0)
-
-    def _next_steps(self, P, seen):
-        """Return A, B and P of many tracks, (M, n, n), (M, n, m) and (M, n, n), from their P (M, n, n)."""
-        return map(np.array, zip(*(self.next_step(each, seen) for each in P), strict=True))
 
 
 def _all_alike(seen):
@@ -207,7 +203,7 @@ def _all_alike(seen):
 
 def _has_not_moved(before, after):
     sigma = np.sqrt(np.abs(np.diag(after)))
-    return bool((np.abs(after - before) <= CONVERGED * np.outer(sigma, sigma)).all())
+    return bool((np.abs(after - before) <= len(sigma) * CONVERGED * np.outer(sigma, sigma)).all())
 
 
 def one_measurement(z_k, m):
@@ -233,8 +229,7 @@ class KalmanFilter(RecursiveFilter):
         A_k = (I - K_k H) F,   B_k = K_k
 
     `step` writes the same equations out, since filterpy's object costs more than they do; `columns` has them for tracks
-    with different gaps. Where noises are correlated and rows partly missing, such tracks go through filterpy singly,
-    which is slow.
+    with different gaps. Where H P Hᵀ + R rounds away a precise sensor, filterpy's gain loses it: see docs/accuracy.md.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1)).filter([[1.0], [2.0]]).round(4)
@@ -275,6 +270,14 @@ class KalmanFilter(RecursiveFilter):
             return columns.kalman_epochs(self.model, z)
         return super()._epochs_of_different_gaps(z, seen)
 
+    def _next_steps(self, P, seen):
+        """Return what `next_step` returns, for a stack P (M, n, n), which filterpy does not take."""
+        H, R = neutralised(self.model, seen)
+        P = predicted_covariance(self.model, P)
+        K = P @ innovation_weights(P, H, R)
+        update = np.eye(self.model.n) - K @ H
+        return update @ self.model.F, K, update @ P @ update.swapaxes(-1, -2) + K @ R @ K.swapaxes(-1, -2)
+
 
 class LainiotisFilter(RecursiveFilter):
     """The Lainiotis filter (2014 Eqs. 5-7, 2015 Eqs. 2-3).
@@ -299,7 +302,7 @@ class LainiotisFilter(RecursiveFilter):
         P = Pn + A @ P @ Fn.T
         return A, B, (P + P.swapaxes(-1, -2)) / 2
 
-    _next_steps = next_step  # numpy takes stacks of matrices as it takes one
+    _next_steps = next_step  # it takes stacks of matrices as it takes one
 
     @cached_property
     def _matrices(self):

@@ -71,6 +71,8 @@ def innovations(estimator, z):
             values[k, :, tracks] = z[k, :, tracks] - expected
             S[k, ..., tracks] = S_next
             expected, S_next = _next_measurement(model, x, P)
+    if not np.isfinite(np.where(np.isnan(z), 0, values)).all() or not np.isfinite(S).all():
+        checks.refuse("estimator", "states and covariances that doubles can hold over these epochs", "an overflow")
     return Innovations(values, S)
 
 
@@ -99,8 +101,8 @@ def log_likelihood(estimator, z):
     """Return the logarithm of the probability density of measurements z, a number or, for many tracks, (M,).
 
     It is the sum of the log densities of the innovations. For a filter with a constant gain it is a quasi-likelihood:
-    its S is the covariance of the true error, but its innovations are correlated after the start and after gaps. Raises
-    as `innovations`.
+    its S is the covariance of the true error, but until the start or a gap is forgotten, its innovations are
+    correlated. Raises as `innovations`.
 
     >>> from mpt_helpers.filters import KalmanFilter
     >>> from mpt_helpers.model import constant_velocity
@@ -157,7 +159,7 @@ def nees(errors, P):
     if not (np.isfinite(P).all() and np.isfinite(errors).all()):
         checks.refuse("errors, P", "finite numbers", "NaN or infinity")
     P = np.broadcast_to(P, (N, n, n)) if P.ndim == 2 else P
-    P = P[..., None] if P.ndim == errors.ndim else P  # one covariance for all tracks
+    P = P[..., None] if P.ndim == errors.ndim else P  # one for all tracks: now (N, n, n), or (N, n, n, 1 or M)
     sigma = np.sqrt(np.abs(np.einsum("kii...->ki...", P)))
     if (np.abs(P - P.swapaxes(1, 2)) > checks.SOLVED * sigma[:, :, None] * sigma[:, None]).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
@@ -195,10 +197,10 @@ def error_moments(steady, truth, N, steps=0):
 
     The filter runs on measurements of another model, `truth`, which differs in x0, P0, Q and R. Its error is
 
-        e(k+1) = A e(k) + (I - B H) w(k) - B v(k+1),   e(0) = x(0) - x(0/0),   e(k+N/k) = Fᴺ e(k) + noise
+        e(k+1) = A e(k) + (I - B H) w(k) - B v(k+1),   e(0) = x(0) - x(0/0),   e(k+s/k) = Fˢ e(k) + noise
 
-    Returns mean (N, n) and covariance (N, n, n) of x(k+steps) - x(k+steps/k) for k = 1 ... N. Raises ValueError when
-    truth has another F or H.
+    Returns mean (N, n) and covariance (N, n, n) of x(k+s) - x(k+s/k) for k = 1 ... N and s = steps. Raises ValueError
+    when truth has another F or H.
 
     >>> from mpt_helpers.model import constant_velocity, exact_motion
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))

@@ -23,8 +23,8 @@ def study(experiment, runs, seed, *, workers=1):
 
     runs is a positive count, seed an integer that is not negative. workers is a number of threads, or a callable like
     `map` that keeps the order, such as the `map` of a `concurrent.futures` executor, to whose workers the experiment
-    can be sent. A progress bar runs on a terminal, and nowhere else. An interrupt ends the study once the running
-    blocks are done.
+    can be sent. A progress bar is shown only on a terminal. An interrupt ends the study at once, or, with threads, when
+    the running blocks are done.
 
     Raises ValueError or TypeError for bad arguments and for an experiment that does not return M columns.
 
@@ -49,7 +49,7 @@ def study(experiment, runs, seed, *, workers=1):
 
 
 def _run_block(experiment, stream):
-    np.empty(2**25 - 2**16, np.uint8)  # once this is freed, glibc keeps as much memory for the next block: measured
+    _ = np.empty(2**25 - 2**16, np.uint8)  # once it is freed, glibc keeps as much memory for the next block: measured
     part = np.asarray(experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK))
     if part.dtype.kind not in "biuf":
         checks.refuse("experiment", RESULT, f"an array of {part.dtype} data", TypeError)
@@ -60,14 +60,11 @@ def _run_block(experiment, stream):
 
 @contextmanager
 def _mapper(workers):
-    """Give a callable like `map`. Threads of our own start no further block after an interrupt."""
+    """Give a callable like `map`. The map of threads drops the blocks that have not begun when it is left."""
     if callable(workers):
         yield workers
     elif checks.count("workers", workers) == 1:
         yield map
     else:
-        executor = ThreadPoolExecutor(workers)
-        try:
+        with ThreadPoolExecutor(workers) as executor:
             yield executor.map
-        finally:
-            executor.shutdown(wait=False, cancel_futures=True)

@@ -2,9 +2,9 @@
 
     x(k+1) = A_k x(k) + B_k z(k+1)
 
-For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. No A_k, B_k depends on the values measured, so they are made
-beforehand, by `filters` and `steady`; this module knows arrays only. `recursion` is the plain loop. `run` gives the
-same numbers sooner: L steps in a row are one matrix product, and that product is the same for all tracks,
+For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so they are
+made beforehand, by `filters` and `steady`; this module knows arrays only. `recursion` is the plain loop. `run` gives
+the same numbers sooner: L steps in a row are one matrix product, and that product is the same for all tracks,
 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
 """
@@ -88,8 +88,8 @@ def _are_the_same_objects(block, other):
 def run(products, x0, z, x):
     """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
 
-    products are those of `lifted`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. A track with NaN in z
-    has NaN at the end, and may have it some steps before the gap.
+    products are those of `lifted`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. NaN in z spreads to the
+    whole block of steps it is in, and to everything after it.
     """
     (_, n, M), m = x.shape, z.shape[1]
     x0 = np.broadcast_to(x0, (n, M))

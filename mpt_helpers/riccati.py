@@ -1,8 +1,8 @@
 """Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
 
-The two solvers share no algorithm, so their agreement is a check and not built in. Each checks its solution against
-its own equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter stand here
-too, since its Riccati equation is made of them.
+The two solvers share no algorithm, so their agreement is evidence and no tautology. Each checks its solution against
+its own equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter are defined
+here too, since its Riccati equation is made of them.
 """
 
 from typing import NamedTuple
@@ -64,7 +64,7 @@ def innovation_weights(P, H, R):
 
     Where two sensors of very unequal precision see the same state, the sum in brackets rounds the better one away. So
     the measurements are first combined into at most n measurements of unit noise: with R = L Lᵀ and L⁻¹ H = E H₁, where
-    E has orthonormal columns, the result is H₁ᵀ [H₁ P H₁ᵀ + I]⁻¹ Eᵀ L⁻¹.
+    E has orthonormal columns (QR), the result is H₁ᵀ [H₁ P H₁ᵀ + I]⁻¹ Eᵀ L⁻¹. P may be a stack (M, n, n).
 
     >>> innovation_weights(P=np.eye(1), H=np.array([[1.0]]), R=np.array([[3.0]])).round(12)
     array([[0.25]])
@@ -127,17 +127,19 @@ def _verified(model, solve):
     `solve` returns P and whether it solves its equation.
     """
     checks.instance("model", model, LinearModel)
-    for margin, condition, mode in _margins(model):
+    nearest = "F is stable, so there is one in exact numbers"
+    margins = sorted(_margins(model), key=lambda each: each[0])
+    if margins:
+        margin, condition, mode = margins[0]
         if margin < MODE_ROUNDING:
             raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
+        nearest = f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
     try:
         with np.errstate(all="ignore"):  # where double precision does not resolve the steady state
             P, solved = solve(model)
     except ValueError:  # scipy's, and numpy's LinAlgError
         solved = False
     if not solved:
-        margin, condition, mode = min(_margins(model), default=(1, "no condition fails", 0), key=lambda each: each[0])
-        nearest = f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
         raise ValueError(f"model: needs a steady state that double precision can resolve; {nearest}")
     return P
 
@@ -162,16 +164,16 @@ def _solve_rekf(model):
 def _newton_step(P, F, H, Q):
     """Return what Newton's method adds to P, a solution of the REKF with R = I.
 
-    It is the sum of Aⁱ D Aᵀⁱ, i = 0, 1, ..., where D is what P misses in the equation.
+    It is the sum of Aⁱ D Aᵀⁱ, i = 0, 1, ..., where D is what P misses in the equation. Each round doubles the terms.
     """
     identity = np.eye(len(H))
     K = P @ innovation_weights(P, H, identity)
     update = np.eye(len(P)) - K @ H
     A = F @ update
-    D = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
+    total = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
     for _ in range(ROUNDS):
-        A, D = A @ A, D + A @ D @ A.T
-    return (D + D.T) / 2
+        A, total = A @ A, total + A @ total @ A.T
+    return (total + total.T) / 2
 
 
 def _solve_relf(model):
@@ -183,6 +185,7 @@ def _solve_relf(model):
         longer = (longer + longer.T) / 2
         if np.array_equal(longer, P):  # no entry moves: one of a small variance may be the last to settle
             break
+        # All of these are made of the matrices of 2^i steps, and cover 2^(i+1).
         O_i = O_i + F_i.T @ O_i @ np.linalg.solve(np.eye(model.n) + P @ O_i, F_i)
         P, F_i = longer, A @ F_i
     A = lainiotis_transition(P, Fn, On)
@@ -224,7 +227,8 @@ def _margins(model):
     """
     unit = _units(model)
     F = model.F * unit / unit[:, None]
-    H = _at_the_size_of(F, model.H * unit)
+    H = model.H * unit
+    H = np.array([_at_the_size_of(F, row) for row in H])  # a measurement tells the same in any unit
     G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
     means = [modes[np.abs(modes - mode) <= NEAR * abs(mode)].mean() for mode in modes]
@@ -242,7 +246,7 @@ def _distance_from_rank_loss(pencil):
 
 
 def _at_the_size_of(F, matrix):
-    """Return the matrix scaled to the largest entry of F, so that the rank test depends on no unit of H or Q."""
+    """Return the matrix scaled to the largest entry of F, so that the rank test depends on no unit."""
     size = np.abs(matrix).max()
     return matrix * (np.abs(F).max() / size) if size else matrix
 

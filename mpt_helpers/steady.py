@@ -21,11 +21,11 @@ class SteadyStateFilter(RecursiveFilter):
     """A filter with constant coefficients: A (n×n), B (n×m), and the error covariance P (n×n) of its steady state.
 
     2014 Eqs. 9-15, 2015 Eqs. 6-12, 2016 Eqs. 8-12. Made by `from_kalman` or `from_lainiotis`, which solve different
-    Riccati equations: their agreement (2014 Eq. 15) is a check and not built in.
+    Riccati equations: their agreement (2014 Eq. 15) is evidence and no tautology.
 
-    While nothing is missing, its covariance is P. Through a gap it grows, and afterwards it returns to P as the true
-    error does. A row of z that is partly NaN is refused, since the gain is that for a whole row. Raises ValueError for
-    arrays of another shape and for an A that is not (I - B H) F.
+    While nothing is missing, its covariance is P. Through a gap it grows, and afterwards it returns to P, just as the
+    covariance of the true error does. A row of z that is partly NaN is refused, since the gain assumes a whole row.
+    Raises ValueError for arrays of another shape and for an A that is not (I - B H) F.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1)).B.round(4)
@@ -130,7 +130,9 @@ class SteadyStatePredictor(Filter):
 
     @property
     def A(self):
-        """A_N = Fᴺ A F⁻ᴺ (n×n). Raises LinAlgError (a ValueError) where F has no inverse."""
+        """A_N = Fᴺ A F⁻ᴺ (n×n), as precise as Fᴺ can be inverted; `filter` does not use it. Raises LinAlgError, a
+        ValueError, where F has no inverse.
+        """
         return np.linalg.solve(self.F_N.T, (self.F_N @ self.steady.A).T).T
 
     @property
@@ -177,8 +179,8 @@ def fir_order(A, tol, norm=2):
     radius = np.abs(np.linalg.eigvals(A)).max()
     if radius >= 1:
         checks.refuse("A", "a spectral radius below 1", f"{radius:.6g}")
-    # No norm of Aᴹ is below the spectral radius to the power M, so lower powers than this need not be tried. One part
-    # in 1e9 is for the rounding of the logarithms.
+    # With spectral radius ρ, ‖Aᴹ‖ ≥ ρᴹ ≥ tol for every M ≤ log tol / log ρ, so the search starts there. One part in 1e9
+    # is for the rounding of the logarithms.
     least = np.log(tol) / np.log(radius) * (1 - 1e-9) if radius > 0 else 1
     if least > MOST_TAPS:
         checks.refuse("A", f"powers that fall below {tol:g} within {MOST_TAPS:,} steps", f"a radius of {radius:.9f}")
@@ -244,6 +246,7 @@ class FIRFilter(Filter):
         for k in np.flatnonzero(missed.any(axis=1)):
             predicted = F @ (x[k - 1] if k > 0 else x0)
             predicted_z = np.where(missed[k], H @ predicted, 0)
+            # It counts from epoch k on; x[k] itself is the prediction, in place of what the taps make of it.
             x[k : k + self.order] += self.taps[: len(x) - k] @ predicted_z
             x[k] = np.where(missed[k], predicted, x[k])
 

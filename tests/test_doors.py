@@ -20,7 +20,7 @@ KF, LF, STEADY = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS), mpt.SteadySt
 AHEAD, FIR = mpt.SteadyStatePredictor(STEADY, 2), mpt.FIRFilter.from_steady_state(STEADY)
 RNG = np.random.default_rng(0)
 
-NO_NUMBER = [None, "1", [1.0], True, 1j, NAN, INF, KF]
+NO_NUMBER = [None, "1", [1.0], True, 1j, NAN, INF, 10**400, KF]
 NO_POSITIVE = [*NO_NUMBER, 0, -1]
 NO_COUNT = [None, "1", [1], True, 1.0, 1.5, NAN, -1, KF]
 NO_MODEL = [None, "axis", 1, EYE, KF, mpt.LinearModel]
@@ -39,6 +39,7 @@ def no_array(good):
 
 COVARIANCES = [-EYE, [[1.0, 0.5], [0.0, 1.0]], [[1.0, 1e-9], [0.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]]]
 COVARIANCES += [[[1.0, 1 + 1e-9], [1 + 1e-9, 1.0]], [[0.0, 1.0], [1.0, 1.0]], [[1e-300, 1e300]] * 2]
+COVARIANCES += [[[0.0, 9e-7], [9e-7, 1.0]], [[0.0, 5e-21], [5e-21, 0.0]]]  # a covariance beside a variance of zero
 NO_COVARIANCE = [*no_array(EYE), *COVARIANCES, [1.0, 1.0], np.eye(3)]
 START = {"x0": ([0.0, 1.0], [*no_array([0.0, 1.0])[1:], [[0.0], [1.0]]]), "P0": (EYE, NO_COVARIANCE[1:])}
 MAKER = {"dt": (1.0, NO_POSITIVE), "q": (0.01, [*NO_NUMBER, -1]), "r": (0.1, NO_POSITIVE)} | START
@@ -49,7 +50,7 @@ NO_MEASUREMENTS += [np.ma.masked_equal([[1.0], [2.0]], 2)]
 MEASURED = {"z": ([[1.0], [NAN]], [*NO_MEASUREMENTS, [[1.0], [1.0, 2.0]]])}
 
 
-NO_TAPS = [FIR.taps.T, FIR.taps[:0], NAN * FIR.taps]
+NO_TAPS = [FIR.taps.T, FIR.taps[:0], NAN * FIR.taps, 5.0]
 
 
 def same(rng, M):
@@ -192,6 +193,17 @@ def test_what_an_argument_cannot_take_is_refused_by_name(call, good, name, refus
 def test_several_of_a_kind_are_refused_by_their_number(make, name):
     with pytest.raises((TypeError, ValueError), match=f"^{name}: needs .*, got "):
         make()
+
+
+@pytest.mark.parametrize("each", [AHEAD, FIR, mpt.JoinFilter(FIR, FIR), mpt.Separate(KF, FIR)])
+def test_a_filter_that_is_not_recursive_has_no_step(each):
+    with pytest.raises(TypeError, match="needs a recursive filter or one made of such filters, got a "):
+        each.step(each.model.x0, np.eye(each.model.n), np.ones(each.model.m))
+
+
+def test_separate_filters_cannot_be_exchanged():
+    with pytest.raises(AttributeError):
+        mpt.Separate(KF, KF).filters = (KF,)
 
 
 @pytest.mark.parametrize("make", [metrics.innovations, metrics.nis, metrics.log_likelihood])

@@ -236,3 +236,25 @@ def test_the_makers_take_a_start():
     for make, n in ((mpt.gsm_axis, 2), (mpt.constant_velocity, 2), (mpt.constant_acceleration, 3)):
         model = make(1.0, 0.01, 0.1, x0=np.ones(n), P0=2 * np.eye(n))
         assert model == replace(make(1.0, 0.01, 0.1), x0=np.ones(n), P0=2 * np.eye(n))
+
+
+def test_correlated_noises_with_partly_missing_rows_take_one_pass_for_all_tracks(monkeypatch):
+    """Not one filterpy object for each track and epoch."""
+    model = mpt.LinearModel(F=np.eye(2), H=np.eye(2), Q=np.eye(2), R=[[1, 0.5], [0.5, 1]])
+    z = mpt.simulate(model, 30, np.random.default_rng(0), tracks=40)[1]
+    z[np.random.default_rng(1).random(z.shape) < 0.2] = np.nan
+    made, next_step = [], mpt.KalmanFilter.next_step
+    monkeypatch.setattr(mpt.KalmanFilter, "next_step", lambda *all: made.append(all) or next_step(*all))
+    x = mpt.KalmanFilter(model).filter(z)
+    assert len(made) <= len(z)  # those of the first pass, as if nothing were missing
+    for i in range(0, 40, 13):
+        np.testing.assert_allclose(x[..., i], textbook_kalman(*matrices(model), z[..., i])[0], rtol=1e-9, atol=1e-12)
+
+
+def test_filters_of_many_states_converge():
+    """Twelve states flicker by more than the rounding of one number."""
+    rng = np.random.default_rng(4)
+    F, G, H = rng.standard_normal((12, 12)), rng.standard_normal((12, 12)), rng.standard_normal((6, 12))
+    F /= np.abs(np.linalg.eigvals(F)).max()
+    steps = list(mpt.KalmanFilter(mpt.LinearModel(F=F, H=H, Q=G @ G.T, R=np.eye(6)))._steps(np.ones((500, 6), bool)))
+    assert len({id(step) for step in steps}) < 100

@@ -4,7 +4,7 @@ from conftest import MODELS_2016, dense_model
 from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
-from mpt_helpers.metrics import chi_square_band, innovations, nees, nis, relative_gap, rms
+from mpt_helpers.metrics import chi_square_band, innovations, log_likelihood, nees, nis, relative_gap, rms
 
 
 def test_relative_gap_and_rms():
@@ -79,3 +79,14 @@ def test_innovations_of_steady_filters_joined_or_side_by_side_are_those_of_the_s
         np.testing.assert_allclose(innovations(each, z).S[0], innovations(each, z).S[-1], rtol=1e-12)
     both = mpt.Separate(steady, mpt.KalmanFilter(model))
     np.testing.assert_array_equal(both.P0, block_diag(steady.P, model.P0))
+
+
+@pytest.mark.parametrize("make", [innovations, nis, log_likelihood])
+@pytest.mark.parametrize("seen", [1, 400])
+def test_states_beyond_doubles_are_no_missing_measurements(make, seen):
+    """Without process noise the state grows to infinity; with no measurement but the last, its covariance does."""
+    model = mpt.LinearModel(F=[[10.0]], H=[[1.0]], Q=[[0.0 if seen > 1 else 1.0]], R=[[1.0]], x0=[1.0])
+    z = np.zeros((400, 1))
+    z[:-seen] = np.nan
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match=r"estimator: needs states .* got an overflow"):
+        make(mpt.KalmanFilter(model), z)

@@ -185,3 +185,20 @@ def test_a_relf_that_does_not_solve_its_equation_is_refused(monkeypatch):
     monkeypatch.setattr(riccati, "ROUNDS", 1)
     with pytest.raises(ValueError, match="needs a steady state that double precision can resolve"):
         riccati.relf(AXIS)
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+def test_axes_of_very_different_units_are_solved_side_by_side(solve):
+    """A position in metres and a clock in seconds, or one sensor in units of 1e13 of the other's."""
+    position, clock = mpt.constant_velocity(1.0, 1.0, 1.0), mpt.constant_velocity(1.0, 1e-24, 1e-24)
+    P = solve(mpt.stack(position, clock))
+    np.testing.assert_allclose(P[2:, 2:] * 1e24, P[:2, :2], rtol=1e-9)
+    unequal = mpt.LinearModel(F=np.eye(2), H=np.diag([1, 1e-13]), Q=np.eye(2), R=np.diag([1, 1e-26]))
+    np.testing.assert_allclose(np.diag(solve(unequal)), solve(unequal)[0, 0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("make", [mpt.SteadyStateFilter.from_kalman, mpt.SteadyStateFilter.from_lainiotis])
+def test_a_solver_that_fails_within_numpy_names_the_model(make):
+    model = mpt.LinearModel(F=[[-0.7, 0.6], [2.3, -2]], H=[[1, 0]], Q=1e-9 * np.eye(2), R=[[1e6]])
+    with pytest.raises(ValueError, match="model: needs a steady state that double precision can resolve"):
+        make(model)
