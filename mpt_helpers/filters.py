@@ -96,7 +96,7 @@ class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance.
 
     A subclass defines `next_step(P, seen)`: the Step from P(k/k) to epoch k+1, where seen (m,) says which measurements
-    are there.
+    are there; and `_next_steps(P, seen)`, the same for a stack P (M, n, n), or `_epochs_of_different_gaps` without it.
     """
 
     model: LinearModel

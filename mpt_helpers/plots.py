@@ -10,6 +10,7 @@ import sys
 import zlib
 from base64 import b64encode
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import matplotlib
@@ -19,7 +20,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from .files import project
+from .files import project, write_together
 
 # Gaps between two estimates below this are rounding and differ between processors: they are drawn at this value.
 FLOOR = 1e-12
@@ -114,15 +115,16 @@ def save_figure(fig, name, folder=None):
     if not re.fullmatch(r"\w+", name, re.ASCII):
         raise ValueError(f"name: needs letters, digits and underscores, got {name!r}")
     folder = project() / "figures" if folder is None else Path(folder)
-    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     if "matplotlib.pyplot" in sys.modules:
         sys.modules["matplotlib.pyplot"].close(fig)  # and it does not take hold of the copy either
     settled = _settled(fig)
-    settled.savefig(png, metadata={"Software": None})
+    png, svg = BytesIO(), BytesIO()
+    settled.savefig(png, format="png", metadata={"Software": None})
     with matplotlib.rc_context({"svg.hashsalt": name}):
-        settled.savefig(svg, transparent=True, metadata={"Date": None, "Creator": None})
-    svg.write_bytes(round_svg(svg.read_text(encoding="utf-8")).encode())
-    return SavedFigure(png.read_bytes(), f"{png.name}\n{describe(settled)}", alt_text(settled))
+        settled.savefig(svg, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    rounded_svg = round_svg(svg.getvalue().decode()).encode()
+    write_together({folder / f"{name}.png": png.getvalue(), folder / f"{name}.svg": rounded_svg})
+    return SavedFigure(png.getvalue(), f"{name}.png\n{describe(settled)}", alt_text(settled))
 
 
 def _settled(fig):

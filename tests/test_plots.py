@@ -126,6 +126,14 @@ def test_empty_lines_dates_texts_and_gaps_are_saved(tmp_path, draw):
     assert "nan" not in save_figure(fig, "a", tmp_path).description
 
 
+def test_a_figure_is_saved_whole_or_not_at_all(tmp_path):
+    (tmp_path / "a.svg").mkdir()
+    fig, _ = panels([["a"]])
+    with pytest.raises(IsADirectoryError):
+        save_figure(fig, "a", tmp_path)
+    assert not (tmp_path / "a.png").exists()
+
+
 def test_the_figure_that_is_saved_is_not_changed(tmp_path):
     fig, ax = panels([["a"]])
     y = np.array([1 / 3, 2 / 3])
