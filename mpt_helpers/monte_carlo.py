@@ -66,5 +66,8 @@ def _mapper(workers):
     elif checks.count("workers", workers) == 1:
         yield map
     else:
-        with ThreadPoolExecutor(workers) as executor:
+        executor = ThreadPoolExecutor(workers)
+        try:
             yield executor.map
+        finally:
+            executor.shutdown(cancel_futures=True)  # those too that an interrupt has kept out of the map

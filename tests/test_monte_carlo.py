@@ -143,6 +143,25 @@ def test_an_interrupt_between_two_blocks_starts_no_further_block(monkeypatch):
     assert len(ran) < 50
 
 
+def test_an_interrupt_while_blocks_are_handed_out_starts_no_further_block(monkeypatch):
+    ran, handed_out, submit = [], count(1), ThreadPoolExecutor.submit
+
+    def slow(rng, M):
+        ran.append(M)
+        time.sleep(0.01)
+        return rng.random(M)
+
+    def interrupted(*call):
+        if next(handed_out) == 100:
+            raise KeyboardInterrupt
+        return submit(*call)
+
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        mpt.study(slow, 200 * BLOCK, 1, workers=2)
+    assert len(ran) < 50
+
+
 def test_an_error_in_an_experiment_is_passed_on():
     def broken(rng, M):
         raise RuntimeError("broken")
