@@ -157,7 +157,10 @@ async def _execute(key, notebook, folder, bar):
         what = f"{error.ename}: {error.evalue}" if isinstance(error, CellExecutionError) else error
         raise CommandError(f"{key}: cell {started[-1]} failed: {what}") from error
     finally:
-        if client.km is not None:  # nbclient does not stop a kernel that was still starting
+        # nbclient stops neither a kernel that was still starting nor the channels to it.
+        if client.kc is not None:
+            client.kc.stop_channels()
+        if client.km is not None:
             await client.km.shutdown_kernel(now=True)
         atexit.unregister(client._cleanup_kernel)  # which would find no kernel
     return client.code_cells_executed

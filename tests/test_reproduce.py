@@ -1,5 +1,6 @@
 """The command line, on a copy of the project."""
 
+import asyncio
 import csv
 import errno
 import io
@@ -15,6 +16,7 @@ from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
 
+import jupyter_client
 import pytest
 from conftest import VERDICTS, write_notebook
 from nbformat.v4 import new_output
@@ -160,6 +162,26 @@ def test_a_notebook_that_fails_is_named_ends_the_others_and_all_are_left_as_they
     assert time.monotonic() - start < 200
     assert capsys.readouterr().err == "error: small: cell cell-2 failed: KeyError: 'missing'\n"
     assert files(project) == before
+
+
+def test_a_notebook_that_is_ended_while_its_kernel_starts_leaves_no_socket_open(project, monkeypatch, capsys):
+    """nbclient stops neither that kernel nor its channels."""
+    started = []
+
+    async def fails_once_all_wait(client, **_):
+        started.append(client)
+        while len(started) < 2:
+            await asyncio.sleep(0.02)
+        if client is started[0]:
+            raise ValueError("never ready")
+        await asyncio.sleep(300)
+
+    monkeypatch.setattr(jupyter_client.AsyncKernelClient, "wait_for_ready", fails_once_all_wait)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    write_notebook(project / "notebooks/other.ipynb", MAKES_FIGURE)
+    assert main(["reproduce"]) == 1
+    assert "cell none failed: never ready" in capsys.readouterr().err
+    assert not any(client.channels_running for client in started)
 
 
 def test_a_kernel_that_dies_is_named_and_leaves_everything_as_it_was(project, capsys):
