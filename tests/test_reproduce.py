@@ -199,7 +199,9 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, 
         write_notebook(project / f"notebooks/{key}.ipynb", MAKES_FIGURE, sleeps)
     shutil.rmtree(project / "mpt_helpers")  # which is not the package that the command runs
     before = files(project)
-    command = [sys.executable, "-m", "mpt_helpers", "reproduce"]
+    listens = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"  # a background job ignores it
+    code = f"{listens} import sys; from mpt_helpers.__main__ import main; sys.exit(main(['reproduce']))"
+    command = [sys.executable, "-c", code]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         while len(kernels := [path.read_text() for path in signs.iterdir()]) < min(2, os.cpu_count()):
             assert running.poll() is None
