@@ -128,7 +128,11 @@ def _verified(model, solve):
     """
     checks.instance("model", model, LinearModel)
     nearest = "F is stable, so there is one in exact numbers"
-    margins = sorted(_margins(model), key=lambda each: each[0])
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            margins = sorted(_margins(model), key=lambda each: each[0])
+    except np.linalg.LinAlgError:
+        checks.refuse("model", "products that doubles can hold", "an overflow")
     if margins:
         margin, condition, mode = margins[0]
         if margin < MODE_ROUNDING:

@@ -202,3 +202,14 @@ def test_a_solver_that_fails_within_numpy_names_the_model(make):
     model = mpt.LinearModel(F=[[-0.7, 0.6], [2.3, -2]], H=[[1, 0]], Q=1e-9 * np.eye(2), R=[[1e6]])
     with pytest.raises(ValueError, match="model: needs a steady state that double precision can resolve"):
         make(model)
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
+@pytest.mark.parametrize(
+    ("Q", "need"),
+    [(1.0, "a steady state that double precision can resolve"), (1e-300, "products that doubles can hold")],
+)
+def test_a_model_whose_products_overflow_is_refused(solve, Q, need):
+    model = mpt.LinearModel(F=1e200 * np.eye(3), H=np.eye(3), Q=Q * np.eye(3), R=np.eye(3))
+    with pytest.raises(ValueError, match=f"model: needs {need}"):
+        solve(model)
