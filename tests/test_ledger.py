@@ -60,9 +60,10 @@ def test_a_number_is_reproduced_or_differs(paper):
 
 
 def test_what_holds_names_no_cause(paper):
-    """One cause may be given to all cells of a table: those that agree do not count for it."""
-    given = paper.check("count", 17, cause="one-missing", reason="We rounded.")
+    """One cause may be given to all cells of a table: those that agree do not count for it. A reason of its own stays."""
+    given = paper.check("count", 17, cause="one-missing")
     assert (given.verdict, given.cause, given.reason) == ("reproduced", "", "")
+    assert paper.check("count", 17, reason="All were counted.").reason == "All were counted."
 
 
 def test_the_sentence_of_the_cause_is_the_reason_where_none_is_given(paper):
@@ -265,6 +266,7 @@ def test_a_grid_is_one_item_for_each_cell_that_holds_one():
         (GRID.replace("[grids.rows]", "rows = 5"), "test.toml, grid "),
         (GRID.replace('where = "Table 5, row {row}, column {column}"', "where = 5"), "test.toml, grid "),
         (GRID.replace('"0.50", "?"', '"0.50"'), "test.toml, grid .*shorter"),
+        (GRID.replace("[grids.rows]", 'unit = "m"\n[grids.rows]'), "test.toml, grid .*: needs id, where"),
     ],
 )
 def test_a_malformed_file_is_refused_by_name(text, message):

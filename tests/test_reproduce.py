@@ -472,7 +472,7 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         "above",
         "<!-- verdicts: here -->",
         "",
-        "**What is wrong: 1 slip (1 cell).** 1 of 1 claims hold. 2 of 4 numbers, formulas and figures agree, 1 do not, "
+        "**What we found: 1 slip (1 cell).** 1 of 1 claims hold. 2 of 4 numbers, formulas and figures agree, 1 do not, "
         "1 cannot be checked. Of the 1 that cannot be checked, 1 are missing or illegible in our copy; for 0 the paper "
         "leaves something out.",
         "",

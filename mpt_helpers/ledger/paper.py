@@ -65,7 +65,7 @@ class Cause:
     """Why items fail: one cause for all that fail for one reason.
 
     kind is "slip" (a wrong number or formula), "wording" (a sentence that says it wrongly while nothing computed
-    depends on it), "finding" (a claim that fails or holds only in part) or "copy" (lost by our copy, not by the paper).
+    depends on it), "finding" (a claim or formula that fails or holds only in part) or "copy" (lost by our copy, not by the paper).
     `sentence` says what is wrong and what is right, `meaning` says what follows for a user of the filter.
     """
 
@@ -210,7 +210,7 @@ class Paper:
             if self._outcomes.get(id) != REPRODUCED:
                 raise self._error(item.id, f"needs items in `against` that were reproduced before, got {id!r}")
         if verdict in HOLDS:
-            cause, reason = None, ""
+            cause = None
         elif cause is not None:
             reason = reason or self.causes[cause].sentence
         if verdict == DIFFERS and against:
@@ -261,6 +261,9 @@ def read_paper(key, text):
 
 def _cells(file, grid):
     """Yield the entries of a grid, as they would stand among the items."""
+    need = "id, where with {row} and {column}, columns, and rows with a text for each column"
+    if not isinstance(grid, dict) or sorted(grid) != ["columns", "id", "rows", "where"]:
+        raise ValueError(f"{file}, grid {grid!r:.40}: needs {need}")
     try:
         for row, cells in grid["rows"].items():
             for column, printed in zip(grid["columns"], cells, strict=True):
@@ -268,7 +271,6 @@ def _cells(file, grid):
                     place = grid["where"].format(row=row, column=column)
                     yield {"id": f"{grid['id']}.{row}.{column}", "where": place, "kind": "number", "printed": printed}
     except (TypeError, LookupError, AttributeError, ValueError) as error:
-        need = "id, where with {row} and {column}, columns, and rows with a text for each column"
         raise ValueError(f"{file}, grid {grid!r:.40}: needs {need} ({error})") from error
 
 

@@ -122,7 +122,7 @@ class Verdicts(list):
     """
 
     IN_TEXT = ("id", "printed", "computed", "verdict", "basis", "cause")
-    IN_HTML = ("id", "where", "printed", "computed", "verdict", "basis", "reason")
+    IN_HTML = ("id", "where", "printed", "computed", "verdict", "basis", "cause", "reason")
 
     def __init__(self, verdicts, causes=()):
         super().__init__(verdicts)
