@@ -65,7 +65,8 @@ class Cause:
     """Why items fail: one cause for all that fail for one reason.
 
     kind is "slip" (a wrong number or formula), "wording" (a sentence that says it wrongly while nothing computed
-    depends on it), "finding" (a claim or formula that fails or holds only in part) or "copy" (lost by our copy, not by the paper).
+    depends on it), "finding" (a claim or formula that fails or holds only in part) or "copy" (lost by our copy, not by
+    the paper).
     `sentence` says what is wrong and what is right, `meaning` says what follows for a user of the filter.
     """
 
