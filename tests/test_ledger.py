@@ -60,7 +60,7 @@ def test_a_number_is_reproduced_or_differs(paper):
 
 
 def test_what_holds_names_no_cause(paper):
-    """One cause may be given to all cells of a table: those that agree do not count for it. A reason of its own stays."""
+    """One cause may be given to all cells of a table: those that agree do not count for it. A reason stays."""
     given = paper.check("count", 17, cause="one-missing")
     assert (given.verdict, given.cause, given.reason) == ("reproduced", "", "")
     assert paper.check("count", 17, reason="All were counted.").reason == "All were counted."
@@ -313,9 +313,10 @@ def test_a_stored_verdict_names_the_cell_that_shows_it_in_the_order_of_the_paper
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('"one-missing"', '"two-missing"', "got 'wrong': 'erratum', cause 'two-missing': run"),
-        ('"erratum"', '"error"', "got 'wrong': 'error', cause 'one-missing': run"),
-        ('"paper": "test"', '"paper": "other"', "got 'count': 'reproduced', cause '': run"),
+        ('"one-missing"', '"two-missing"', "got cause 'two-missing' of 'wrong': run"),
+        ('"erratum"', '"error"', "got verdict 'error' of 'wrong': run"),
+        ('"paper": "test"', '"paper": "other"', "got paper 'other' of 'count': run"),
+        ('"basis": "arithmetic"', '"basis": ""', "got basis '' of 'count': run"),
         ('"basis"', '"base"', "unexpected keyword argument 'base'.*: run"),
         ('"verdict": "erratum", ', "", "missing 1 required positional argument: 'verdict'.*: run"),
         ("[{", "[5, {", "test.json: needs verdicts of this version .*: run"),

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 from difflib import get_close_matches
+from itertools import product
 from numbers import Real
 from pathlib import Path
 
@@ -359,8 +360,9 @@ def _read_verdicts(path, paper, records):
         given = [Verdict(**record) for record in records]
     except TypeError as error:
         raise ValueError(f"{path}: needs verdicts of this version ({error}): {cure}") from error
-    for each in given:
-        if each.paper != paper.key or each.verdict not in VERDICTS or each.cause not in ("", *paper.causes):
-            need = f"needs verdicts of this version, with causes of {paper.key}.toml"
-            raise ValueError(f"{path}: {need}, got {each.id!r}: {each.verdict!r}, cause {each.cause!r}: {cure}")
+    known = {"paper": [paper.key], "verdict": VERDICTS, "basis": BASES, "cause": ["", *paper.causes]}
+    for each, (name, values) in product(given, known.items()):
+        value = getattr(each, name)
+        if value not in values:
+            raise ValueError(f"{path}: needs verdicts of this version, got {name} {value!r} of {each.id!r}: {cure}")
     return given
