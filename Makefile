@@ -1,4 +1,4 @@
-# The commands of the README. Each sets up what it needs first, once.
+# The commands of the README. Each but `workflows` sets up what it needs first, once.
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
@@ -55,7 +55,7 @@ bench: $(VENV)/.ok $(BENCH)/.ok
 clock: $(VENV)/.ok
 	$(PY) tests/clock.py
 
-# Break a copy of the project in each of some fifty ways: the tests must see it.
+# Break a copy of the project in each of some hundred ways: the tests must see it.
 mutants: $(VENV)/.ok
 	$(PY) tests/mutants.py
 

@@ -257,7 +257,7 @@ def study():
         samples = measure(works, title=f"study, {workers} workers")
         title = {"work": f"{name}, workers={workers}"}
         rows.append(row(samples, name, against, ("<=", 1.25)) | title)
-        rows.append(row(samples, name, limit) | title)
+        rows.append(row(samples, name, limit, ("<=", None)) | title)
     return rows
 
 

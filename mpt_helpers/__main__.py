@@ -93,7 +93,8 @@ async def _reproduce_all(root, notebooks):
     processors = asyncio.Semaphore(os.cpu_count() or 1)
     line = "cell {n} of {total}, {elapsed} so far, some {remaining} left"
     hidden = not sys.stdout.isatty()
-    with tqdm(total=sum(cells.values()), bar_format=line, file=sys.stdout, disable=hidden, leave=False) as bar:
+    shown = {"file": sys.stdout, "disable": hidden, "leave": False}
+    with tqdm(total=sum(cells.values()), bar_format=line, smoothing=0, **shown) as bar:
         async with asyncio.TaskGroup() as group:
             for key in sorted(cells, key=cells.get, reverse=True):
                 group.create_task(_reproduce(root, key, notebooks[key], processors, bar))
@@ -167,8 +168,12 @@ async def _execute(key, notebook, folder, bar):
 
 
 def tidied(notebook):
-    """Return a notebook without what changes from run to run: the version of Python and the times of its cells."""
+    """Return a notebook without what changes from run to run or from editor to editor.
+
+    That is the version of Python, the name of the kernel as it is shown, and the times of the cells.
+    """
     notebook["metadata"]["language_info"] = {"name": "python"}
+    notebook["metadata"]["kernelspec"] = {"display_name": "Python 3", "language": "python", "name": "python3"}
     for cell in notebook["cells"]:
         cell["metadata"].pop("execution", None)
     return notebook
@@ -189,15 +194,19 @@ def as_json(verdicts):
 
 
 def as_text(verdicts, every, width):
-    """Return Verdicts as text in lines of a width: each paper's counts and causes, then its rows if asked for all."""
+    """Return Verdicts as text in lines of a width: all counts first, then each paper's causes, and its rows if `every`."""
     wrapped = partial(fill, width=width, break_on_hyphens=False)
+    by_paper = {paper: verdicts.of(paper) for paper in dict.fromkeys(each.paper for each in verdicts)}
+    several = len(by_paper) > 1
+    summaries = {"all papers": verdicts} | by_paper if several else by_paper
     lines = []
-    for paper in dict.fromkeys(each.paper for each in verdicts):
-        own = verdicts.of(paper)
-        tally = own.tally()
-        lines.append(wrapped(f"{paper}: {tally.claims_text()}; {tally.values_text()}; {tally.causes_text()}."))
+    for name, some in summaries.items():
+        tally = some.tally()
+        lines.append(wrapped(f"{name}: {tally.claims_text()}; {tally.values_text()}; {tally.causes_text()}."))
+    for paper, own in by_paper.items():
+        lines += ["", f"{paper}:"] if several else []
         rows = []
-        for kind, cells in tally.causes.items():
+        for kind, cells in own.tally().causes.items():
             for place, count in cells.items():
                 cause = own.causes[place]
                 rows.append(f"{kind} {cause.id} ({count}): {cause.sentence} {cause.meaning}")

@@ -22,8 +22,8 @@ from conftest import VERDICTS, write_notebook
 from nbformat.v4 import new_output
 
 import mpt_helpers as mpt
-from mpt_helpers.__main__ import as_json, main, readme
-from mpt_helpers.ledger import Verdicts, shipped_verdicts, stored_verdicts
+from mpt_helpers.__main__ import as_json, as_text, main, readme
+from mpt_helpers.ledger import Verdicts, keys, shipped_verdicts, stored_verdicts
 from mpt_helpers.ledger.verdicts import FIELDS, MIME
 
 PLOTS = """\
@@ -217,7 +217,9 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, 
             os.kill(int(kernel), 0)
 
 
-EMPTY = {"cells": [], "metadata": {"language_info": {"name": "python"}}, "nbformat": 4, "nbformat_minor": 5}
+KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
+METADATA = {"kernelspec": KERNEL, "language_info": {"name": "python"}}
+EMPTY = {"cells": [], "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5}
 NEW = {
     "figures/a.png": b"new",
     "figures/b.png": b"new",
@@ -404,6 +406,12 @@ def test_the_summary_of_verdicts_comes_first_in_lines_of_the_terminal(shipped, m
         "One is missing: 326 for 336. Against Table 1: 17."
     )
     assert [row.split(":")[0].strip() for row in rows] == ["count", "ratio", "wrong", "equal", "lost"]
+
+
+def test_the_counts_of_several_papers_and_of_all_stand_before_the_first_cause():
+    summary, *papers = as_text(shipped_verdicts(), every=False, width=1000).split("\n\n")
+    assert [line.split(":")[0] for line in summary.splitlines()] == ["all papers", *keys()]
+    assert [paper.split(":")[0] for paper in papers] == keys()
 
 
 def test_a_paper_that_is_named_twice_is_counted_once(shipped, capsys):
