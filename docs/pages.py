@@ -159,8 +159,10 @@ def prepared(key, notebook, page, whole):
     drawn = {each.cell: each for each in figures_of(key, notebook["cells"])}
     cells = []
     for cell in notebook["cells"]:
-        # In a checkout, pages of docs/ stand beside the notebooks' folder; on the site, above them.
-        text = source(cell).replace("](../docs/", "](../") if cell["cell_type"] == "markdown" else source(cell)
+        text = source(cell)
+        if cell["cell_type"] == "markdown":
+            # In a checkout, docs/ and benchmarks/ stand beside notebooks/; on the site, their pages stand above it.
+            text = text.replace("](../docs/", "](../").replace("](../benchmarks/README.md", "](../speed.md")
         cell = {**cell, "source": text, "metadata": {**cell["metadata"], "id": cell["id"]}}
         ledger = "ledger" in cell["metadata"].get("tags", ())
         cell["metadata"]["folded"] = not whole and not teaches(cell)

@@ -24,7 +24,7 @@ def cells_of(key):
 @pytest.fixture(scope="module")
 def taught():
     """The names that the teaching cells of the notebook on 2014 define."""
-    wanted = ["setup", "model", "kalman", "lainiotis", "run", "fir", "four", "joint"]
+    wanted = ["setup", "model", "kalman", "lainiotis", "run", "steady", "fir", "four", "joint"]
     code = {cell["id"]: source(cell) for cell in cells_of("2014_gsm_2d")}
     names = {}
     exec("\n".join(code[id] for id in wanted), names)
@@ -75,24 +75,34 @@ def test_filters_of_the_notebook_are_those_of_the_package(taught):
     A, B, _ = taught["limit"](taught["kalman"])
     steady = mpt.SteadyStateFilter.from_kalman(model)
     fir = mpt.FIRFilter.from_steady_state(steady, tol=1e-3)
+    for step in (taught["sskf"], taught["sslf"]):
+        np.testing.assert_allclose(taught["run"](step, z), steady.filter(z), atol=1e-13)
     M = taught["fir_order"](A, 1e-3)
     assert M == fir.order == 17
     np.testing.assert_allclose(taught["run_fir"](A, B, M, z), fir.filter(z), atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("data", "own"), [("paper", "paper"), ("usual", "usual"), ("usual", "paper"), ("paper", "usual")]
+    ("data", "own", "reported"),
+    [
+        ("paper", "paper", "eye"),
+        ("usual", "usual", "eye"),
+        ("usual", "paper", "eye"),
+        ("paper", "usual", "eye"),
+        ("usual", "paper", "F"),
+    ],
 )
-def test_the_error_of_the_wrong_H_is_that_of_simulated_tracks(taught, tracks, data, own):
+def test_the_error_of_the_wrong_H_is_that_of_simulated_tracks(taught, tracks, data, own, reported):
     states, ahead, positions = tracks
+    T = taught[reported]
     choices = {"paper": (taught["H"], ahead), "usual": (np.array([[1, 0]]), positions)}
-    late, rest, stated = taught["true_error"](choices[data][0], choices[own][0])
+    late, rest, stated = taught["true_error"](choices[data][0], choices[own][0], T)
     A, B, P = taught["limit"](lambda P: taught["kalman"](P, choices[own][0]))
-    error = (states - run_all(lambda P: (A, B, P), choices[data][1]))[30:, 0]
+    error = (states - T @ run_all(lambda P: (A, B, P), choices[data][1]))[30:, 0]
     rest_of_error = error - float(late.split()[0]) * states[30:, 1]
     assert abs(rest_of_error.mean()) < 0.005
     assert rest_of_error.std() == pytest.approx(float(rest), abs=0.002)
-    assert float(stated) == pytest.approx(np.sqrt(P[0, 0]), abs=0.0005)
+    assert float(stated) == pytest.approx(np.sqrt((T @ P @ T.T)[0, 0]), abs=0.0005)
 
 
 def test_the_joint_covariance_is_that_of_simulated_tracks(taught, tracks):

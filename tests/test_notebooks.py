@@ -5,8 +5,10 @@ import re
 import subprocess
 from base64 import b64decode
 
+import numpy as np
 import pytest
 from conftest import NOTEBOOKS, ROOT
+from matplotlib.image import imread
 
 from mpt_helpers.__main__ import tidied
 from mpt_helpers.ledger.verdicts import MIME
@@ -105,6 +107,14 @@ def test_every_committed_figure_is_made_by_a_notebook():
         pytest.skip("not a git checkout: what is committed is not known")
     tracked = subprocess.run(["git", "ls-files", "figures"], cwd=ROOT, capture_output=True, text=True, check=True)
     assert {f"figures/{name}" for name in files} == set(tracked.stdout.split())
+
+
+@pytest.mark.parametrize("path", sorted(FIGURES.glob("*.png")), ids=lambda path: path.stem)
+def test_no_text_of_a_figure_is_cut_off(path):
+    """Text that is wider than its figure would leave ink in the two pixels at the edge, which are empty."""
+    ink = imread(path)[..., :3].min(axis=2) < 1
+    ink[2:-2, 2:-2] = False
+    assert not np.any(ink)
 
 
 def test_a_saved_figure_shows_its_description_to_nbval():

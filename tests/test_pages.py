@@ -1,10 +1,12 @@
 """What the site is made of, where no browser is needed."""
 
 import json
+import re
 from types import SimpleNamespace
 
 import pages
 import pytest
+from conftest import NOTEBOOKS, ROOT
 
 from mpt_helpers.ledger.verdicts import Verdict
 
@@ -68,6 +70,38 @@ def test_an_article_has_chips_for_the_calls_to_the_ledger_and_the_full_notebook_
         assert html == ["title", "TOP", "teach", "draw", *expected]
         assert [cell["metadata"]["folded"] for cell in made if cell["id"] in ("teach", "draw")] == [False, not whole]
     json.dumps(made)
+
+
+def test_links_of_a_notebook_lead_to_the_pages_of_the_site():
+    cell = {"cell_type": "markdown", "id": "end", "metadata": {}}
+    text = "[speed](../benchmarks/README.md), [guide](../docs/guide.md#gaps), [2014](2014_gsm_2d.ipynb)"
+    page = {"top": "", "live": ("", ""), "verdicts": None}
+    first, _ = pages.prepared("2014_gsm_2d", {"cells": [cell | {"source": text}]}, page, False)["cells"]
+    assert first["source"] == "[speed](../speed.md), [guide](../guide.md#gaps), [2014](2014_gsm_2d.ipynb)"
+
+
+def test_links_in_a_checkout_lead_to_what_can_be_read_there():
+    """A page of the site that is a template, such as docs/speed.md, says nothing before it is rendered."""
+
+    def shown(path):
+        return re.sub(r"(?ms)^ *```.*?^ *```", "", path.read_text(encoding="utf-8"))
+
+    written = [*ROOT.glob("*.md"), *ROOT.glob("[bdnt]*/*.md"), *ROOT.glob("notebooks/*/*.md")]
+    templates = [path for path in written if re.search(r"{[{%]", shown(path))]
+    texts = {path: shown(path) for path in written if path not in templates}
+    for path in NOTEBOOKS:
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        texts[path] = "\n".join(pages.source(cell) for cell in cells if cell["cell_type"] == "markdown")
+    linked = {
+        (path, target): path.parent / target
+        for path, text in texts.items()
+        for target in re.findall(r"\]\((?!https?:|#)([^)#\s]+)", text)
+    }
+    assert ROOT / "docs" / "speed.md" in templates
+    assert len(linked) > 10
+    for (path, target), file in linked.items():
+        assert file.is_file(), f"{path.name}: {target}"
+        assert file.resolve() not in templates, f"{path.name}: {target}"
 
 
 def test_a_caption_is_the_paragraph_with_the_name_of_the_figure():
