@@ -194,7 +194,7 @@ def as_json(verdicts):
 
 
 def as_text(verdicts, every, width):
-    """Return Verdicts as text in lines of a width: all counts first, then each paper's causes, and its rows if `every`."""
+    """Return Verdicts as text in lines of a width: all counts, then each paper's causes, and its rows if `every`."""
     wrapped = partial(fill, width=width, break_on_hyphens=False)
     by_paper = {paper: verdicts.of(paper) for paper in dict.fromkeys(each.paper for each in verdicts)}
     several = len(by_paper) > 1
