@@ -3,6 +3,7 @@
 The checks run where a user passes something in. Everything behind that point trusts what it gets.
 """
 
+import math
 import operator
 from numbers import Real
 
@@ -14,7 +15,6 @@ import numpy as np
 ROUNDING = 1e-12
 # The same for a covariance that a solver has made, for a model at the edge of double precision.
 SOLVED = 1e-6
-LARGEST = float(np.finfo(float).max)
 
 
 def refuse(name, need, got, error=ValueError):
@@ -40,9 +40,13 @@ def number(name, value, need, accept):
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         refuse(name, need, f"{value!r:.60}", TypeError)
-    if not (abs(value) <= LARGEST and accept(value)):
+    try:
+        as_float = float(value)
+    except OverflowError:  # a whole number beyond the range of doubles
+        as_float = math.inf
+    if not (math.isfinite(as_float) and accept(as_float)):
         refuse(name, need, f"{value!r:.60}")
-    return float(value)
+    return as_float
 
 
 def positive(name, value):

@@ -1,9 +1,10 @@
 """The Kalman filter and the Lainiotis filter, and what all recursive filters share.
 
-Each filter computes x(k+1/k+1) = A_k x(k/k) + B_k z(k+1). The filters differ only in `next_step`, which makes A_k, B_k
-and P(k+1/k+1) from P(k/k) as the papers print it. These depend on which measurements are missing, not on their values.
-A missing measurement has a row of zeros in H, and in R a one on the diagonal and zeros beside it: then every equation
-holds as printed, also when all measurements of an epoch are missing.
+Each filter computes x(k+1/k+1) = A_k x(k/k) + B_k z(k+1). The filters differ in `next_step`, which makes A_k, B_k and
+P(k+1/k+1) from P(k/k) as the papers print it. (KalmanFilter has it once more for one measurement, and for stacks.)
+A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros
+in H, and in R a one on the diagonal and zeros beside it: then every equation holds as printed, also when all
+measurements of an epoch are missing.
 """
 
 from dataclasses import dataclass
@@ -139,25 +140,26 @@ class RecursiveFilter(Filter):
     def _fill(self, x, z):
         """Filter all tracks as if nothing were missing; then those that end in NaN again, with their gaps."""
         run(self._products(len(z), z.shape[2]), self.model.x0[:, None], z, x)
-        tracks = np.flatnonzero(np.isnan(x[-1]).any(axis=0))
-        if len(tracks):
-            z = z[..., tracks]
-            checks.no_infinity(z)
-            x[..., tracks] = self._estimates_with_gaps(z)
+        gaps = np.isnan(x[-1]).any(axis=0)
+        if gaps.all():
+            self._fill_with_gaps(x, z)
+        elif gaps.any():
+            tracks = np.flatnonzero(gaps)
+            part = x[..., tracks]
+            self._fill_with_gaps(part, z[..., tracks])
+            x[..., tracks] = part
 
-    def _estimates_with_gaps(self, z):
-        """Return the estimates of z (N, m, M): several steps in one product if all tracks have the same gaps."""
-        N, _, M = z.shape
-        x = np.empty((N, self.model.n, M))
+    def _fill_with_gaps(self, x, z):
+        """Write the estimates of z to x: several steps in one product if all tracks have the same gaps."""
+        checks.no_infinity(z)
         seen = ~np.isnan(z)
         if _all_alike(seen):
-            products = lifted(list(self._steps(seen[..., 0])), M)
+            products = lifted(list(self._steps(seen[..., 0])), z.shape[2])
             run(products, self.model.x0[:, None], np.where(seen, z, 0), x)
-            return x
-        for tracks in tiles(M, TILE_OF_COVARIANCES):
+            return
+        for tracks in tiles(z.shape[2], TILE_OF_COVARIANCES):
             for k, (x_k, _) in enumerate(self.epochs(z[..., tracks])):
                 x[k, :, tracks] = x_k
-        return x
 
     def _products(self, N, tracks):
         """Return `lifted` of N steps without gaps. They are kept for the next call, often one for the same numbers."""
@@ -253,13 +255,15 @@ class KalmanFilter(RecursiveFilter):
         """Return x(k+1/k+1) and P(k+1/k+1), as in RecursiveFilter: the textbook's equations, Joseph's form for P."""
         z_k = one_measurement(z_k, self.model.m)
         F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
-        seen = ~np.isnan(z_k)
-        if not seen.all():
-            z_k = np.where(seen, z_k, 0)
-            H, R = neutralised(self.model, seen)
         # `dot` takes half the time of `@` on matrices as small as these.
         x = F.dot(x)
         P = F.dot(P).dot(F.T) + Q
+        seen = ~np.isnan(z_k)
+        if not seen.any():
+            return x, P
+        if not seen.all():
+            z_k = np.where(seen, z_k, 0)
+            H, R = neutralised(self.model, seen)
         PHt = P.dot(H.T)
         K = PHt.dot(np.linalg.inv(H.dot(PHt) + R))
         update = np.eye(len(x)) - K.dot(H)

@@ -1,7 +1,6 @@
 """Filters with constant coefficients: the steady-state filter, its prediction N steps ahead, and its FIR form."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -123,7 +122,7 @@ class SteadyStatePredictor(Filter):
         """N."""
         return self.steps
 
-    @cached_property
+    @property
     def F_N(self):
         """The transition over N steps, Fᴺ (n×n)."""
         return np.linalg.matrix_power(self.model.F, self.steps)
@@ -147,14 +146,16 @@ class SteadyStatePredictor(Filter):
 
     def epochs(self, z):
         """Yield the predictions x(k+N/k) and the covariances of their errors, in the shapes of Filter."""
+        F_N = self.F_N
         for x, P in self.steady.epochs(z):
             predicted = predicted_covariance(self.model, np.moveaxis(P, 2, 0), self.steps)
-            yield self.F_N @ x, np.moveaxis(predicted, 0, 2)
+            yield F_N @ x, np.moveaxis(predicted, 0, 2)
 
     def _fill(self, x, z):
         self.steady._fill(x, z)
+        F_N = self.F_N
         for x_k in x:
-            x_k[:] = self.F_N @ x_k
+            x_k[:] = F_N @ x_k
 
 
 def _require_whole_rows(seen):

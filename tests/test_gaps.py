@@ -258,3 +258,37 @@ def test_filters_of_many_states_converge():
     F /= np.abs(np.linalg.eigvals(F)).max()
     steps = list(mpt.KalmanFilter(mpt.LinearModel(F=F, H=H, Q=G @ G.T, R=np.eye(6)))._steps(np.ones((500, 6), bool)))
     assert len({id(step) for step in steps}) < 100
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+def test_a_step_refuses_an_infinite_measurement(value):
+    with pytest.raises(ValueError, match="z: needs finite numbers"):
+        mpt.KalmanFilter(AXIS).step(AXIS.x0, AXIS.P0, [value])
+
+
+def test_a_row_of_zeros_in_H_tells_nothing_to_tracks_with_gaps_of_their_own():
+    model = mpt.constant_velocity(1.0, 0.05, 0.5, P0=np.eye(2))
+    blind = replace(model, H=[[1, 0], [0, 0]], R=np.eye(2) / 2)
+    z = with_gaps(model, 5, (0.3, 0.0))
+    kf = mpt.KalmanFilter(blind)
+    both = np.concatenate([z, np.where(np.isnan(z), np.nan, 7.0)], axis=1)
+    np.testing.assert_allclose(kf.filter(both), mpt.KalmanFilter(model).filter(z), rtol=1e-12)
+
+
+def test_a_constant_gain_refuses_partly_missing_rows_of_tracks_with_gaps_of_their_own():
+    steady = mpt.SteadyStateFilter.from_kalman(mpt.stack(AXIS, AXIS))
+    z = with_gaps(steady.model, 5, (0.0, 0.3))
+    for function in (steady.filter, steady.covariances):
+        with pytest.raises(ValueError, match="z: needs rows all of numbers or all of NaN"):
+            function(z)
+
+
+def test_separate_filters_of_which_one_has_gaps_of_each_tracks_own():
+    """In either order: one of them yields a covariance for all tracks, the other one for each."""
+    kf = mpt.KalmanFilter(AXIS)
+    whole, gappy = mpt.simulate(AXIS, 15, np.random.default_rng(1), 4)[1], with_gaps(AXIS, 5, (0.3, 0.0))
+    for order in ([whole, gappy], [gappy, whole]):
+        P = mpt.Separate(kf, kf).covariances(np.concatenate(order, axis=1))
+        for i, z in enumerate(order):
+            axis = slice(2 * i, 2 * i + 2)
+            np.testing.assert_array_equal(P[:, axis, axis], kf.covariances(z))

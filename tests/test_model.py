@@ -11,6 +11,11 @@ import mpt_helpers as mpt
 from mpt_helpers.model import square_root
 
 
+@pytest.mark.parametrize("number", [np.float32, np.float16, np.longdouble, np.int8])
+def test_numbers_of_any_real_type_are_taken_without_a_warning(number):
+    assert mpt.constant_velocity(number(1), number(2), number(3)) == mpt.constant_velocity(1, 2, 3)
+
+
 def test_gsm_axis_is_equation_3():
     axis = mpt.gsm_axis(dt=0.5, q=4.0, r=9.0)
     np.testing.assert_array_equal(axis.F, [[1, 0.5], [0, 1]])
