@@ -105,6 +105,17 @@ def test_line_errors_have_the_standard_error_of_the_closed_form():
     np.testing.assert_allclose(found, line_sigma(20, np.array([10.5, 20])), rtol=0.03)
 
 
+def test_a_line_is_compared_with_the_fixes_of_the_same_epochs():
+    """In the spread of the whole day, noisy first hours included, the later lines looked better than the fixes."""
+    errors = np.ones(1000)  # a line through equal errors is as wrong as each of them
+    errors[:25] = 10
+    for n in (50, 51):
+        middle, newest = runs.line_errors(errors, n)
+        at_middle = errors[[(k + k + n - 1) // 2 for k in range(len(middle))]]
+        expected = [mpt.metrics.rms(middle) / mpt.metrics.rms(at_middle), mpt.metrics.rms(newest)]
+        np.testing.assert_allclose(runs.line_ratios(errors, n), expected)
+
+
 def test_the_closed_form_with_a_measured_autocorrelation_is_what_the_line_makes(day):
     seen = np.isfinite(day.ranges)
     X = np.array([positioning.position(day.satellites[k, s], day.ranges[k, s]).X for k, s in enumerate(seen)])

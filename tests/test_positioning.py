@@ -274,6 +274,9 @@ def test_ranges_that_cannot_be_are_named(bad, named):
         ({"ranges": [2e7]}, r"ranges: needs one for each of 8 satellites, got shape \(1,\)"),
         ({"variance": 0.0}, "variance: needs a positive number, or one for each range, got 0"),
         ({"start": [0.0, 0.0, 0.0]}, r"start: needs a \(4,\) array of finite numbers, got shape \(3,\)"),
+        ({"false_alarm": 5}, "false_alarm: needs a probability between 0 and 1, got 5"),
+        ({"false_alarm": -1}, "false_alarm: needs a probability between 0 and 1, got -1"),
+        ({"false_alarm": np.nan}, "false_alarm: needs a probability between 0 and 1, got nan"),
     ],
 )
 def test_what_is_no_epoch_is_refused(change, message):
@@ -300,11 +303,21 @@ def test_a_filter_of_positions_refuses_by_name(change, message):
         positioning.position_kalman(satellites, ranges, **good | change)
 
 
-def test_a_satellite_that_is_not_measured_needs_no_variance():
+def test_a_measured_satellite_without_a_position_is_named_with_its_epoch():
+    X = np.append(RIGA, 0.0)
+    satellites = np.tile(positioning.sky(RIGA, 0.0), (3, 1, 1))
+    ranges = np.array([positioning.pseudoranges(each, X) for each in satellites])
+    satellites[1, 2] = np.nan
+    with pytest.raises(ValueError, match=r"satellites: needs positions of .* m, got nan at index \[1, 2\]"):
+        positioning.position_kalman(satellites, ranges, X, np.eye(4), np.eye(4), 1.0)
+
+
+def test_a_satellite_that_is_not_measured_needs_neither_variance_nor_position():
     X = np.append(RIGA, 0.0)
     satellites = positioning.sky(RIGA, 0.0)
     ranges = positioning.pseudoranges(satellites, X)[None]
     ranges[0, 2] = np.nan
+    satellites[2] = np.nan
     variance = np.where(np.isnan(ranges), np.nan, 1.0)
     track = positioning.position_kalman(satellites, ranges, X, np.eye(4), np.eye(4), variance)
     np.testing.assert_allclose(track.X[0], X, rtol=0, atol=EXACT)

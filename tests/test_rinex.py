@@ -2,8 +2,10 @@
 
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from conftest import ROOT
 
 sys.path.insert(0, str(ROOT / "notebooks" / "data"))
@@ -26,19 +28,82 @@ def test_the_code_prints_what_the_page_says(monkeypatch, capsys):
     assert printed == ""
 
 
-def test_the_script_computes_what_the_page_does_by_hand(monkeypatch):
+@pytest.fixture
+def page(monkeypatch):
+    """What the page's code by hand defines: one satellite at the first epoch."""
     monkeypatch.chdir(ROOT)
-    page = {}
-    for text in [text for kind, text in BLOCKS if kind == "python"][:5]:
-        exec(text, page)
+    names = {}
+    for text in [text for kind, text in BLOCKS if kind == "python"][:6]:
+        exec(text, names)
+    return names
+
+
+@pytest.fixture
+def message(page):
     names = ["M0", "Cuc", "Cus", "Cic", "Cis", "Crs", "Crc", "omega", "TGD"]
     message = {name: page[name] for name in names}
     message |= {"Toe": page["toe"], "Eccentricity": page["e"], "sqrtA": page["sqrt_a"], "DeltaN": page["dn"]}
     message |= {"Omega0": page["node0"], "OmegaDot": page["node_rate"], "Io": page["i0"], "IDOT": page["i_rate"]}
-    message |= {"SVclockBias": page["a0"], "SVclockDrift": page["a1"], "SVclockDriftRate": page["a2"]}
+    return message | {"SVclockBias": page["a0"], "SVclockDrift": page["a1"], "SVclockDriftRate": page["a2"]}
+
+
+def test_the_script_computes_what_the_page_does_by_hand(page, message):
     left = page["t"] - page["C1C"] / make_table.C - page["clock"]
     position, clock = make_table.orbit(message, np.array([left]))
     np.testing.assert_allclose(position[0], page["at_transmission"], rtol=0, atol=1e-6)
     np.testing.assert_allclose(clock[0], page["clock"], rtol=1e-9)
     travel = np.linalg.norm(position - page["station"], axis=1) / make_table.C
     np.testing.assert_allclose(make_table.turned(position, travel)[0], page["satellite"], rtol=0, atol=1e-6)
+
+
+class Recorded(dict):
+    """What the script asks of georinex: columns with `values` and `dims`."""
+
+    def __init__(self, **columns):
+        for name, values in columns.items():
+            self[name] = SimpleNamespace(values=np.array(values), dims=("time",))
+
+    @property
+    def data_vars(self):
+        return [name for name in self if name != "time"]
+
+    def sel(self, sv):
+        return self
+
+    def dropna(self, *_, **__):
+        return self
+
+
+@pytest.mark.parametrize("second", [{"C2W": [20947300.413]}, {}], ids=["C2W", "no C2W"])
+def test_a_row_is_that_of_the_table_with_and_without_a_second_frequency(page, message, monkeypatch, second):
+    angles = np.array([page["azimuth"]]), np.array([page["elevation"]]), 0.0
+    stub = SimpleNamespace(ecef2geodetic=lambda *_: (55.49, 8.46, 59.0), ecef2aer=lambda *_: angles)
+    monkeypatch.setitem(sys.modules, "pymap3d", stub)
+    time = np.array(["2020-06-25T00"], "datetime64[s]")
+    messages = Recorded(time=time, health=[0.0], **{name: [value] for name, value in message.items()})
+    observations = Recorded(time=time, C1C=[page["C1C"]], **second)
+    (row,) = make_table.rows_of("G05", observations, messages, page["station"], page["header"])
+    day = page["day"]
+    np.testing.assert_allclose(row[2:5], day.satellites[0, 4], rtol=0, atol=0.006)
+    np.testing.assert_allclose([row[5], row[7]], [day.ranges[0, 4], day.troposphere[0, 4]], rtol=0, atol=0.006)
+    assert row[8] == pytest.approx(day.dual[0, 4] if second else np.nan, abs=0.006, nan_ok=True)
+
+
+def test_messages_of_the_evening_before_a_sunday_are_of_the_week_before():
+    """They were counted from the first message's week: Sunday's own message lay seven days ahead."""
+    time = np.array(["2020-06-27T22", "2020-06-28T00", "2020-07-04T23:59:44", "2020-07-05T02"], "datetime64[s]")
+    messages = Recorded(time=time, Toe=[597_600, 0, 604_784, 7_200], M0=[1.0, 2.0, 3.0, 4.0])
+    t = np.array([-3_700, -3_500, 590_000, 606_000, 612_000])
+    found = make_table.message_at(messages, "G05", t, np.datetime64("2020-06-28"))
+    assert found["M0"].tolist() == [1, 2, 3, 3, 4]
+
+
+@pytest.mark.parametrize("header", [{"position": [0.0, 0.0, 0.0]}, {"position": [55.5, 8.5, 59.0]}, {}])
+def test_a_header_without_a_position_is_refused_by_name(header):
+    with pytest.raises(ValueError, match="APPROX POSITION XYZ: needs a position on the Earth, got"):
+        make_table.station_of(header)
+
+
+def test_epochs_of_a_fraction_of_a_second_stay_apart():
+    written = [make_table.FORMAT.split(",")[0] % epoch for epoch in (0, 0.2, 86_399.8, 86_370)]
+    assert written == ["0", "0.2", "86399.8", "86370"]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..filters import KalmanFilter
+from ..metrics import rms
 from . import positioning
 
 # The paper does not say which measurement belongs to the third row of H_k, [1 -dt 0]. Each reading computes it from the
@@ -104,6 +105,19 @@ def line_errors(errors, n):
     """
     line = positioning.line_fit(np.lib.stride_tricks.sliding_window_view(errors, n).T, 1.0)
     return np.array([line.start + line.velocity * (n + 1) / 2, line.start + line.velocity * n])
+
+
+def line_ratios(errors, n):
+    """Return the rms of both rows of `line_errors`, (2,), each over the rms of the fixes at the same epochs.
+
+    The rms of the whole series would not do, since a receiver is worse in some hours. Where the middle lies between two
+    epochs, the fix is that of the first.
+
+    >>> line_ratios(np.array([1.0, -1.0, 1.0, 2.0]), 3).round(3)
+    array([0.527, 0.98 ])
+    """
+    fixes = errors[(n - 1) // 2 : len(errors) - n // 2], errors[n - 1 :]
+    return rms(line_errors(errors, n), axis=1) / [rms(each) for each in fixes]
 
 
 def change(before, after, seconds, N, dt=1.0, phase=0.0):

@@ -159,8 +159,8 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
     The most probable of these fixes is returned if its probability is not lower (receiver autonomous integrity
     monitoring, RAIM), otherwise the fix of all satellites. To exclude one takes six satellites: four always agree.
 
-    Raises ValueError for fewer than four satellites, for ranges that are zero, NaN or absurd, and where the iteration
-    does not converge or the satellites do not determine a position.
+    Raises ValueError for fewer than four satellites, for ranges that are zero, NaN or absurd, for a false_alarm that is
+    no probability, and where the iteration does not converge or the satellites do not determine a position.
 
     >>> X = np.array([*place(56.95, 24.1), 5e3])
     >>> satellites = sky(X[:3], t=0.0)
@@ -171,6 +171,8 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
     (array([2]), True)
     """
     satellites, ranges, sigma = _checked_epoch(satellites, ranges, variance)
+    if false_alarm is not None:
+        checks.number("false_alarm", false_alarm, "a probability between 0 and 1", lambda value: 0 < value < 1)
     everyone = np.full(len(ranges), True)
     fix = _fix(satellites, ranges, sigma, checks.array("start", start, (4,)), everyone)
     if false_alarm is None or not fix.probability < false_alarm:  # NaN, with four satellites, is not lower
@@ -245,8 +247,9 @@ def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisation
     before the first epoch, and Q (4, 4) is added at each epoch, so that the last X and P of one track start the next.
 
     H is linearised at the prediction. With more linearisations the next ones are at the estimate so far (the iterated
-    filter). Raises ValueError for ranges that are zero or absurd, a variance that is not positive, a start of another
-    shape and fewer than one linearisation.
+    filter). No range is tested: set those that `position` leaves out to NaN. Raises ValueError for ranges that are zero
+    or absurd, a measured satellite without a position, a variance that is not positive, a start of another shape and
+    fewer than one linearisation.
     """
     ranges = np.asarray(ranges, dtype=float)
     measured = ~np.isnan(ranges)
@@ -254,6 +257,8 @@ def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisation
     sigma = _checked_sigma(variance, measured)
     checks.count("linearisations", linearisations)
     satellites = np.broadcast_to(satellites, (*ranges.shape, 3))
+    distances = np.linalg.norm(satellites, axis=2)
+    _require_plausible("satellites", "positions", np.where(measured, distances, NEAREST))
     X = checks.array("start", start, (4,))
     P = np.asarray(P0, dtype=float)
     estimates, covariances = [], []

@@ -32,7 +32,7 @@ L1, L2 = 1575.42e6, 1227.60e6  # Hz
 MASK = 10.0  # degrees
 WEEK = 604_800.0  # s
 COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual"
-FORMAT = "%d,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f"
+FORMAT = "%.10g,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f"
 
 
 def orbit(message, t):
@@ -91,11 +91,39 @@ def saastamoinen(height, elevation):
     return 0.0022768 * (pressure + (1255 / kelvin + 0.05) * vapour) / slant
 
 
-def message_at(navigation, satellite, t):
-    """Return the message of a satellite whose time of ephemeris is nearest, for each t (N,), as name -> (N,)."""
+def station_of(header):
+    """Return the station's position (3,) from the header of the observations, a mapping; some files have 0 0 0 there.
+
+    >>> station_of({"position": [0.0, 0.0, 0.0]})
+    Traceback (most recent call last):
+    ...
+    ValueError: APPROX POSITION XYZ: needs a position on the Earth, got [0.0, 0.0, 0.0]
+    """
+    position = np.array(header.get("position", np.full(3, np.nan)), dtype=float)
+    if not 6.3e6 < np.linalg.norm(position) < 6.4e6:
+        raise ValueError(f"APPROX POSITION XYZ: needs a position on the Earth, got {position.tolist()}")
+    return position
+
+
+def since_sunday(time, toe, sunday):
+    """Return times of ephemeris (M,) in seconds since a Sunday's midnight, from those in seconds of their own weeks.
+
+    time (M,) has the messages' dates, which tell the week: files begin on the evening before, and end on the next day.
+
+    >>> since_sunday(np.array(["2020-06-27T22", "2020-06-28T00"], "datetime64[s]"), [597_600, 0], "2020-06-28")
+    array([-7200.,     0.])
+    """
+    own_week = (time - np.datetime64(sunday)) / np.timedelta64(1, "s") - toe
+    return toe + WEEK * np.round(own_week / WEEK)
+
+
+def message_at(navigation, satellite, t, sunday):
+    """Return the message of a satellite whose time of ephemeris is nearest, for each t (N,), as name -> (N,).
+
+    t is in seconds since the midnight of that Sunday.
+    """
     own = navigation.sel(sv=satellite).dropna("time", how="all", subset=["Toe"])
-    week = own["time"].values.astype("datetime64[s]").astype(float) - own["Toe"].values
-    toe = own["Toe"].values + WEEK * np.round((week - week[0]) / WEEK)
+    toe = since_sunday(own["time"].values, own["Toe"].values, sunday)
     nearest = np.abs(t[:, None] - toe).argmin(axis=1)
     return {name: own[name].values[nearest] for name in own.data_vars if own[name].dims == ("time",)}
 
@@ -107,12 +135,12 @@ def rows_of(satellite, observations, navigation, station, coefficients):
     own = observations.sel(sv=satellite)
     seen = own["C1C"].values > 0  # a missing observation is zero or NaN
     time, measured = own["time"].values[seen].astype("datetime64[ns]"), own["C1C"].values[seen]
-    second = own["C2W"].values[seen]
+    second = own["C2W"].values[seen] if "C2W" in own else np.full(seen.sum(), np.nan)
     midnight = observations["time"].values[0].astype("datetime64[D]")
     epoch = (time - midnight) / np.timedelta64(1, "s")
     sunday = np.datetime64("1980-01-06") + (midnight - np.datetime64("1980-01-06")) // np.timedelta64(7, "D") * 7
     t = epoch + (midnight - sunday) / np.timedelta64(1, "s")
-    message = message_at(navigation, satellite, t)
+    message = message_at(navigation, satellite, t, sunday)
     _, clock = orbit(message, t - measured / C)
     at_transmission, clock = orbit(message, t - measured / C - clock)
     travel = np.linalg.norm(at_transmission - station, axis=1) / C
@@ -143,7 +171,7 @@ def main():
         warnings.simplefilter("ignore", FutureWarning)  # georinex: one for each message
         observations = georinex.load(names.observations, use="G", meas=["C1C", "C2W"])
         navigation = georinex.load(names.navigation, use="G")
-    station = np.array(observations.attrs["position"])
+    station = station_of(observations.attrs)
     coefficients = navigation.attrs["ionospheric_corr_GPS"]
     known = [sv for sv in observations.sv.values if sv in navigation.sv.values]
     table = np.vstack([rows_of(sv, observations, navigation, station, coefficients) for sv in known])
