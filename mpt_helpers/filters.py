@@ -7,6 +7,7 @@ in H, and in R a one on the diagonal and zeros beside it: then every equation ho
 measurements of an epoch are missing.
 """
 
+import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -241,15 +242,21 @@ class KalmanFilter(RecursiveFilter):
 
     def next_step(self, P, seen):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n), with the measurements seen (m,)."""
-        # filterpy 2.0: an object keeps its state, so each step takes a new one; a scalar R would be added to all of S,
-        # so R is a matrix; x has one dimension, as z has. Neither gain nor covariance depends on x or z.
-        kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=self.model.m)
-        kf.x, kf.P = np.zeros(self.model.n), P
-        kf.F, kf.Q = self.model.F, self.model.Q
-        kf.H, kf.R = (self.model.H, self.model.R) if seen.all() else neutralised(self.model, seen)
+        kf = copy.copy(self._filterpy)  # which keeps its state, so that each step takes a new one
+        kf.P = P
+        if not seen.all():
+            kf.H, kf.R = neutralised(self.model, seen)
         kf.predict()
-        kf.update(np.zeros(self.model.m))
+        kf.update(np.zeros(self.model.m))  # neither gain nor covariance depends on x or z
         return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K, kf.P
+
+    @cached_property
+    def _filterpy(self):
+        # filterpy 2.0: a scalar R would be added to all of S, so R is a matrix; x has one dimension, as z has.
+        kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=self.model.m)
+        kf.x = np.zeros(self.model.n)
+        kf.F, kf.Q, kf.H, kf.R = self.model.F, self.model.Q, self.model.H, self.model.R
+        return kf
 
     def step(self, x, P, z_k):
         """Return x(k+1/k+1) and P(k+1/k+1), as in RecursiveFilter: the textbook's equations, Joseph's form for P."""
