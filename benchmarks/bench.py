@@ -93,9 +93,13 @@ def many_tracks():
     z, z2 = rng.standard_normal((N, 1, M)), rng.standard_normal((N, 2, M))
     kf, lf, steady = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS)
     few = np.ascontiguousarray(z[..., :FEW])
+    missed = z.copy()
+    missed[:: N // 10] = np.nan
     works = {
         "copy": partial(copy, z, 2),
         "Kalman": partial(kf.filter, z),
+        "Kalman, ten epochs missed by all": partial(kf.filter, missed),
+        "Kalman, z transposed": partial(kf.filter, np.ascontiguousarray(z.transpose(2, 0, 1)).transpose(1, 2, 0)),
         "Lainiotis": partial(lf.filter, z),
         "joint": partial(mpt.JoinFilter(kf, lf).filter, z),
         "steady state": partial(steady.filter, z),
@@ -120,6 +124,8 @@ def many_tracks():
     rows.append(row(samples, "Kalman", "one filterpy loop per track", (">=", 5000), scale=M / FEW))
     for name in ("Lainiotis", "joint", "steady state", "predictor"):
         rows.append(row(samples, name, "Kalman", ("<=", 2.1 if name == "joint" else 1.1)))
+    for name in ("Kalman, ten epochs missed by all", "Kalman, z transposed"):
+        rows.append(row(samples, name, "Kalman", ("<=", None)))
     rows.append(row(samples, "separate axes", "Kalman, model A", ("<=", 1.1)))
     rows.append(row(samples, "FIR, 17 taps", "copy", ("<=", 4)))
     return rows
@@ -130,19 +136,28 @@ def one_track():
     z = np.random.default_rng(0).standard_normal((N, 2))
     ready = mpt.KalmanFilter(PLANE)
     batch, step = peers.filterpy_batch(PLANE), peers.filterpy_steps(PLANE)
+    gaps = np.random.default_rng(1).random(N) < 0.1
+    gappy = np.where(gaps[:, None], np.nan, z)
+    measured = [None if gap else z_k for gap, z_k in zip(gaps, z, strict=True)]
     works = {
         "Kalman, coefficients ready": partial(ready.filter, z),
         "Kalman, all in, fresh object": lambda: mpt.KalmanFilter(mpt.stack(AXIS, AXIS)).filter(z),
         "filterpy's batch_filter": partial(batch, z),
         "`step`, a thousand times": lambda: by_steps(ready, z),
         "filterpy's predict and update": partial(step, z),
+        "Kalman, a tenth missed": partial(ready.filter, gappy),
+        "`step`, a tenth missed": lambda: by_steps(ready, gappy),
+        "filterpy's predict and update, a tenth missed": partial(step, measured),
     }
     same(ready.filter(z), batch(z), "filterpy")
     same(by_steps(ready, z), step(z), "step")
+    same(by_steps(ready, gappy), step(measured), "step")
+    same(ready.filter(gappy), step(measured), "filterpy")
     samples = measure(works, title="1 track")
     names = list(works)
     rows = [row(samples, names[i], names[2], (">=", goal), tracks=1) for i, goal in ((0, 30), (1, 6))]
-    return [*rows, row(samples, names[3], names[4], ("<=", 1.0), tracks=1)]
+    rows.append(row(samples, names[3], names[4], ("<=", 1.0), tracks=1))
+    return [*rows, *(row(samples, names[i], names[7], ("<=", None), tracks=1) for i in (5, 6))]
 
 
 def by_steps(kf, z):
