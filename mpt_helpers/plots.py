@@ -149,7 +149,8 @@ def _settled(fig):
 
 def _nine_digits(values, scale):
     """Round to nine significant digits: of each value on a log scale, of the largest otherwise."""
-    size = np.abs(values) if scale == "log" else np.nanmax(np.abs(values), initial=0)
+    finite = np.where(np.isfinite(values), np.abs(values), 0)
+    size = finite if scale == "log" else finite.max(initial=0)
     unit = 10.0 ** (np.floor(np.log10(np.where(size > 0, size, 1))) - 8)
     return np.round(values / unit) * unit
 
