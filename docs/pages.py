@@ -18,6 +18,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 from textwrap import shorten
 from typing import NamedTuple
+from urllib.parse import urlencode
 
 import matplotlib
 import numpy as np
@@ -26,7 +27,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 import mpt_helpers as mpt
 from mpt_helpers import plots
 from mpt_helpers.ledger import Verdicts, keys, stored_verdicts
-from mpt_helpers.ledger.verdicts import BASES, FIELDS, OF_CLAIMS, VERDICTS
+from mpt_helpers.ledger.verdicts import BASES, CAUSE_KINDS, FIELDS, OF_CLAIMS, VERDICTS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -94,14 +95,32 @@ def grouped(verdicts):
     return sorted([*filter(lambda group: group.folds, groups), *single], key=lambda group: order[id(group.members[0])])
 
 
-def reasons(given, kind):
-    """Return the causes of one kind with their verdicts, those that two papers share in one."""
+def by_cause(given, kind):
+    """Return the verdicts whose cause is of this kind."""
+    return [each for each in given if each.cause and given.causes[each.paper, each.cause].kind == kind]
+
+
+def claims(given, *outcomes):
+    """Return the claims with one of these verdicts, one verdict after the other, and what else fails by a finding."""
+    findings = by_cause(given, "finding")
+    listed = [each for each in given if each.kind == "claim" or each in findings]
+    return [each for outcome in outcomes for each in listed if each.verdict == outcome]
+
+
+def reasons(given, chosen):
+    """Return the causes of some verdicts, each with those that name it; a cause that two papers share stands once."""
     alike = {}
-    for each in given:
-        if each.cause and given.causes[each.paper, each.cause].kind == kind:
-            cause = given.causes[each.paper, each.cause]
-            alike.setdefault((cause.sentence, cause.meaning), []).append(each)
-    return [(sentence, meaning, members) for (sentence, meaning), members in alike.items()]
+    for each in chosen:
+        cause = given.causes[each.paper, each.cause]
+        alike.setdefault((cause.sentence, cause.meaning), (cause, []))[1].append(each)
+    return list(alike.values())
+
+
+def common(members):
+    """Return the filter of the values page that shows these verdicts: all the fields in which they agree."""
+    values = {name: {getattr(each, name) for each in members} for name in ("paper", "kind", "verdict", "cause")}
+    values["place"] = {place(each) for each in members}
+    return urlencode({name: min(found) for name, found in values.items() if len(found) == 1 and found != {""}})
 
 
 def figures_of(key, cells):
@@ -213,6 +232,11 @@ def draw_still(preset, folder):
     for row, name in enumerate(["position", "velocity"]):
         ax["gain"].loglog(steps, [each.B[row, 0] for each in steady], label=name)
     plots.finish(ax["gain"], "time step Δt (s)", "the constant gain")
+    for each in ax.values():
+        each.set_ylim(0.01, 1)
+        for axis in (each.xaxis, each.yaxis):
+            axis.set_major_formatter("{x:g}")  # the exponents of powers of ten would be small
+            axis.set_minor_formatter("")
     plots.save_figure(fig, "live", folder)
 
 
@@ -298,9 +322,13 @@ def environment():
     env.globals |= {
         "VERDICTS": VERDICTS,
         "BASES": BASES,
+        "CAUSE_KINDS": CAUSE_KINDS,
         "OF_CLAIMS": OF_CLAIMS,
         "grouped": grouped,
+        "by_cause": by_cause,
+        "claims": claims,
         "reasons": reasons,
+        "common": common,
         "shorten": shorten,
         "place": place,
         "live_presets": live_presets,
@@ -308,6 +336,7 @@ def environment():
     env.filters |= {
         "slug": lambda text: text.replace(" ", "-"),
         "code": lambda text: re.sub(r"`([^`]*)`", r"\1", text),
+        "place": place,
     }
     return env
 

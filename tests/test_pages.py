@@ -28,6 +28,12 @@ def test_many_verdicts_that_share_table_outcome_and_cause_become_one_row():
     ]
 
 
+def test_the_filter_of_some_verdicts_says_all_that_they_share():
+    alike = [verdict(f"t4.{i}", f"Table 4, row {i}", "erratum", "join") for i in range(2)]
+    assert pages.common(alike) == "paper=p&kind=number&verdict=erratum&cause=join&place=Table+4"
+    assert pages.common([*alike, verdict("a", "Abstract")]) == "paper=p&kind=number"
+
+
 def test_what_is_printed_cannot_become_markup():
     chips = pages.environment().get_template("macros.html").module.chips
     html = str(chips([verdict("a", printed="a < b & <script>")], ""))

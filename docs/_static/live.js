@@ -99,19 +99,20 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
     q: { label: "process noise q", unit: "", from: -4, to: 1, log: true },
     r: { label: "measurement variance r", unit: "m²", from: -3, to: 2, log: true },
     v: { label: "velocity", unit: "m/s", from: 0, to: 30, step: 0.1 },
-    M: { label: "FIR length M", unit: "measurements", from: 1, to: 60, step: 1 },
+    M: { label: "FIR length M", unit: "measurements", from: 1, to: live.STEPS, step: 1 },
   };
   const ROWS = 41, number = (value, digits = 3) => String(Number(value.toPrecision(digits)));
   const state = {}, controls = {};
+  let panels = 0;
   const ruled = ({ model, dt, q, r }) => Math.min(live.firOrder(live.steadyState(model, dt, q, r).A), SLIDERS.M.to);
   const take = ({ name, ...preset }) => Object.assign(state, preset, { M: ruled(preset) });
 
   // A panel: axes, curves of [x, y], each with its label at its end, and a mark at the chosen time step.
   function panel(title, xlabel, { curves, band, x, y, logs, mark, width = 360 }) {
-    const height = 230, left = 46, right = width - 74, top = 30, bottom = height - 40;
+    const height = 230, left = 46, right = width - 74, top = 30, bottom = height - 40, clip = `panel-${++panels}`;
     const scale = ([low, high], log) => (value) => log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
     const across = (value) => left + (right - left) * scale(x, logs.includes("x"))(value);
-    const up = (value) => bottom - (bottom - top) * Math.min(Math.max(scale(y, logs.includes("y"))(value), -0.02), 1.02);
+    const up = (value) => bottom - (bottom - top) * scale(y, logs.includes("y"))(value);
     const ticks = ([low, high], log) => {
       if (log) return Array.from({ length: 25 }, (_, i) => 10 ** (i - 12)).filter((t) => t >= low * 0.99 && t <= high * 1.01);
       const rough = (high - low) / 4, unit = 10 ** Math.floor(Math.log10(rough));
@@ -123,15 +124,16 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
       + `<text x="${across(t)}" y="${bottom + 16}" text-anchor="middle">${number(t)}</text>`);
     grid.push(...ticks(y, logs.includes("y")).map((t) => `<path class="grid" d="M${left} ${up(t)}H${right}"/>`
       + `<text x="${left - 5}" y="${up(t) + 4}" text-anchor="end">${number(t)}</text>`));
-    const ends = curves.map(({ points }) => up(points.at(-1)[1]));
+    const ends = curves.map(({ points }) => Math.min(Math.max(up(points.at(-1)[1]), top), bottom));
     const close = ends.length === 2 && Math.abs(ends[0] - ends[1]) < 14;
     const drawn = curves.map(({ name, points }, i) => {
       const at = close ? (ends[0] + ends[1]) / 2 + (ends[i] < ends[1 - i] || (ends[0] === ends[1] && !i) ? -7 : 7) : ends[i];
-      return `<path class="curve c${i}" d="${path(points)}"/><text class="c${i}" x="${right + 5}" y="${at + 4}">${name}</text>`;
+      return `<path class="curve c${i}" clip-path="url(#${clip})" d="${path(points)}"/><text class="c${i}" x="${right + 5}" y="${at + 4}">${name}</text>`;
     });
-    const shaded = band ? `<path class="band" d="${path([...band.map(([a, b]) => [a, b]), ...band.map(([a, b]) => [a, -b]).reverse()])}Z"/>` : "";
+    const shaded = band ? `<path class="band" clip-path="url(#${clip})" d="${path([...band.map(([a, b]) => [a, b]), ...band.map(([a, b]) => [a, -b]).reverse()])}Z"/>` : "";
     const here = mark ? mark.map(([a, b]) => `<circle cx="${across(a)}" cy="${up(b)}" r="4.5"/>`).join("") : "";
-    return `<svg viewBox="0 0 ${width} ${height}" aria-hidden="true"><text class="title" x="2" y="15">${title}</text>${grid.join("")}`
+    return `<svg viewBox="0 0 ${width} ${height}" aria-hidden="true"><clipPath id="${clip}"><rect x="${left}" y="${top - 2}" width="${right - left}" height="${bottom - top + 4}"/></clipPath>`
+      + `<text class="title" x="2" y="15">${title}</text>${grid.join("")}`
       + `${shaded}${drawn.join("")}${here}<text x="${(left + right) / 2}" y="${height - 6}" text-anchor="middle">${xlabel}</text></svg>`;
   }
 
@@ -145,6 +147,7 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
     const t = live.track(state), k = t.s.map((_, i) => i + 1);
     const errors = [t.kalman, t.fir].map((estimate) => estimate.map((each, i) => [k[i], each - t.s[i]]));
     const late = errors.flat().filter(([at]) => at > live.STEPS / 3).map(([, error]) => Math.abs(error));
+    const worst = Math.max(...errors[1].map(([, error]) => Math.abs(error)));
     const reach = 1.1 * Math.max(4 * Math.sqrt(P[0]), ...late);
     const wide = { x: [0.01, 100], logs: "xy" };
     figure.querySelector(".panels").innerHTML = [
@@ -157,12 +160,14 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
     ].join("");
     const rule = live.firOrder(A), last = errors.map((each) => number(Math.abs(each.at(-1)[1]), 2));
     figure.querySelector(".said").textContent = `With Δt = ${number(dt)} s the constant gain is ${number(K[0])} for the position and `
-      + `${number(K[1])} 1/s for the velocity; σ of the position is ${number(Math.sqrt(P[0]))} m. The rule ‖Aᴹ‖ < 0.001 takes M = ${rule}; `
-      + `at step ${live.STEPS} the Kalman filter is off by ${last[0]} m, the FIR filter with M = ${M} by ${last[1]} m.`;
+      + `${number(K[1])} 1/s for the velocity; σ of the position is ${number(Math.sqrt(P[0]))} m. The rule ‖Aᴹ‖ < 0.001 takes M = ${rule}${rule > live.STEPS ? ", more than this track has" : ""}; `
+      + `at step ${live.STEPS} the Kalman filter is off by ${last[0]} m, the FIR filter with M = ${M} by ${last[1]} m`
+      + `${worst > reach ? `; its largest error, ${number(worst, 2)} m, lies outside the panel` : ""}.`;
     for (const [name, { unit, log }] of Object.entries(SLIDERS)) {
       const { input, value } = controls[name];
       input.value = log ? Math.log10(state[name]) : state[name];
       value.textContent = `${number(state[name])} ${name === "q" ? (model === "cv" ? "m²/s³" : "m²/s²") : unit}`;
+      if (name === "M" && rule > M && M === live.STEPS) value.textContent = `all ${M} (rule: ${rule})`;
       input.setAttribute("aria-valuetext", value.textContent);
     }
     for (const button of figure.querySelectorAll("[data-preset]")) {
