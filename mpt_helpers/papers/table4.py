@@ -88,6 +88,6 @@ def draw(ax, states, names, notes, framed):
     ax.tick_params(length=0)
     ax.grid(False)
     ax.spines[:].set_visible(False)
-    meanings = {RIGHT: "right", WRONG: "wrong", LOST: "lost by our copy"}
+    meanings = {RIGHT: "right", WRONG: "wrong", LOST: "missing from our copy"}
     handles = [Patch(facecolor=COLOURS[state], edgecolor="0.7", label=text) for state, text in meanings.items()]
     ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3)
