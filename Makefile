@@ -59,7 +59,7 @@ clock: $(VENV)/.ok
 mutants: $(VENV)/.ok
 	$(PY) tests/mutants.py
 
-# Each notebook whose verdicts rest on simulation, with 25 other seeds: most of an hour. KEYS="2016_prediction" runs one.
+# Each notebook whose verdicts rest on simulation, with 25 other seeds: some ten minutes. KEYS="2016_prediction" runs one.
 seeds: $(VENV)/.ok
 	$(PY) tests/seeds.py $(KEYS)
 

@@ -23,6 +23,7 @@ from urllib.parse import urlencode
 import matplotlib
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 import mpt_helpers as mpt
 from mpt_helpers import plots
@@ -309,6 +310,21 @@ def api():
     }
 
 
+# A letter with an index or a power: P_k, A^(ν-1). A small letter is one only where no word ends with it.
+SYMBOL = re.compile(r"((?:[A-ZΑ-ω]|(?<![A-Za-z\d_.])[a-z])\u0302?²?)([_^])(\([^()]*\)|\d+|[A-Z]+|[a-zν]{1,2}(?![a-z]))")
+
+
+def typeset(text):
+    """Return a text as HTML with its indices lowered and its powers raised: P_k is P<sub>k</sub>."""
+
+    def set_apart(symbol):
+        base, sign, index = symbol.groups()
+        tag = {"_": "sub", "^": "sup"}[sign]
+        return f"{base}<{tag}>{index.strip('()')}</{tag}>"
+
+    return Markup(SYMBOL.sub(set_apart, str(escape(text))))
+
+
 def environment():
     """Return the templates and what all of them use."""
     env = Environment(
@@ -337,6 +353,7 @@ def environment():
         "slug": lambda text: text.replace(" ", "-"),
         "code": lambda text: re.sub(r"`([^`]*)`", r"\1", text),
         "place": place,
+        "typeset": typeset,
     }
     return env
 

@@ -34,6 +34,12 @@ def test_the_filter_of_some_verdicts_says_all_that_they_share():
     assert pages.common([*alike, verdict("a", "Abstract")]) == "paper=p&kind=number"
 
 
+def test_indices_are_lowered_powers_raised_and_names_left_alone():
+    html = pages.typeset("H_kP_k < A^(ν-1), σ²_r, A_KF, line_sigma, x_max")
+    expected = "H<sub>k</sub>P<sub>k</sub> &lt; A<sup>ν-1</sup>, σ²<sub>r</sub>, A<sub>KF</sub>, line_sigma, x_max"
+    assert html == expected
+
+
 def test_what_is_printed_cannot_become_markup():
     chips = pages.environment().get_template("macros.html").module.chips
     html = str(chips([verdict("a", printed="a < b & <script>")], ""))
