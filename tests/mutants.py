@@ -73,10 +73,11 @@ def first_failure(project, tests):
     here = os.environ | {"PYTHONPATH": str(project), "PYTHONDONTWRITEBYTECODE": "1"}  # before the installed package
     notebooks = [test for test in tests if test.endswith(".ipynb")]
     others = [test for test in tests if test not in notebooks]
-    for stage in (others, ["-p", "tests.exact", "--nbval", "--nbval-current-env", *notebooks] if notebooks else []):
+    of_tests = ["--hypothesis-profile=mutants", *others] if others else []  # tests/conftest.py has that profile
+    of_notebooks = ["-p", "tests.exact", "--nbval", "--nbval-current-env", *notebooks] if notebooks else []
+    for stage in (of_tests, of_notebooks):
         if stage:
-            options = ["-q", "-x", "-p", "no:cacheprovider", "--hypothesis-profile=mutants"]
-            command = [sys.executable, "-m", "pytest", *options, *stage]
+            command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *stage]
             run = subprocess.run(command, cwd=project, env=here, capture_output=True, text=True)
             if run.returncode:
                 found = re.findall(r"(?m)^(?:FAILED|ERROR) (\S+)", run.stdout)
