@@ -266,9 +266,9 @@ class KalmanFilter(RecursiveFilter):
         x = F.dot(x)
         P = F.dot(P).dot(F.T) + Q
         seen = ~np.isnan(z_k)
-        if not seen.any():
-            return x, P
         if not seen.all():
+            if not seen.any():
+                return x, P
             z_k = np.where(seen, z_k, 0)
             H, R = neutralised(self.model, seen)
         PHt = P.dot(H.T)
