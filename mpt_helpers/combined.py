@@ -122,7 +122,7 @@ class Separate(Filter):
 
     def step(self, x, P, z_k):
         """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its rows of z_k (m,)."""
-        z_k = one_measurement(z_k, self.model.m)
+        z_k, _ = one_measurement(z_k, self.model.m)
         x, P = np.asarray(x), np.asarray(P)
         after = [each.step(x[i], P[i, i], z_k[rows]) for each, i, rows in self._parts()]
         return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))

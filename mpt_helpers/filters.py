@@ -121,8 +121,7 @@ class RecursiveFilter(Filter):
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`. Only z_k is checked.
         """
-        z_k = one_measurement(z_k, self.model.m)
-        seen = ~np.isnan(z_k)
+        z_k, seen = one_measurement(z_k, self.model.m)
         A, B, P = self.next_step(P, seen)
         x = A @ x + B @ np.where(seen, z_k, 0)
         return x, P
@@ -210,13 +209,15 @@ def _has_not_moved(before, after):
 
 
 def one_measurement(z_k, m):
-    """Return z_k as a vector of floats of length m, or raise."""
+    """Return z_k as a vector of floats of length m, and which of them are there, or raise."""
     need = f"a vector of length {m}"
     z_k = checks.real_numbers("z_k", z_k, need).astype(float)
     if z_k.shape != (m,):
         checks.refuse("z_k", need, f"shape {z_k.shape}")
-    checks.no_infinity(z_k)
-    return z_k
+    seen = np.isfinite(z_k)
+    if not seen.all():
+        checks.no_infinity(z_k)
+    return z_k, seen
 
 
 def neutralised(model, seen):
@@ -260,12 +261,11 @@ class KalmanFilter(RecursiveFilter):
 
     def step(self, x, P, z_k):
         """Return x(k+1/k+1) and P(k+1/k+1), as in RecursiveFilter: the textbook's equations, Joseph's form for P."""
-        z_k = one_measurement(z_k, self.model.m)
+        z_k, seen = one_measurement(z_k, self.model.m)
         F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
         # `dot` takes half the time of `@` on matrices as small as these.
         x = F.dot(x)
         P = F.dot(P).dot(F.T) + Q
-        seen = ~np.isnan(z_k)
         if not seen.all():
             if not seen.any():
                 return x, P
