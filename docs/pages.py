@@ -346,7 +346,6 @@ def environment():
         "reasons": reasons,
         "common": common,
         "shorten": shorten,
-        "place": place,
         "live_presets": live_presets,
     }
     env.filters |= {

@@ -130,11 +130,11 @@ def _verified(model, solve):
     nearest = "F is stable, so there is one in exact numbers"
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            margins = sorted(_margins(model), key=lambda each: each[0])
+            least = min(_margins(model), key=lambda each: each[0], default=None)
     except np.linalg.LinAlgError:
         checks.refuse("model", "products that doubles can hold", "an overflow")
-    if margins:
-        margin, condition, mode = margins[0]
+    if least:
+        margin, condition, mode = least
         if margin < MODE_ROUNDING:
             raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
         nearest = f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import jupyter_client
 import pytest
-from conftest import VERDICTS, write_notebook
+from conftest import KERNEL, VERDICTS, write_notebook
 from nbformat.v4 import new_output
 
 import mpt_helpers as mpt
@@ -217,9 +217,7 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, 
             os.kill(int(kernel), 0)
 
 
-KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
-METADATA = {"kernelspec": KERNEL, "language_info": {"name": "python"}}
-EMPTY = {"cells": [], "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5}
+EMPTY = {"cells": [], "metadata": KERNEL | {"language_info": {"name": "python"}}, "nbformat": 4, "nbformat_minor": 5}
 NEW = {
     "figures/a.png": b"new",
     "figures/b.png": b"new",
