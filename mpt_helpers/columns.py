@@ -12,6 +12,8 @@ and of loops over tracks:
 
 import numpy as np
 
+from .model import predicted_covariance
+
 
 def can_run(model, z):
     """Tell whether `kalman_epochs` can filter z (N, m, M): no row is partly NaN, or the noises are uncorrelated."""
@@ -22,20 +24,12 @@ def can_run(model, z):
 
 def kalman_epochs(model, z):
     """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), NaN where one is missing."""
-    # The most precise measurement last: a further change of basis would round away the small variance that it leaves.
-    order = np.argsort((model.H**2).sum(axis=1) / np.diag(model.R), kind="stable")
-    H, R, z = model.H[order], model.R[np.ix_(order, order)], z[:, order]
-    variances = np.diag(R)
-    if not _is_diagonal(R):  # with R = L diag(variances) Lᵀ, the measurements L⁻¹ z have uncorrelated noises
-        root = np.linalg.cholesky(R)
+    H, variances = model.H, np.diag(model.R)
+    if not _is_diagonal(model.R):  # with R = L diag(variances) Lᵀ, the measurements L⁻¹ z have uncorrelated noises
+        root = np.linalg.cholesky(model.R)
         L, variances = root / np.diag(root), np.diag(root) ** 2
         H, z = np.linalg.solve(L, H), np.linalg.solve(L, z)
-    updates, T = [], np.eye(model.n)
-    for j, h in enumerate(H):
-        if h.any():  # a row of zeros tells nothing
-            new_T, i = _basis(h)
-            updates.append((linear_map(new_T @ np.linalg.inv(T)), j, i))  # from the last basis straight to this one
-            T = new_T
+    changes, T = _coordinates(model, H, variances)
     predict, back = linear_map(model.F), linear_map(np.linalg.inv(T))
 
     x = np.repeat(model.x0[:, None], z.shape[2], axis=1)
@@ -43,8 +37,8 @@ def kalman_epochs(model, z):
     for z_k in z:
         x, P = predict(x, P)
         P = P + model.Q[..., None]
-        for to_basis, j, i in updates:
-            x, P = to_basis(x, P)
+        for change, j, i in changes:
+            x, P = change(x, P)
             x, P = _corrected(x, P, z_k[j], variances[j], i)
         x, P = back(x, P)
         yield x, P
@@ -88,16 +82,26 @@ def _is_diagonal(R):
     return np.array_equal(R, np.diag(np.diag(R)))
 
 
-def _basis(h):
-    """Return the basis T (n, n) in which the measurement h x is a component of the state, and the component's number.
+def _coordinates(model, H, variances):
+    """Return the changes of coordinates that make one measurement after the other a component of the state.
 
-    T is the identity with h in place of one row: that of h's largest entry, so that T has an inverse. Where h picks one
-    component, T is the identity.
+    Each is (linear_map, row of H, component). Also returns T (n, n), which takes the state to the last coordinates.
     """
-    i = int(np.argmax(np.abs(h)))
-    T = np.eye(len(h))
-    T[i] = h
-    return T, i
+    # sigma: how far each coordinate typically moves. A measurement replaces the coordinate that contributes most to it:
+    # one that contributes little would come back as a small difference of large numbers.
+    variance = np.diag(predicted_covariance(model, model.P0, model.n))
+    sigma = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+    changes, T = [], np.eye(model.n)
+    for j, h in enumerate(H):
+        if h.any():  # a row of zeros tells nothing
+            change = np.eye(model.n)
+            weights = h @ np.linalg.inv(T)  # h x in the present coordinates
+            i = int(np.argmax(np.abs(weights) * sigma))
+            change[i] = weights
+            sigma[i] = min(np.sqrt(variances[j]), np.abs(weights) @ sigma)  # once it is measured
+            T = change @ T
+            changes.append((linear_map(change), j, i))
+    return changes, T
 
 
 def linear_map(T):

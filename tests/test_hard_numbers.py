@@ -30,6 +30,8 @@ WALK = {"F": [[1.0]], "H": [[1.0]], "Q": [[1.0]]}
 UNSTABLE = {"F": [[1.5, 1.0], [0.0, 0.9]], "H": [[1.0, 0.3]], "R": [[1.0]]}
 BOTH_SEEN = {"F": [[1.0, 1.0], [0.0, 1.0]], "H": np.eye(2), "Q": np.eye(2)}
 
+SUMS_SEEN = {"F": [[1.0, 7.0], [0.0, 1.0]], "H": [[1.0, 0.7], [0.7, -0.9]], "Q": np.diag([1e4, 1e6])}
+
 
 def uncertain(make, variance):
     model = make(dt=0.7, q=0.01, r=0.1)
@@ -65,6 +67,9 @@ MODELS = {
     "closed loop 1 - 1e-3": mpt.LinearModel(**WALK, R=[[1e6]]),
     "closed loop 1 - 1e-6": mpt.LinearModel(**WALK, R=[[1e12]]),
     "closed loop 1 - 1e-8": mpt.LinearModel(**WALK, R=[[1e16]]),
+    "gsm, P0 = diag(1e8, 1e-6)": mpt.gsm_axis(1.5, 1e-10, 100.0, P0=np.diag([1e8, 1e-6])),
+    "gsm, Q = 0, P0 = diag(1e8, 0)": mpt.gsm_axis(2.0, 0.0, 100.0, x0=[0, 1], P0=np.diag([1e8, 0])),
+    "two precise sensors of sums of states": mpt.LinearModel(**SUMS_SEEN, R=np.diag([1e-2, 1e-1])),
     "undriven mode 1 - 1e-6": mpt.LinearModel(
         F=np.diag([1 - 1e-6, 0.5]), H=[[1, 1]], Q=np.diag([0, 1]), R=[[1]], P0=np.eye(2)
     ),
@@ -72,7 +77,7 @@ MODELS = {
     "F of 1.5, Q singular": mpt.LinearModel(**UNSTABLE, Q=np.diag([1.0, 0.0]), P0=np.eye(2)),
     "cv, Q = 0, P0 = I": replace(mpt.constant_velocity(1.0, 1.0, 1.0), Q=np.zeros((2, 2)), P0=np.eye(2)),
 }
-NO_STEADY_STATE = {"cv, Q = 0, P0 = I"}
+NO_STEADY_STATE = {"cv, Q = 0, P0 = I", "gsm, Q = 0, P0 = diag(1e8, 0)"}
 COLUMNS = [
     *[f"{name}: {what}" for name in ("Kalman", "Lainiotis") for what in ("x", "A B", "P")],
     *["own gaps: x", "own gaps: P"],

@@ -23,7 +23,7 @@ PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
 CORE = ["checks", "recursion", "model", "riccati", "columns", "filters", "steady", "combined", "metrics"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
-OF_THE_CORE |= {"recursion": set(), "columns": set(), "monte_carlo": {"checks"}}
+OF_THE_CORE |= {"recursion": set(), "columns": {"model"}, "monte_carlo": {"checks"}}
 ROOMS = {
     "ledger": {"ledger", "checks"},
     "plots": {"plots", "checks", "files"},
