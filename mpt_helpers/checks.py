@@ -89,7 +89,7 @@ def array(name, value, shape):
 def real_numbers(name, value, need):
     """Return `value` as an array if it holds real numbers, or raise; the numbers are not looked at."""
     if isinstance(value, np.ma.MaskedArray):
-        refuse(name, f"{need} (NaN where a measurement is missing)", "a masked array", TypeError)
+        refuse(name, f"{need}, NaN where one is missing", "a masked array (z.filled(np.nan) makes one)", TypeError)
     try:
         values = np.asarray(value)
     except ValueError:
@@ -99,6 +99,14 @@ def real_numbers(name, value, need):
     if values.dtype.kind not in "iuf":
         refuse(name, need, f"an array of {values.dtype} data", TypeError)
     return values
+
+
+def rows(name, matrix):
+    """Return how many rows a matrix has, or raise."""
+    values = real_numbers(name, matrix, "a matrix")
+    if values.ndim != 2 or values.size == 0:
+        refuse(name, "a matrix", f"shape {values.shape}")
+    return len(values)
 
 
 def covariance(name, value, size, definite=False, rounding=ROUNDING):

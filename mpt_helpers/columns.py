@@ -48,7 +48,7 @@ def _corrected(x, P, z, variance, i):
     """Return x (n, M) and P (n, n, M) after a measurement z (M,) of component i of the state, NaN where it is missing.
 
     It is the textbook's update with eᵢᵀ for H. Its row and column i, c - cᵢ c / S with S = cᵢ + v, equal c v / S, which
-    is no difference of large numbers. P is written over.
+    is no difference of large numbers. P is overwritten, so it must be the caller's own.
     """
     lost = np.isnan(z)
     c = P[i].copy()

@@ -1,10 +1,12 @@
 """The Kalman filter and the Lainiotis filter, and what all recursive filters share.
 
-Each filter computes x(k+1/k+1) = A_k x(k/k) + B_k z(k+1). The filters differ in `next_step`, which makes A_k, B_k and
-P(k+1/k+1) from P(k/k) as the papers print it. (KalmanFilter has it once more for one measurement, and for stacks.)
+Each filter computes x(k+1/k+1) = A_k x(k/k) + B_k z(k+1). The filters differ in `next_step`, which computes A_k, B_k
+and P(k+1/k+1) from P(k/k) with the papers' equations. For speed, KalmanFilter repeats these equations for a single
+measurement (`step`) and for a stack of tracks (`_next_steps`), and `columns` has them for tracks as columns.
+
 A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros
-in H, and in R a one on the diagonal and zeros beside it: then every equation holds as printed, also when all
-measurements of an epoch are missing.
+in H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed,
+also when all measurements of an epoch are missing.
 """
 
 import copy
@@ -17,10 +19,10 @@ import numpy as np
 from . import checks, columns
 from .model import Immutable, LinearModel, predicted_covariance
 from .recursion import TILE_OF_COVARIANCES, Step, lifted, run, tiles
-from .riccati import innovation_weights, lainiotis_matrices, lainiotis_transition
+from .riccati import corrected_covariance, innovation_weights, lainiotis_matrices, lainiotis_transition
 
-# A filter keeps the products of its steps for its next call, if no more than this many steps differ. On the papers'
-# models it converges within 45.
+# A filter keeps the products of its steps for its next call if it has no more steps than this, or converges within
+# them. On the papers' models it converges within 45.
 MOST_KEPT = 256
 # A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
 CONVERGED = 2e-16
@@ -167,7 +169,7 @@ class RecursiveFilter(Filter):
         if kept_for != (N, tracks):
             steps = list(self._steps(np.ones((N, self.model.m), bool)))
             products = lifted(steps, tracks)
-            if N <= MOST_KEPT or steps[-1] is steps[MOST_KEPT - 1]:
+            if N <= MOST_KEPT or steps[-1] is steps[MOST_KEPT - 1]:  # a filter that has converged repeats one Step
                 vars(self)["_kept_products"] = (N, tracks), products
         return products
 
@@ -176,7 +178,7 @@ class RecursiveFilter(Filter):
         as_before = [False, *(seen[1:] == seen[:-1]).all(axis=1)]
         P, converged = self.P0, False
         for seen_k, same in zip(seen, as_before, strict=True):
-            if not (same and converged):  # otherwise the last step again
+            if not (converged and same):
                 step = Step(*self.next_step(P, seen_k))
                 for array in step:
                     array.flags.writeable = False
@@ -232,8 +234,7 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    `step` writes the same equations out, since filterpy's object costs more than they do; `columns` has them for tracks
-    with different gaps. Where H P Hᵀ + R rounds away a precise sensor, filterpy's gain loses it: see docs/accuracy.md.
+    Where H P Hᵀ + R rounds away a precise sensor, filterpy's gain loses it: see docs/accuracy.md.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1)).filter([[1.0], [2.0]]).round(4)
@@ -286,8 +287,8 @@ class KalmanFilter(RecursiveFilter):
         H, R = neutralised(self.model, seen)
         P = predicted_covariance(self.model, P)
         K = P @ innovation_weights(P, H, R)
-        update = np.eye(self.model.n) - K @ H
-        return update @ self.model.F, K, update @ P @ update.swapaxes(-1, -2) + K @ R @ K.swapaxes(-1, -2)
+        A = (np.eye(self.model.n) - K @ H) @ self.model.F
+        return A, K, corrected_covariance(P, K, H, R)
 
 
 class LainiotisFilter(RecursiveFilter):
@@ -295,7 +296,8 @@ class LainiotisFilter(RecursiveFilter):
 
         A_k = F_n [I + P(k/k) O_n]⁻¹,   B_k = K_n + A_k P(k/k) K_m,   P(k+1/k+1) = P_n + A_k P(k/k) F_nᵀ
 
-    Tracks with different gaps take many times as long as with the Kalman filter.
+    Tracks with different gaps take many times as long as with the Kalman filter. Where P0 is 10⁷ R or more, the
+    estimates lose digits that the Kalman filter keeps: see docs/accuracy.md.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> LainiotisFilter(gsm_axis(dt=1.0, q=0.01, r=0.1)).filter([[1.0], [2.0]]).round(4)

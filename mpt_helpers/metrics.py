@@ -10,6 +10,7 @@ from . import checks
 from .filters import Filter
 from .model import LinearModel, predicted_covariance
 from .recursion import TILE_OF_COVARIANCES, tiles
+from .riccati import corrected_covariance
 from .steady import SteadyStateFilter
 
 
@@ -101,8 +102,8 @@ def log_likelihood(estimator, z):
     """Return the logarithm of the probability density of measurements z, a number or, for many tracks, (M,).
 
     It is the sum of the log densities of the innovations. For a filter with a constant gain it is a quasi-likelihood:
-    its S is the covariance of the true error, but until the start or a gap is forgotten, its innovations are
-    correlated. Raises as `innovations`.
+    its S assumes that P(0/0) is the steady P, and its innovations are correlated until the start or a gap is
+    forgotten. Raises as `innovations`.
 
     >>> from mpt_helpers.filters import KalmanFilter
     >>> from mpt_helpers.model import constant_velocity
@@ -211,10 +212,10 @@ def error_moments(steady, truth, N, steps=0):
     _require_same_motion(steady, truth)
     steps = checks.count("steps", steps, least=0)
     mean, P = [], []
-    noise = _noise_of_a_step(steady, truth)
     e, C = truth.x0 - steady.model.x0, truth.P0
     for _ in range(checks.count("N", N)):
-        e, C = steady.A @ e, steady.A @ C @ steady.A.T + noise
+        e = steady.A @ e
+        C = corrected_covariance(predicted_covariance(truth, C), steady.B, truth.H, truth.R)
         mean.append(e)
         P.append(C)
     ahead = np.linalg.matrix_power(truth.F, steps)
@@ -239,13 +240,9 @@ def error_covariance(steady, truth, steps=0):
     radius = np.abs(np.linalg.eigvals(steady.A)).max()
     if radius >= 1:
         checks.refuse("steady", "a filter whose A has a spectral radius below 1", f"{radius:.6g}")
-    P = solve_discrete_lyapunov(steady.A, _noise_of_a_step(steady, truth))
+    noise = corrected_covariance(truth.Q, steady.B, truth.H, truth.R)
+    P = solve_discrete_lyapunov(steady.A, noise)
     return predicted_covariance(truth, (P + P.T) / 2, steps)
-
-
-def _noise_of_a_step(steady, truth):
-    update = np.eye(truth.n) - steady.B @ truth.H
-    return update @ truth.Q @ update.T + steady.B @ truth.R @ steady.B.T
 
 
 def _require_same_motion(steady, truth):

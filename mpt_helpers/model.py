@@ -44,7 +44,7 @@ class LinearModel(Immutable):
     P0: np.ndarray = None
 
     def __post_init__(self):
-        n, m = _rows("F", self.F), _rows("H", self.H)
+        n, m = checks.rows("F", self.F), checks.rows("H", self.H)
         x0 = np.zeros(n) if self.x0 is None else self.x0
         P0 = np.zeros((n, n)) if self.P0 is None else self.P0
         checked = {
@@ -73,14 +73,6 @@ class LinearModel(Immutable):
         if not isinstance(other, LinearModel):
             return NotImplemented
         return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-
-
-def _rows(name, matrix):
-    """Return how many rows a matrix has, or raise."""
-    values = checks.real_numbers(name, matrix, "a matrix")
-    if values.ndim != 2 or values.size == 0:
-        checks.refuse(name, "a matrix", f"shape {values.shape}")
-    return len(values)
 
 
 def gsm_axis(dt, q, r, x0=None, P0=None):

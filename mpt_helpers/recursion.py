@@ -26,7 +26,7 @@ STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
 class Step(NamedTuple):
     """One step of a filter: its coefficients A (n, n) and B (n, m), and the covariance P (n, n) after it.
 
-    With a first axis N, the steps 1 to N.
+    `coefficients` returns N of them as one Step, whose arrays have a first axis of length N.
     """
 
     A: np.ndarray

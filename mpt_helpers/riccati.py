@@ -1,6 +1,6 @@
 """Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
 
-The two solvers share no algorithm, so their agreement is evidence and no tautology. Each checks its solution against
+The two solvers share no algorithm, so their agreement is a real check. Each checks its solution against
 its own equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter are defined
 here too, since its Riccati equation is made of them.
 """
@@ -40,9 +40,9 @@ class LainiotisMatrices(NamedTuple):
 def lainiotis_matrices(model, H=None, R=None):
     """Return F_n (n×n), K_n, K_m (n×m), P_n, O_n (n×n) of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3).
 
-        A = [H Q Hᵀ + R]⁻¹,   K_n = Q Hᵀ A,   K_m = Fᵀ Hᵀ A,   F_n = F - K_n H F,   P_n = Q - K_n H Q,   O_n = K_m H F
+        K_n = Q Hᵀ S⁻¹,   K_m = Fᵀ Hᵀ S⁻¹,   F_n = F - K_n H F,   P_n = Q - K_n H Q,   O_n = K_m H F
 
-    H and R are those of the model unless others are given.
+    with S = H Q Hᵀ + R; the papers write A for S⁻¹. H and R are those of the model unless others are given.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
@@ -52,11 +52,12 @@ def lainiotis_matrices(model, H=None, R=None):
     F, Q = model.F, model.Q
     H = model.H if H is None else H
     R = model.R if R is None else R
-    HtA = innovation_weights(Q, H, R)
-    Kn = Q @ HtA
-    Km = F.T @ HtA
+    weights = innovation_weights(Q, H, R)
+    Kn = Q @ weights
+    Km = F.T @ weights
     update = np.eye(model.n) - Kn @ H
-    return LainiotisMatrices(Fn=update @ F, Kn=Kn, Km=Km, Pn=corrected_covariance(Q, Kn, H, R), On=Km @ H @ F)
+    G = np.hstack([update @ square_root(Q), Kn @ np.linalg.cholesky(R)])  # a root of P_n keeps more of its digits
+    return LainiotisMatrices(Fn=update @ F, Kn=Kn, Km=Km, Pn=G @ G.T, On=Km @ H @ F)
 
 
 def innovation_weights(P, H, R):
@@ -76,16 +77,16 @@ def innovation_weights(P, H, R):
 
 
 def corrected_covariance(P, K, H, R):
-    """Return (I - K H) P (I - K H)ᵀ + K R Kᵀ (n×n): Joseph's form, as a product G Gᵀ.
+    """Return (I - K H) P (I - K H)ᵀ + K R Kᵀ (n×n), Joseph's form; P and K may be stacks (M, n, n) and (M, n, m).
 
-    It is positive semidefinite and keeps its digits where R is far smaller than P.
+    It holds for any gain K, and keeps its digits where R is far smaller than P.
 
     >>> corrected_covariance(P=np.eye(1), K=np.array([[0.5]]), H=np.eye(1), R=np.eye(1))
     array([[0.5]])
     """
-    update = np.eye(len(P)) - K @ H
-    G = np.hstack([update @ square_root(P), K @ np.linalg.cholesky(R)])
-    return G @ G.T
+    update = np.eye(P.shape[-1]) - K @ H
+    P = update @ P @ update.swapaxes(-1, -2) + K @ R @ K.swapaxes(-1, -2)
+    return (P + P.swapaxes(-1, -2)) / 2
 
 
 def rekf(model):
@@ -132,7 +133,7 @@ def _verified(model, solve):
         with np.errstate(over="ignore", invalid="ignore"):
             least = min(_margins(model), key=lambda each: each[0], default=None)
     except np.linalg.LinAlgError:
-        checks.refuse("model", "products that doubles can hold", "an overflow")
+        checks.refuse("model", "matrices whose products do not overflow", "an overflow")
     if least:
         margin, condition, mode = least
         if margin < MODE_ROUNDING:
@@ -168,13 +169,13 @@ def _solve_rekf(model):
 def _newton_step(P, F, H, Q):
     """Return what Newton's method adds to P, a solution of the REKF with R = I.
 
-    It is the sum of Aⁱ D Aᵀⁱ, i = 0, 1, ..., where D is what P misses in the equation. Each round doubles the terms.
+    It is the sum of Aⁱ D Aᵀⁱ, i = 0, 1, ..., where D is what P misses in the equation. After j rounds, `total` has 2^j
+    terms and `A` is the power 2^j.
     """
     identity = np.eye(len(H))
     K = P @ innovation_weights(P, H, identity)
-    update = np.eye(len(P)) - K @ H
-    A = F @ update
-    total = F @ (update @ P @ update.T + K @ K.T) @ F.T + Q - P
+    A = F - F @ K @ H
+    total = F @ corrected_covariance(P, K, H, identity) @ F.T + Q - P
     for _ in range(ROUNDS):
         A, total = A @ A, total + A @ total @ A.T
     return (total + total.T) / 2
@@ -195,7 +196,7 @@ def _solve_relf(model):
     A = lainiotis_transition(P, Fn, On)
     sigma = np.sqrt(np.diag(P))
     terms = np.abs(Pn) + np.abs(A) @ np.abs(P) @ np.abs(Fn.T)
-    rounding = 100 * np.finfo(float).eps * terms  # of some 100 products; the only tolerance where a variance is zero
+    rounding = 100 * np.finfo(float).eps * terms  # of some 100 products; where a variance is zero, the only tolerance
     missed = np.abs(Pn + A @ P @ Fn.T - P)
     solved = (missed <= RESIDUAL * np.outer(sigma, sigma) + rounding).all()
     forgets_the_start = np.abs(np.linalg.eigvals(A)).max() < 1
@@ -232,7 +233,7 @@ def _margins(model):
     unit = _units(model)
     F = model.F * unit / unit[:, None]
     H = model.H * unit
-    H = np.array([_at_the_size_of(F, row) for row in H])  # a measurement tells the same in any unit
+    H = np.array([_at_the_size_of(F, row) for row in H])  # the unit of a measurement changes nothing
     G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
     means = [modes[np.abs(modes - mode) <= NEAR * abs(mode)].mean() for mode in modes]

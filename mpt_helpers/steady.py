@@ -20,7 +20,7 @@ class SteadyStateFilter(RecursiveFilter):
     """A filter with constant coefficients: A (n×n), B (n×m), and the error covariance P (n×n) of its steady state.
 
     2014 Eqs. 9-15, 2015 Eqs. 6-12, 2016 Eqs. 8-12. Made by `from_kalman` or `from_lainiotis`, which solve different
-    Riccati equations: their agreement (2014 Eq. 15) is evidence and no tautology.
+    Riccati equations: their agreement (2014 Eq. 15) is a real check.
 
     While nothing is missing, its covariance is P. Through a gap it grows, and afterwards it returns to P, just as the
     covariance of the true error does. A row of z that is partly NaN is refused, since the gain assumes a whole row.
@@ -80,8 +80,7 @@ class SteadyStateFilter(RecursiveFilter):
         if not seen.any():
             return self.model.F, np.zeros_like(self.B), P_predicted
         _require_whole_rows(seen)
-        update = np.eye(self.model.n) - self.B @ self.model.H
-        return self.A, self.B, update @ P_predicted @ update.T + self.B @ self.model.R @ self.B.T
+        return self.A, self.B, riccati.corrected_covariance(P_predicted, self.B, self.model.H, self.model.R)
 
     def _epochs_of_different_gaps(self, z, seen):
         _require_whole_rows(seen)
@@ -162,20 +161,24 @@ def _require_whole_rows(seen):
     """Raise a ValueError where a row of seen, (m,) or (N, m, M), is partly true: a constant gain is for a whole row."""
     axis_of_m = 0 if seen.ndim == 1 else 1
     if (seen.any(axis=axis_of_m) != seen.all(axis=axis_of_m)).any():
-        checks.refuse("z", "rows all of numbers or all of NaN, as the gain is constant", "a row that is partly NaN")
+        need = "rows all of numbers or all of NaN, as the gain is constant (KalmanFilter and Separate take others)"
+        checks.refuse("z", need, "a row that is partly NaN")
 
 
 def fir_order(A, tol, norm=2):
     """Return the FIR order: the first power M with ‖Aᴹ‖ < tol (2014 Section 7).
 
     A is n×n, tol is the paper's ε, norm is 1, 2 (the spectral norm), inf, "fro" or "nuc", as in `numpy.linalg.norm`.
-    Raises ValueError for tol outside (0, 1] and for an A whose powers do not fall below tol within a million steps.
+    Raises ValueError for another norm, for tol outside (0, 1] and for an A whose powers do not fall below tol within a
+    million steps.
 
     >>> fir_order([[0.5]], tol=0.1)
     4
     """
-    n = len(checks.real_numbers("A", A, "a square matrix").ravel()) ** 0.5
-    A = checks.array("A", A, (int(n), int(n)))
+    n = checks.rows("A", A)
+    A = checks.array("A", A, (n, n))
+    if norm not in (1, 2, np.inf, "fro", "nuc"):
+        checks.refuse("norm", "1, 2, inf, 'fro' or 'nuc'", repr(norm))
     tol = checks.number("tol", tol, "a number in (0, 1]", lambda tol: 0 < tol <= 1)
     radius = np.abs(np.linalg.eigvals(A)).max()
     if radius >= 1:
@@ -201,7 +204,8 @@ class FIRFilter(Filter):
 
         x(k/k) = Σ taps[j] z(k-j),   taps[j] = Aʲ B,   j = 0 ... order - 1
 
-    taps is (order, n, m). x0 is used only where the first epochs are missed. A missed epoch is predicted,
+    taps is (order, n, m). Measurements before z(1) count as zero, so the first `order` estimates are those of a start
+    at zero: x0 is not used, except to predict first epochs that are missed. A missed epoch is predicted,
     F x(k-1/k-1), and its measurement replaced by the predicted one, H F x(k-1/k-1): fed with that, the steady-state
     filter returns its prediction. The filter has no covariances. Raises TypeError or ValueError for anything but a
     model and such an array.

@@ -207,7 +207,7 @@ def test_a_solver_that_fails_within_numpy_names_the_model(make):
 @pytest.mark.parametrize("solve", SOLVERS)
 @pytest.mark.parametrize(
     ("Q", "need"),
-    [(1.0, "a steady state that double precision can resolve"), (1e-300, "products that doubles can hold")],
+    [(1.0, "a steady state that double precision can resolve"), (1e-300, "matrices whose products do not overflow")],
 )
 def test_a_model_whose_products_overflow_is_refused(solve, Q, need):
     model = mpt.LinearModel(F=1e200 * np.eye(3), H=np.eye(3), Q=Q * np.eye(3), R=np.eye(3))
