@@ -227,8 +227,11 @@ def _title(ax):
 
 
 def _describe_axis(side, axis):
+    text = f"{side} {axis.get_label_text()!r} {axis.get_scale()}"
+    if axis.axes.get_aspect() != "auto" and axis.axes.get_adjustable() == "datalim":
+        return f"{text} to scale"  # its limits fill the panel, whose size depends on the version of matplotlib
     low, high = axis.get_view_interval()
-    return f"{side} {axis.get_label_text()!r} {axis.get_scale()} {_digits(low)}..{_digits(high)}"
+    return f"{text} {_digits(low)}..{_digits(high)}"
 
 
 def _describe_legend(legend):

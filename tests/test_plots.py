@@ -347,3 +347,14 @@ def test_an_infinite_value_leaves_the_rest_of_its_line(scale):
     ax["a"].set(yscale=scale, ylim=(1, 10))
     settled = plots._settled(fig).axes[0].lines[0].get_ydata()
     np.testing.assert_allclose(settled, drawn.get_ydata(), rtol=1e-8)
+
+
+def test_axes_drawn_to_scale_are_described_without_the_limits_that_fill_their_panel():
+    described = set()
+    for height in (2.0, 4.0):
+        fig, ax = plots.panels([["a"]], height=height)
+        ax["a"].plot([0.0, 1.0], [0.0, 1.0])
+        ax["a"].set_aspect("equal", "datalim")
+        fig.draw_without_rendering()
+        described.add(plots.describe(fig))
+    assert len(described) == 1
