@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 from scipy.special import gammaincinv
 
 from . import checks
@@ -209,7 +208,10 @@ def error_moments(steady, truth, N, steps=0):
     array([[ 9.029, 15.75 ],
            [11.187, 10.485]])
     """
-    _require_same_motion(steady, truth)
+    checks.instance("steady", steady, SteadyStateFilter)
+    checks.instance("truth", truth, LinearModel)
+    if not all(np.array_equal(getattr(truth, name), getattr(steady.model, name)) for name in "FH"):
+        checks.refuse("truth", "the F and H of the filter's model", "others")
     steps = checks.count("steps", steps, least=0)
     mean, P = [], []
     e, C = truth.x0 - steady.model.x0, truth.P0
@@ -220,33 +222,3 @@ def error_moments(steady, truth, N, steps=0):
         P.append(C)
     ahead = np.linalg.matrix_power(truth.F, steps)
     return ErrorMoments(np.array(mean) @ ahead.T, predicted_covariance(truth, np.array(P), steps))
-
-
-def error_covariance(steady, truth, steps=0):
-    """Return the limit of the covariance of `error_moments` for large N, (n, n), from its Lyapunov equation.
-
-        P = A P Aᵀ + (I - B H) Q (I - B H)ᵀ + B R Bᵀ   with the Q and R of `truth`
-
-    It is the P of the filter when `truth` is the filter's own model. Raises ValueError when truth has another F or H,
-    and when the filter's A does not decay.
-
-    >>> from mpt_helpers.model import constant_velocity
-    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> relative_gap(error_covariance(steady, steady.model), steady.P) < 1e-12
-    True
-    """
-    _require_same_motion(steady, truth)
-    steps = checks.count("steps", steps, least=0)
-    radius = np.abs(np.linalg.eigvals(steady.A)).max()
-    if radius >= 1:
-        checks.refuse("steady", "a filter whose A has a spectral radius below 1", f"{radius:.6g}")
-    noise = corrected_covariance(truth.Q, steady.B, truth.H, truth.R)
-    P = solve_discrete_lyapunov(steady.A, noise)
-    return predicted_covariance(truth, (P + P.T) / 2, steps)
-
-
-def _require_same_motion(steady, truth):
-    checks.instance("steady", steady, SteadyStateFilter)
-    checks.instance("truth", truth, LinearModel)
-    if not all(np.array_equal(getattr(truth, name), getattr(steady.model, name)) for name in "FH"):
-        checks.refuse("truth", "the F and H of the filter's model", "others")
