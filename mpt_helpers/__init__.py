@@ -2,13 +2,13 @@
 
 To see how the filters work, read in this order:
 
-- `recursion.recursion`: the loop x(k+1) = A_k x(k) + B_k z(k+1) that every filter runs;
-- `filters.KalmanFilter.next_step` and `filters.LainiotisFilter.next_step`: A_k, B_k and P from one step to the next;
-- `steady`: the limits of A_k and B_k, their prediction N steps ahead, and their FIR form;
+- `recursion`: x(k+1) = A_k x(k) + B_k z(k+1) as a plain loop, and as `run`, which takes several steps in one product;
+- `filters`: A_k, B_k and P in `next_step`, and gaps; `riccati.lainiotis_matrices` has the constants of Lainiotis;
+- `steady`: filters with the limits of A_k and B_k as constants, the prediction of their state, and their FIR form;
 - `combined`: the mean of two filters, and one filter for each axis.
 
-All else makes this fast for many tracks (`recursion.run`, `columns`), solves for the limits (`riccati`), judges the
-results (`metrics`) or refuses bad input (`checks`).
+`model` has the models, `riccati` the limits, `columns` tracks whose gaps differ, `metrics` the judgement of results,
+`monte_carlo` studies of many runs, `checks` the refusal of bad input. The rest reproduces the papers.
 """
 
 __version__ = "0.2.0"

@@ -62,7 +62,7 @@ def _corrected(x, P, z, variance, i):
 def constant_gain_epochs(model, B, P0, z):
     """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), filtered with the gain B (n, m).
 
-    A row of NaN is a missed epoch, which is predicted only. P is the covariance of the true error.
+    A row of NaN is a missed epoch, which is predicted only. P is the covariance of the true error, if it starts at P0.
     """
     predict, correct = linear_map(model.F), linear_map(np.eye(model.n) - B @ model.H)
     noise = (B @ model.R @ B.T)[..., None]

@@ -3,8 +3,9 @@
     x(k+1) = A_k x(k) + B_k z(k+1)
 
 For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so they are
-made beforehand, by `filters` and `steady`; this module knows arrays only. `recursion` is the plain loop. `run` gives
-the same numbers sooner: L steps in a row are one matrix product, and that product is the same for all tracks,
+made beforehand, by `filters` and `steady`; this module knows arrays only. `recursion` is the plain loop. `run`, which
+the filters call, gives the same numbers sooner, but for rounding: L steps in a row are one matrix product, and that
+product is the same for all tracks,
 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
 """

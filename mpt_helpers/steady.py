@@ -23,8 +23,8 @@ class SteadyStateFilter(RecursiveFilter):
     Riccati equations: their agreement (2014 Eq. 15) is a real check.
 
     While nothing is missing, its covariance is P. Through a gap it grows, and afterwards it returns to P, just as the
-    covariance of the true error does. A row of z that is partly NaN is refused, since the gain assumes a whole row.
-    Raises ValueError for arrays of another shape and for an A that is not (I - B H) F.
+    covariance of the true error does that starts at P. A row of z that is partly NaN is refused, since the gain assumes
+    a whole row. Raises ValueError for arrays of another shape and for an A that is not (I - B H) F.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1)).B.round(4)
@@ -93,9 +93,9 @@ class SteadyStatePredictor(Filter):
 
         x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
 
-    `steady` is the SteadyStateFilter with A and B, `steps` is N. The prediction is Fᴺ x(k/k), and computed so: the
-    recursion above is that of the filter in other coordinates. Raises TypeError or ValueError for another kind of
-    argument.
+    `steady` is the SteadyStateFilter with A and B, `steps` is N. The prediction is Fᴺ x(k/k), and computed so, through
+    gaps too: where nothing is missing, the recursion above is that of the filter in other coordinates. Raises TypeError
+    or ValueError for another kind of argument.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -161,7 +161,7 @@ def _require_whole_rows(seen):
     """Raise a ValueError where a row of seen, (m,) or (N, m, M), is partly true: a constant gain is for a whole row."""
     axis_of_m = 0 if seen.ndim == 1 else 1
     if (seen.any(axis=axis_of_m) != seen.all(axis=axis_of_m)).any():
-        need = "rows all of numbers or all of NaN, as the gain is constant (KalmanFilter and Separate take others)"
+        need = "rows all of numbers or all of NaN, as the gain is constant (KalmanFilter takes others)"
         checks.refuse("z", need, "a row that is partly NaN")
 
 
