@@ -1,6 +1,6 @@
 """Make a table of corrected GPS ranges from a day of RINEX: observations and broadcast ephemerides of one station.
 
-    pip install "mpt_helpers[gps]"
+    python -m pip install ".[gps]"
     python make_table.py OBSERVATIONS.crx.gz NAVIGATION.rnx.gz table.csv.gz
 
 One row for each epoch and GPS satellite above 10 degrees:
