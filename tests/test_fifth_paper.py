@@ -57,7 +57,7 @@ def copy(tmp_path_factory):
     path = copy / "README.md"
     (line,) = blocks("text")
     text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("\n\n    make reproduce", f"\n{line}\n    make reproduce", 1), encoding="utf-8")
+    path.write_text(text.replace("\n\n## Your own track", f"\n{line}\n## Your own track", 1), encoding="utf-8")
     write_the_notebook(copy / "notebooks" / f"{KEY}.ipynb")
     run(copy, "-m", "mpt_helpers", "reproduce", KEY)
     run(copy, "-m", "mpt_helpers", "readme")

@@ -67,13 +67,22 @@ def test_the_list_of_papers_is_that_of_the_notebooks():
             assert re.search(rf"(?<!\d){number}(?!\d)", first), f"{path.stem}: {number}"
 
 
+def test_the_numbers_of_the_opening_stand_in_the_first_cells():
+    opening = README.partition("<!-- verdicts")[0].partition("\n![")[0]
+    said = " ".join("".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"]) for path in NOTEBOOKS)
+    numbers = re.findall(r"\d{2,}", opening)
+    assert len(numbers) >= 2
+    for number in numbers:
+        assert re.search(rf"(?<!\d){number}(?!\d)", said), number
+
+
 def test_links_and_pictures_exist():
-    titles = {re.sub(r"\W+", "-", title.lower()) for title in re.findall(r"(?m)^## (.*)", README)}
     for target in re.findall(r"\]\((?!https?:)([^)]+)\)", README):
-        if target.startswith("#"):
-            assert target[1:] in titles
-        else:
-            assert (ROOT / target).is_file(), target
+        path, _, anchor = target.partition("#")
+        assert (ROOT / path).is_file(), target
+        if anchor:
+            titles = re.findall(r"(?m)^## (.*)", (ROOT / path).read_text(encoding="utf-8"))
+            assert anchor in [re.sub(r"\W+", "-", title.lower()) for title in titles], target
 
 
 def test_the_first_lines_hold_the_outcome_the_commands_the_guide_and_a_picture():
@@ -81,7 +90,7 @@ def test_the_first_lines_hold_the_outcome_the_commands_the_guide_and_a_picture()
     lines, of_papers = README.splitlines(), 2 * len(NOTEBOOKS)
     assert len(lines) < 102 + of_papers
     first = "\n".join(lines[: 22 + of_papers])
-    for part in ("<!-- end of verdicts -->", "make reproduce", "make test", "(docs/guide.md)", "!["):
+    for part in ("<!-- end of verdicts -->", "```sh\nmake reproduce", "make test", "(docs/guide.md)", "!["):
         assert part in first
 
 
