@@ -7,6 +7,12 @@ from mpt_helpers.files import write_whole
 from mpt_helpers.ledger.tables import Table
 
 HERE = Path(__file__).parent
+PAIRS = {
+    "kf-lf-a": "Kalman A, against Lainiotis A",
+    "kf-lf-b": "Kalman B, against Lainiotis B",
+    "kf-a-sskf-b": "steady state B, against Kalman A",
+    "lf-a-sslf-b": "steady state B, against Lainiotis A",
+}
 
 
 def tables(results):
@@ -19,25 +25,32 @@ def tables(results):
             each["against"],
             number(each.get("ms")),
             number(each.get("against_ms")),
-            number(each["ratio"]),
-            each["goal"],
+            in_words(each),
+            each["goal"].replace(" x faster", "").replace("<= ", "≤").replace(">= ", "≥"),
             met[each["met"]],
         ]
         for each in results["rows"]
     ]
     head = "work", "tracks", "against", "ms", "its ms", "ratio", "goal", "reached"
     clock = [
-        [paper, pair, *(number(values[kind]) for kind in ("one", "own", "shared"))]
+        [paper[:4], PAIRS[pair], *(number(values[kind]) for kind in ("one", "own", "shared"))]
         for paper, pairs in results["speedups"].items()
         for pair, values in pairs.items()
     ]
+    clock_head = "paper", "how many times as fast", "one track", "many, own covariance", "many, shared"
     described = [f"{k}: {v}" for k, v in (results["machine"] | results["versions"]).items()]
     return {
         "machine": ", ".join(described) + ".",
         "rows": Table(head, rows).markdown(),
-        "speedups": Table(("paper", "pair", "one track", "many, own covariance", "many, shared"), clock).markdown(),
+        "speedups": Table(clock_head, clock).markdown(),
         "commands": f"```text\n{results['commands']}\n```",
     }
+
+
+def in_words(row):
+    """Return the ratio of a row with its direction: without a goal, that of the median times."""
+    longer = row["goal"].startswith("<=") if row["goal"] else (row["ratio"] > 1) == (row["ms"] > row["against_ms"])
+    return f"{number(row['ratio'])}× as {'long' if longer else 'fast'}".replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def number(value):
@@ -56,5 +69,5 @@ def filled(text, places):
 def write_readme():
     """Fill the tables of README.md from results.json."""
     readme = HERE / "README.md"
-    results = json.loads((HERE / "results.json").read_text())
-    write_whole(readme, filled(readme.read_text(), tables(results)).encode())
+    results = json.loads((HERE / "results.json").read_text(encoding="utf-8"))
+    write_whole(readme, filled(readme.read_text(encoding="utf-8"), tables(results)).encode())

@@ -1,6 +1,7 @@
 """The stored measurements and what is made of them; nothing is timed here."""
 
 import json
+import re
 import sys
 
 import pytest
@@ -23,8 +24,27 @@ def beside_the_benchmarks(monkeypatch):
 def test_the_tables_are_those_of_the_stored_results():
     import report
 
-    text = (BENCHMARKS / "README.md").read_text()
+    text = (BENCHMARKS / "README.md").read_text(encoding="utf-8")
     assert report.filled(text, report.tables(RESULTS)) == text
+
+
+def test_a_ratio_in_words_has_the_direction_of_the_median_times():
+    import report
+
+    for each in RESULTS["rows"]:
+        if each.get("against_ms"):
+            ratio, direction = re.match(r"([\d.,]+)×\sas\s(\w+)", report.in_words(each)).groups()
+            times = (each["ms"], each["against_ms"]) if direction == "long" else (each["against_ms"], each["ms"])
+            assert float(ratio.replace(",", "")) == pytest.approx(times[0] / times[1], rel=0.5), each
+
+
+def test_the_page_says_which_everyday_command_reaches_half_the_time_of_0_1_0():
+    text = " ".join((BENCHMARKS / "README.md").read_text(encoding="utf-8").split())
+    before = re.search(r"In 0.1.0 they took (\d+) s and some (\d+) s", text).groups()
+    now = re.findall(r"(?m)^`(make \w+)`\s+(\d+)", RESULTS["commands"])
+    reached = [int(seconds) <= int(first) / 2 for (_, seconds), first in zip(now, before, strict=True)]
+    assert ([name for name, _ in now], reached) == (["make reproduce", "make test"], [True, False])
+    assert "`make reproduce` reaches it, `make test` does not" in text
 
 
 def test_every_goal_that_is_said_to_be_reached_is():
