@@ -13,7 +13,6 @@ import re
 import shutil
 import tomllib
 import zlib
-from collections import Counter
 from importlib.metadata import distribution
 from pathlib import Path
 from textwrap import shorten
@@ -41,6 +40,7 @@ SAVED = re.compile(r'save_figure\(\w+, "(\w+)"\)')
 FOLD = 4
 # What a page holds for the site, hidden where Markdown is shown as it is: a template, and in the guide a drawing.
 INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
+CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  # for readers of a checkout only
 BLOCK = re.compile(r'(?ms)^(?:```python|<!-- draw (?P<name>\w+) "(?P<alt>[^"]*)")\n(?P<code>.*?)^(?:```|-->)$')
 
 
@@ -59,15 +59,21 @@ class Group(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A figure of a notebook: its file's name, what it is called, its caption in Markdown, its cell, its alt text."""
+    """A figure of a notebook: its file's name, what it is called, its heading, its caption, its cell, its alt text."""
 
     name: str
     label: str
+    heading: str
     caption: str
     cell: str
     alt: str
     width: int
     height: int
+
+
+def stored_cells(key):
+    """Return the cells of a notebook."""
+    return json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8"))["cells"]
 
 
 def source(cell):
@@ -127,15 +133,19 @@ def common(members):
 def figures_of(key, cells):
     """Return the figures of a notebook; the caption is the paragraph that begins with **Figure 1.** or so."""
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
-    drawn = []
+    drawn, section = [], "What we found"
     for cell in cells:
+        if cell["cell_type"] == "markdown":
+            section = [section, *re.findall(r"(?m)^## (?:\d+\. )?(.*)", source(cell))][-1]
         for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
+            heading = label if label[-1].isdigit() else f"{section} ({label[0].lower()}{label[1:]})"
             captions = [part for part in prose if label in names_of(part)]
             (alt,) = (out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out["data"])
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
-            drawn.append(Drawn(name, label, captions[0] if captions else alt, cell["id"], alt, width, height))
+            caption = captions[0] if captions else alt
+            drawn.append(Drawn(name, label, heading, caption, cell["id"], alt, width, height))
     return drawn
 
 
@@ -151,8 +161,19 @@ def svg_size(path):
     return tuple(round(float(size)) for size in re.search(r'<svg [^>]*viewBox="0 0 ([\d.]+) ([\d.]+)"', head).groups())
 
 
+def said(text, pattern):
+    """Return what the group of a pattern matches in a text; raises ValueError unless that is one thing."""
+    found = re.findall(pattern, text)
+    if len(found) != 1:
+        raise ValueError(f"papers.toml: {pattern!r} is found {len(found)} times")
+    return found[0]
+
+
 def texts(given):
-    """Return papers.toml with its numbers looked up in the verdicts; raises ValueError for one that no verdict has."""
+    """Return papers.toml with its numbers looked up; raises ValueError for one that is not found.
+
+    They stand in a verdict, in the first cell of a notebook or in the guide, all of which have tests of their own.
+    """
     by_id = {(each.paper, each.id): each for each in given}
 
     def found(paper, id, text):
@@ -165,6 +186,8 @@ def texts(given):
         "printed": lambda paper, id: by_id[paper, id].printed,
         "computed": lambda paper, id: by_id[paper, id].computed,
         "found": found,
+        "guide": lambda pattern: said((DOCS / "guide.md").read_text(encoding="utf-8"), pattern),
+        "first_cell": lambda paper, pattern: said(source(stored_cells(paper)[0]), pattern),
     }
     plain = Environment(undefined=StrictUndefined)
     return tomllib.loads(plain.from_string((DOCS / "papers.toml").read_text(encoding="utf-8")).render(lookups))
@@ -383,9 +406,6 @@ def main():
     env.globals |= {
         "given": given,
         "tally": given.tally(),
-        "failing": Counter(
-            causes[each.paper, each.cause].kind for each in given if each.kind == "claim" and each.cause
-        ),
         "texts": about,
         "accuracy": svg_size(BUILD / "static" / "accuracy.svg"),
         "titles": {key: title(each["cells"]) for key, each in notebooks.items()},
@@ -396,7 +416,7 @@ def main():
     for page in sorted(DOCS.glob("*.md")):
         # In a checkout, the notebooks' folder stands beside docs/; on the site, below its pages.
         text = page.read_text(encoding="utf-8").replace("](../notebooks/", "](notebooks/")
-        text = INCLUDE.sub(raw_html(r'{% include "\1" %}'), text)
+        text = INCLUDE.sub(raw_html(r'{% include "\1" %}'), CHECKOUT.sub("", text))
         text = env.from_string(text).render(root="")
         if page.name == "guide.md":
             text = with_pictures(text, BUILD / "static")

@@ -253,6 +253,16 @@ def test_the_home_page_answers_on_its_first_screen(visit, width):
     assert re.search(r"\d+ of \d+ claims hold", page.locator("h1").inner_text())
 
 
+@pytest.mark.parametrize("place", ["guide.html", "rinex.html", "speed.html", "accuracy.html"])
+def test_wide_code_and_tables_fit_a_wide_window_and_have_a_shadow_on_a_phone(visit, place):
+    wide = "all => all.filter((each) => each.scrollWidth > each.clientWidth + 1)"
+    parts = ".highlight pre, .table-wrapper"
+    assert visit(place).locator(parts).evaluate_all(f"all => ({wide})(all).map((each) => each.textContent)") == []
+    shadow = f"all => ({wide})(all).map((each) => getComputedStyle(each).backgroundAttachment)"
+    shadows = visit(place, 390).locator(parts).evaluate_all(shadow)
+    assert set(shadows) == {"local, local, scroll, scroll, scroll"}
+
+
 @pytest.mark.parametrize(
     ("heading", "verdicts"),
     [
@@ -324,6 +334,16 @@ def test_a_link_to_a_cell_shows_the_cell_after_the_formulas_above_it_are_set(vis
     page.evaluate("MathJax.startup.promise")
     place = f"document.getElementById('cell-{last['cell']}').getBoundingClientRect().top"
     page.wait_for_function(f"0 <= {place} && {place} < innerHeight", timeout=5000)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_link_to_verdicts_shows_what_stands_above_them(visit, records, width):
+    (proved,) = (row for row in records if (row["paper"], row["id"]) == ("2014_gsm_2d", "behaviour.3"))
+    page = visit(f"notebooks/{proved['paper']}.html#cell-{proved['cell']}", width)
+    page.evaluate("MathJax.startup.promise")
+    page.evaluate(f"document.getElementById('cell-{proved['cell']}').scrollIntoView({{behavior: 'instant'}})")
+    top = page.evaluate(f"document.getElementById('cell-{proved['cell']}').getBoundingClientRect().top / innerHeight")
+    assert 0.5 < top < 0.9
 
 
 # Open another address of the same page, and wait until it has been read.

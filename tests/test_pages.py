@@ -58,6 +58,19 @@ def test_a_number_on_the_home_page_that_no_verdict_says_stops_the_build(tmp_path
         pages.texts(given)
 
 
+def test_a_number_from_the_guide_must_stand_there_once():
+    assert pages.said("FIR: 3 m at k = 69, 4 m at k = 70", "FIR: ([0-9]+ m) at k = 69") == "3 m"
+    for pattern in ("([0-9]+ m) at k = 68", "([0-9]+ m) at k"):
+        with pytest.raises(ValueError, match=r"is found [02] times"):
+            pages.said("FIR: 3 m at k = 69, 4 m at k = 70", pattern)
+
+
+def test_what_only_a_checkout_needs_is_left_out_of_the_site():
+    page = "Blocks. <!-- checkout -->`make`\nmakes it.<!-- /checkout --> More.<!-- checkout --> Here.<!-- /checkout -->"
+    assert pages.CHECKOUT.sub("", page) == "Blocks. More."
+    assert len(pages.CHECKOUT.findall((ROOT / "docs" / "guide.md").read_text(encoding="utf-8"))) == 1
+
+
 def cells():
     picture = {"data": {"image/png": ""}, "metadata": {"image/png": {"alt": "a curve"}}}
     return [
@@ -119,6 +132,15 @@ def test_links_in_a_checkout_lead_to_what_can_be_read_there():
 def test_a_caption_is_the_paragraph_with_the_name_of_the_figure():
     (drawn,) = pages.figures_of("2014_gsm_2d", cells())
     assert (drawn.label, drawn.caption, drawn.cell) == ("Figure 1", "**Figure 1.** It falls.", "draw")
+    assert drawn.heading == "Figure 1"
+
+
+def test_a_figure_of_our_own_is_listed_under_the_title_of_its_section():
+    own = cells()
+    own[2]["source"] = 'plots.save_figure(fig, "2014_gsm_2d_gain")'
+    assert pages.figures_of("2014_gsm_2d", own)[0].heading == "What we found (figure `gain`)"
+    own[1] = own[0] | {"source": "## 4. How close?\n\nVery."}
+    assert pages.figures_of("2014_gsm_2d", own)[0].heading == "How close? (figure `gain`)"
 
 
 def test_two_figures_may_share_a_caption():
