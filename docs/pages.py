@@ -187,7 +187,7 @@ def texts(given):
         "computed": lambda paper, id: by_id[paper, id].computed,
         "found": found,
         "guide": lambda pattern: said((DOCS / "guide.md").read_text(encoding="utf-8"), pattern),
-        "first_cell": lambda paper, pattern: said(source(stored_cells(paper)[0]), pattern),
+        "article": lambda paper, pattern: said("\n".join(map(source, stored_cells(paper))), pattern),
     }
     plain = Environment(undefined=StrictUndefined)
     return tomllib.loads(plain.from_string((DOCS / "papers.toml").read_text(encoding="utf-8")).render(lookups))
