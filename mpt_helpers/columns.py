@@ -3,11 +3,11 @@
 Tracks are columns, and so are their covariances: P is (n, n, M). Three ideas keep the Kalman filter free of branches
 and of loops over tracks:
 
-- A missing measurement has a gain of zero, and needs no other treatment.
+- A missing measurement gets a gain of zero and an innovation of zero, and leaves P alone.
 - A linear map x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all tracks.
-- Measurements are taken one after the other, each in coordinates where it is one component of the state:
-  for H = [1 dt] the state [s v] becomes [s + v dt, v]. There the update needs no matrix inverse, and the row of P that
-  belongs to the measured component can be written without a difference of large numbers.
+- Measurements are taken one after the other, each in coordinates where it is one component of the state: for H = [1 dt]
+  the state [s v] may become [s + v dt, v]. There the update needs no matrix inverse, and the row of P that belongs to
+  the measured component can be written without a difference of large numbers.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def can_run(model, z):
 
 
 def kalman_epochs(model, z):
-    """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), NaN where one is missing."""
+    """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M) that `can_run` allows."""
     H, variances = model.H, np.diag(model.R)
     if not _is_diagonal(model.R):  # with R = L diag(variances) Lᵀ, the measurements L⁻¹ z have uncorrelated noises
         root = np.linalg.cholesky(model.R)
@@ -47,8 +47,9 @@ def kalman_epochs(model, z):
 def _corrected(x, P, z, variance, i):
     """Return x (n, M) and P (n, n, M) after a measurement z (M,) of component i of the state, NaN where it is missing.
 
-    It is the textbook's update with eᵢᵀ for H. Its row and column i, c - cᵢ c / S with S = cᵢ + v, equal c v / S, which
-    is no difference of large numbers. P is overwritten, so it must be the caller's own.
+    It is the textbook's update with eᵢᵀ for H. With row i of P as c, the variance as v and S = cᵢ + v, the new row and
+    column i are c - cᵢ c / S = c v / S, which is written without a difference of large numbers. P is overwritten, so it
+    must be the caller's own.
     """
     lost = np.isnan(z)
     c = P[i].copy()
@@ -62,7 +63,8 @@ def _corrected(x, P, z, variance, i):
 def constant_gain_epochs(model, B, P0, z):
     """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), filtered with the gain B (n, m).
 
-    A row of NaN is a missed epoch, which is predicted only. P is the covariance of the true error, if it starts at P0.
+    Each row of z is complete, or all NaN: a missed epoch, which is predicted only. P is the covariance of the true
+    error if that of x0 is P0.
     """
     predict, correct = linear_map(model.F), linear_map(np.eye(model.n) - B @ model.H)
     noise = (B @ model.R @ B.T)[..., None]
@@ -85,10 +87,11 @@ def _is_diagonal(R):
 def _coordinates(model, H, variances):
     """Return the changes of coordinates that make one measurement after the other a component of the state.
 
-    Each is (linear_map, row of H, component). Also returns T (n, n), which takes the state to the last coordinates.
+    Each is (function of x and P, index of the row of H, component). Also returns T (n, n), which takes the state to the
+    last coordinates.
     """
-    # sigma: how far each coordinate typically moves. A measurement replaces the coordinate that contributes most to it:
-    # one that contributes little would come back as a small difference of large numbers.
+    # sigma: the predicted standard deviation of each coordinate. A measurement replaces the coordinate that contributes
+    # most to it: one that contributes little would come back as a small difference of large numbers.
     variance = np.diag(predicted_covariance(model, model.P0, model.n))
     sigma = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     changes, T = [], np.eye(model.n)
@@ -110,5 +113,6 @@ def linear_map(T):
     if np.array_equal(T, np.eye(n)):
         return lambda x, P: (x, P)
     W = np.kron(T, T).reshape(n, n, n * n)
-    W = ((W + W.swapaxes(0, 1)) / 2).reshape(n * n, n * n)  # so that T P Tᵀ is symmetric to the last bit
+    # Equal rows for (a, b) and (b, a), so that T P Tᵀ is symmetric.
+    W = ((W + W.swapaxes(0, 1)) / 2).reshape(n * n, n * n)
     return lambda x, P: (T @ x, (W @ P.reshape(n * n, -1)).reshape(P.shape))
