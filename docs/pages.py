@@ -71,9 +71,9 @@ class Drawn(NamedTuple):
     height: int
 
 
-def stored_cells(key):
-    """Return the cells of a notebook."""
-    return json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8"))["cells"]
+def stored_notebook(key):
+    """Return a notebook as it is stored."""
+    return json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8"))
 
 
 def source(cell):
@@ -172,7 +172,7 @@ def said(text, pattern):
 def texts(given):
     """Return papers.toml with its numbers looked up; raises ValueError for one that is not found.
 
-    They stand in a verdict, in the first cell of a notebook or in the guide, all of which have tests of their own.
+    They stand in a verdict, in a notebook or in the guide, all of which have tests of their own.
     """
     by_id = {(each.paper, each.id): each for each in given}
 
@@ -187,7 +187,7 @@ def texts(given):
         "computed": lambda paper, id: by_id[paper, id].computed,
         "found": found,
         "guide": lambda pattern: said((DOCS / "guide.md").read_text(encoding="utf-8"), pattern),
-        "article": lambda paper, pattern: said("\n".join(map(source, stored_cells(paper))), pattern),
+        "article": lambda paper, pattern: said("\n".join(map(source, stored_notebook(paper)["cells"])), pattern),
     }
     plain = Environment(undefined=StrictUndefined)
     return tomllib.loads(plain.from_string((DOCS / "papers.toml").read_text(encoding="utf-8")).render(lookups))
@@ -394,7 +394,7 @@ def main():
     shutil.rmtree(BUILD, ignore_errors=True)
     for part in ("source/notebooks", "static", "extra/notebooks"):
         (BUILD / part).mkdir(parents=True)
-    notebooks = {key: json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8")) for key in keys()}
+    notebooks = {key: stored_notebook(key) for key in keys()}
     stored = [stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb") for key in notebooks]
     causes = {place: cause for each in stored for place, cause in each.causes.items()}
     given = Verdicts([each for verdicts in stored for each in verdicts], causes)

@@ -23,9 +23,8 @@ def study(experiment, runs, seed, *, workers=1):
 
     runs is a positive count, seed an integer that is not negative. workers is a number of threads, or a callable like
     `map` that keeps the order, such as the `map` of a `concurrent.futures` executor; for processes, the experiment must
-    be picklable.
-    A progress bar is shown only on a terminal. An interrupt ends the study at once, or, with threads, when the running
-    blocks are done.
+    be picklable. A progress bar is shown only on a terminal. An interrupt ends the study at once, or, with threads,
+    when the running blocks are done.
 
     Raises ValueError or TypeError for bad arguments and for an experiment that does not return M columns.
 

@@ -75,6 +75,14 @@ def finish(ax, xlabel, title):
         ax.xaxis.get_major_locator().set_params(integer=True)
 
 
+def legend_below(ax, columns):
+    """Replace the legends of all panels by one of these axes' curves, below the figure and in this many columns."""
+    for panel in ax.figure.axes:
+        if panel.get_legend():
+            panel.get_legend().remove()
+    ax.figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=columns)
+
+
 def visible_gap(gap):
     """Return gaps as they are drawn: clipped at 1e-12, with one significant digit below 1e-9 and three above.
 

@@ -1,8 +1,8 @@
 """Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
 
-The two solvers share no algorithm, so their agreement is a real check. Each checks its solution against
-its own equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter are defined
-here too, since its Riccati equation is made of them.
+The two solvers share no algorithm, so their agreement is a real check. Each checks its solution against its own
+equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter are defined here
+too, since its Riccati equation is made of them.
 """
 
 from typing import NamedTuple

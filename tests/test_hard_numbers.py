@@ -29,7 +29,6 @@ AXES = {"gsm": mpt.gsm_axis, "cv": mpt.constant_velocity, "ca": mpt.constant_acc
 WALK = {"F": [[1.0]], "H": [[1.0]], "Q": [[1.0]]}
 UNSTABLE = {"F": [[1.5, 1.0], [0.0, 0.9]], "H": [[1.0, 0.3]], "R": [[1.0]]}
 BOTH_SEEN = {"F": [[1.0, 1.0], [0.0, 1.0]], "H": np.eye(2), "Q": np.eye(2)}
-
 SUMS_SEEN = {"F": [[1.0, 7.0], [0.0, 1.0]], "H": [[1.0, 0.7], [0.7, -0.9]], "Q": np.diag([1e4, 1e6])}
 
 
