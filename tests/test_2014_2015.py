@@ -1,7 +1,6 @@
 """The filters and recursions that the notebooks on 2014 and 2015 write out, against what shares nothing with them."""
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -126,14 +125,3 @@ def test_the_gap_of_2014_is_that_of_2015(taught):
     steady = mpt.SteadyStateFilter.from_kalman(model)
     difference = mpt.metrics.error_moments(steady, model, STEPS).covariance - mpt.KalmanFilter(model).covariances(STEPS)
     np.testing.assert_allclose(C @ exact @ C.T, difference, atol=1e-11)
-
-
-@pytest.mark.parametrize(("key", "most", "words"), [("2014_gsm_2d", 60, 1900), ("2015_mpt_3d", 25, 800)])
-def test_a_notebook_is_an_article(key, most, words):
-    cells = cells_of(key)
-    prose = [source(cell) for cell in cells if cell["cell_type"] == "markdown"]
-    assert len(cells) <= most
-    without_formulas = [re.sub(r"(?s)\$\$.*?\$\$|\$.*?\$", " ", text) for text in prose]
-    assert sum(len(text.split()) for text in without_formulas) <= words
-    assert len(prose[0].partition("**What we found.**")[2].split()) <= 150
-    assert max(len(source(cell).splitlines()) for cell in cells if cell["cell_type"] == "code") <= 15
