@@ -63,8 +63,9 @@ def draw_late():
     ax["truth"].fill_between(k[settled], -band[settled], band[settled], color="0.85", lw=0)
     ax["truth"].axhline(0, color="0.4", lw=1)
     ax["truth"].plot(k[settled], (states[:, 0] - estimate)[settled], "C1.-", lw=0.8)
-    ax["truth"].annotate("the filter says: here", (k[-1], -0.35), ha="right", va="top")
-    ax["truth"].set_ylim(-1, 2.9)
+    ax["truth"].annotate("here the filter says it is", (k[-1], -0.4), ha="right", va="top", color="0.3")
+    ax["truth"].annotate("here the phone is", (k[-1], 2.1), ha="right", va="bottom", color="C1")
+    ax["truth"].set_ylim(-1.1, 2.9)
     ax["innovations"].axhspan(-2, 2, color="0.85", lw=0)
     ax["innovations"].plot(k[settled], (new.values[:, 0] / np.sqrt(new.S[:, 0, 0]))[settled], "C0.-", lw=0.8)
     ax["innovations"].set_ylim(-3.5, 3.5)
@@ -88,27 +89,6 @@ def draw_lookahead(x, z, r):
     ax["now"].plot(k, x[:-1, 1], "C1-", lw=2, label="Δt times velocity")
     ax["next"].set_xlabel("step k")
     plots.legend_below(ax["now"], 2)
-    return fig
-
-
-def draw_plane(path, measured, late, repaired):
-    """Return a figure of a path in the plane, and of its steps 51 to 56 with measurements and two filters' estimates.
-
-    path, late and repaired are states (N, 4) of both axes, measured (N, 2) positions.
-    """
-    part = range(50, 56)
-    fig, ax = plots.panels([["all"], ["part"]], height=2.4)
-    ax["all"].plot(path[:, 0], path[:, 2], "k-")
-    ax["part"].plot(measured[part, 0], measured[part, 1], "x", color="0.4", ms=8, label="measured")
-    for track, style, label in ((path, "ko-", "true"), (late, "C1D", "H = [1 Δt]"), (repaired, "C0s", "H = [1 0]")):
-        ax["part"].plot(track[part, 0], track[part, 2], style, label=label)
-    for k in part:
-        ax["part"].annotate(k + 1, path[k, ::2], (-13, 8), textcoords="offset points", ha="center")
-        ax["part"].annotate(k + 1, late[k, ::2], (12, -18), textcoords="offset points", ha="center", color="C1")
-    for name, title in (("all", "the path of 60 steps"), ("part", "steps 51 to 56")):
-        ax[name].set_aspect("equal", "datalim")
-        ax[name].set(xmargin=0.09, xlabel="x (m)", ylabel="y (m)", title=title)
-    fig.legend(*ax["part"].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return fig
 
 
