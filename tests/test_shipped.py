@@ -4,9 +4,9 @@ import re
 import zipfile
 
 import pytest
-import shipped
 import yaml
 from conftest import ROOT
+from tools import shipped
 
 import mpt_helpers
 from mpt_helpers.ledger import keys

@@ -1,7 +1,7 @@
 """Does a verdict that rests on simulation depend on the seed? `make seeds [KEYS="2016_prediction"]`, some minutes each.
 
-Each notebook with such verdicts runs with 25 other values of its one line `SEED = ...`. tests/seeds.csv says for each
-verdict in how many of the 25 runs it came out as it is stored; tests/test_seeds.py holds all of them to 24.
+Each notebook with such verdicts runs with 25 other values of its one line `SEED = ...`. seeds.csv beside this file says
+for each verdict in how many of the 25 runs it came out as it is stored; tests/test_seeds.py holds all of them to 24.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ from mpt_helpers.ledger.verdicts import IN_PART
 SEEDS = 25
 LEAST = 24
 COLUMNS = ("paper", "id", "verdict", "agree")
-TABLE = Path("tests") / "seeds.csv"
+TABLE = Path("tests") / "tools" / "seeds.csv"
 SEED_LINE = re.compile(r"^SEED = (\d+)\b", re.MULTILINE)
 
 
