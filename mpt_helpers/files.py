@@ -30,7 +30,11 @@ def write_together(contents):
             raise IsADirectoryError(f"a folder is in the place of the file {path}")
     try:
         for path, part in parts.items():
-            part.write_bytes(contents[path])
+            try:
+                part.write_bytes(contents[path])
+            except OSError as error:
+                # A full disk is reported without the file's name.
+                raise OSError(error.errno, error.strerror, str(path)) from None
         for path, part in parts.items():
             os.replace(part, path)
     finally:
