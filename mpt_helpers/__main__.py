@@ -217,7 +217,8 @@ async def _execute(key, notebook, folder, bar):
     )
     try:
         # The kernel imports the package that runs here.
-        await client.async_execute(cwd=str(folder), env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+        variables = {"PYTHONPATH": os.pathsep.join(sys.path)} | settings_of_nobody(folder.parent)
+        await client.async_execute(cwd=str(folder), env=os.environ | variables)
     except Exception as error:
         if asyncio.current_task().cancelling():  # this notebook is ended, and nbclient says that its kernel died
             raise asyncio.CancelledError from error
@@ -231,6 +232,26 @@ async def _execute(key, notebook, folder, bar):
             await client.km.shutdown_kernel(now=True)
         atexit.unregister(client._cleanup_kernel)  # which would find no kernel
     return client.code_cells_executed
+
+
+def settings_of_nobody(folder):
+    """Return variables for a kernel, so that no result depends on the settings of whoever runs it.
+
+    With them IPython and matplotlib find no settings but those of `folder`, which has none; IPython runs no code of the
+    user's first and shows figures inline. matplotlib finds the list of fonts that it makes once for each user here: a
+    kernel would tell in a cell's output that it makes one.
+    """
+    import matplotlib.font_manager
+
+    style = folder / "matplotlibrc"
+    style.touch()
+    return {
+        "IPYTHONDIR": str(folder / ".ipython"),
+        "PYTHONSTARTUP": "",
+        "MATPLOTLIBRC": str(style),
+        "MPLBACKEND": "module://matplotlib_inline.backend_inline",
+        "MPLCONFIGDIR": matplotlib.get_cachedir(),
+    }
 
 
 def tidied(notebook):

@@ -81,7 +81,7 @@ def tried(place):
         for arguments in (["-p", "no:nbval"], nbval):
             log = ROOT / ".test-all" / f"{place.name} {len(results)}.txt"
             log.parent.mkdir(exist_ok=True)
-            command = [python, "-m", "pytest", "-q", "-n", "auto", "--dist", "loadfile", *arguments]
+            command = [python, "-m", "pytest", "-q", "--color=no", "-n", "auto", "--dist", "loadfile", *arguments]
             run = subprocess.run(command, cwd=copy, env=os.environ | place.variables, capture_output=True, text=True)
             log.write_text(run.stdout + run.stderr)
             results.append(re.sub(r" in .*|=", "", (run.stdout.strip().splitlines() or ["no output"])[-1]).strip())

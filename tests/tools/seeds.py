@@ -8,6 +8,7 @@ import asyncio
 import csv
 import io
 import json
+import os
 import re
 import sys
 import time
@@ -15,7 +16,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
-from mpt_helpers.__main__ import NOTEBOOKS, project, staged
+from mpt_helpers.__main__ import NOTEBOOKS, project, settings_of_nobody, staged
 from mpt_helpers.files import write_whole
 from mpt_helpers.ledger import keys, stored_verdicts
 from mpt_helpers.ledger.verdicts import IN_PART
@@ -71,7 +72,8 @@ def run(root, key, seed):
             resources={"metadata": {"path": str(path.parent)}},
             allow_errors=True,
         )
-        asyncio.run(client.async_execute())  # a loop for each thread
+        # A loop for each thread.
+        asyncio.run(client.async_execute(env=os.environ | settings_of_nobody(stage)))
         nbformat.write(notebook, path)
         outcomes = {id: outcome(each) for id, each in simulated(path).items()}
     outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]

@@ -40,7 +40,7 @@ def last_error(rng, M):
     return (kf.filter(z) - x)[-1, 0]
 
 if __name__ == "__main__":
-    with Client(n_workers=2, threads_per_worker=1, dashboard_address=None) as client:
+    with Client(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as client:
         spread = mpt.study(last_error, runs=5000, seed=1, workers=client.get_executor().map)
     assert np.array_equal(spread, mpt.study(last_error, runs=5000, seed=1))"""
 GPS = """\
