@@ -5,6 +5,8 @@ The checks run where a user passes something in. Everything behind that point tr
 
 import math
 import operator
+from contextlib import suppress
+from datetime import datetime, timedelta
 from numbers import Real
 
 import numpy as np
@@ -18,8 +20,11 @@ SOLVED = 1e-6
 
 
 def refuse(name, need, got, error=ValueError):
-    """Raise `error` with a message that names the argument, what it needs and what it got."""
-    raise error(f"{name}: needs {need}, got {got}")
+    """Raise `error` with a message that names the argument, what it needs and what it got.
+
+    The error that led here, if there is one, is not shown: the message says all that a user can do.
+    """
+    raise error(f"{name}: needs {need}, got {got}") from None
 
 
 def instance(name, value, kind):
@@ -38,6 +43,10 @@ def number(name, value, need, accept):
     ...
     ValueError: dt: needs a positive number, got 0
     """
+    if isinstance(value, timedelta):
+        refuse(name, need, f"{value!r} (its total_seconds() is a number)", TypeError)
+    if isinstance(value, np.timedelta64):  # which counts as Real
+        refuse(name, need, f"{value!r} (divided by np.timedelta64(1, 's') it is a number)", TypeError)
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         refuse(name, need, f"{value!r:.60}", TypeError)
     try:
@@ -88,17 +97,39 @@ def array(name, value, shape):
 
 def real_numbers(name, value, need):
     """Return `value` as an array if it holds real numbers, or raise; the numbers are not looked at."""
+    if value is None:
+        refuse(name, need, "None", TypeError)
     if isinstance(value, np.ma.MaskedArray):
-        refuse(name, f"{need}, NaN where one is missing", "a masked array (z.filled(np.nan) makes one)", TypeError)
+        refuse(name, need, "a masked array (its filled(np.nan) has NaN where one is missing)", TypeError)
     try:
         values = np.asarray(value)
     except ValueError:
         refuse(name, need, "rows of different lengths")
     if values.dtype == object and hasattr(value, "to_numpy"):
-        values = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
+        with suppress(TypeError, ValueError):  # of a column of anything else
+            values = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
     if values.dtype.kind not in "iuf":
-        refuse(name, need, f"an array of {values.dtype} data", TypeError)
+        refuse(name, need, _other_data(values), TypeError)
     return values
+
+
+def _other_data(values):
+    """Say what an array holds that has no real numbers, and what makes numbers of it."""
+    kinds = {"m": timedelta, "M": datetime}
+    others = [kinds[values.dtype.kind]] if values.dtype.kind in kinds else []
+    if values.dtype == object:
+        others = [type(each) for each in values.ravel() if isinstance(each, bool) or not isinstance(each, Real)]
+        if not others:
+            return "numbers as objects (.astype(float) makes an array of numbers)"
+        if type(None) in others:
+            return "None among its values"
+    if timedelta in others:
+        return "lengths of time (divided by np.timedelta64(1, 's'), or their total_seconds(), they are numbers)"
+    if datetime in others:
+        return "dates (their differences in seconds are numbers)"
+    if others:
+        return f"an array of objects of type {others[0].__name__}"
+    return f"an array of {values.dtype} data"
 
 
 def rows(name, matrix):
@@ -145,7 +176,7 @@ def measurements(z, m):
 
     Infinity is not looked for here: `no_infinity` does that where a result is not finite.
     """
-    need = f"an (N, {m}) or (N, {m}, M) array"
+    need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
     z = real_numbers("z", z, need)
     if z.ndim not in (2, 3) or z.shape[1] != m or 0 in z.shape:
         refuse("z", need, f"shape {z.shape}")
