@@ -244,7 +244,7 @@ def read_paper(key, text):
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{file}: {error}") from error
+        raise ValueError(f"{file}: {error}") from None
     for name, entries in content.items():
         if name not in ("items", "grids", "causes") or not isinstance(entries, list):
             raise ValueError(f"{file}: needs lists of items, grids and causes, got {name} = {entries!r}")
@@ -273,7 +273,7 @@ def _cells(file, grid):
                     place = grid["where"].format(row=row, column=column)
                     yield {"id": f"{grid['id']}.{row}.{column}", "where": place, "kind": "number", "printed": printed}
     except (TypeError, LookupError, AttributeError, ValueError) as error:
-        raise ValueError(f"{file}, grid {grid!r:.40}: needs {need} ({error})") from error
+        raise ValueError(f"{file}, grid {grid!r:.40}: needs {need} ({error})") from None
 
 
 def _made(make, entry, kinds, file):
@@ -324,7 +324,7 @@ def stored_verdicts(notebook):
             for output in cell.get("outputs", []):
                 records += [{**record, "cell": cell["id"]} for record in output.get("data", {}).get(MIME, [])]
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: needs an executed notebook ({error!r})") from error
+        raise ValueError(f"{path}: needs an executed notebook ({error!r})") from None
     if not records:
         raise ValueError(f"{path}: needs an executed notebook whose cells end with paper.report()")
     given = _read_verdicts(path, paper, records)
@@ -347,7 +347,7 @@ def shipped_verdicts(*some):
             try:
                 records = json.loads(path.read_text(encoding="utf-8"))
             except ValueError as error:
-                raise ValueError(f"{path}: {error}") from error
+                raise ValueError(f"{path}: {error}") from None
             given += _read_verdicts(path, paper, records)
         causes |= paper.causes_by_paper()
     return Verdicts(given, causes)
@@ -359,7 +359,7 @@ def _read_verdicts(path, paper, records):
     try:
         given = [Verdict(**record) for record in records]
     except TypeError as error:
-        raise ValueError(f"{path}: needs verdicts of this version ({error}): {cure}") from error
+        raise ValueError(f"{path}: needs verdicts of this version ({error}): {cure}") from None
     known = {"paper": [paper.key], "verdict": VERDICTS, "basis": BASES, "cause": ["", *paper.causes]}
     for each, (name, values) in product(given, known.items()):
         value = getattr(each, name)
