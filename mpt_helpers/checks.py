@@ -3,13 +3,20 @@
 The checks run where a user passes something in. Everything behind that point trusts what it gets.
 """
 
+from __future__ import annotations
+
 import math
 import operator
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime, timedelta
 from numbers import Real
+from typing import NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]  # what a model holds and what a filter returns
 
 # A covariance scaled to unit variances has entries of order one and comes out of a few products of doubles: asymmetry
 # or negative eigenvalues below this are rounding, above it they are a mistake. A positive definite matrix must have all
@@ -19,7 +26,7 @@ ROUNDING = 1e-12
 SOLVED = 1e-6
 
 
-def refuse(name, need, got, error=ValueError):
+def refuse(name: str, need: str, got: object, error: type[Exception] = ValueError) -> NoReturn:
     """Raise `error` with a message that names the argument, what it needs and what it got.
 
     The error that led here, if there is one, is not shown: the message says all that a user can do.
@@ -27,13 +34,13 @@ def refuse(name, need, got, error=ValueError):
     raise error(f"{name}: needs {need}, got {got}") from None
 
 
-def instance(name, value, kind):
+def instance(name: str, value: object, kind: type) -> None:
     """Raise a TypeError if `value` is not a `kind`."""
     if not isinstance(value, kind):
         refuse(name, f"a {kind.__name__}", f"{type(value).__name__} {value!r:.40}", TypeError)
 
 
-def number(name, value, need, accept):
+def number(name: str, value: object, need: str, accept: Callable[[float], bool]) -> float:
     """Return a finite real scalar as a float, or raise.
 
     `accept` says whether the argument can take a finite value, and `need` says the same in words.
@@ -58,17 +65,17 @@ def number(name, value, need, accept):
     return as_float
 
 
-def positive(name, value):
+def positive(name: str, value: object) -> float:
     """Return a positive number as a float, or raise."""
     return number(name, value, "a positive number", lambda value: value > 0)
 
 
-def not_negative(name, value):
+def not_negative(name: str, value: object) -> float:
     """Return a number that is not negative as a float, or raise."""
     return number(name, value, "a number that is not negative", lambda value: value >= 0)
 
 
-def count(name, value, least=1):
+def count(name: str, value: object, least: int = 1) -> int:
     """Return an integer of at least `least`, or raise."""
     need = f"an integer of at least {least}"
     if isinstance(value, bool | np.bool_):
@@ -82,7 +89,7 @@ def count(name, value, least=1):
     return whole
 
 
-def array(name, value, shape):
+def array(name: str, value: object, shape: tuple[int, ...]) -> Array:
     """Return a read-only copy of an array of finite real numbers of this shape, or raise."""
     need = f"a {shape} array of finite numbers"
     # In C order, since the rounding of a product depends on the memory layout.
@@ -95,7 +102,7 @@ def array(name, value, shape):
     return copy
 
 
-def real_numbers(name, value, need):
+def real_numbers(name: str, value: object, need: str) -> np.ndarray:
     """Return `value` as an array if it holds real numbers, or raise; the numbers are not looked at."""
     if value is None:
         refuse(name, need, "None", TypeError)
@@ -113,7 +120,7 @@ def real_numbers(name, value, need):
     return values
 
 
-def _other_data(values):
+def _other_data(values: np.ndarray) -> str:
     """Say what an array holds that has no real numbers, and what makes numbers of it."""
     kinds = {"m": timedelta, "M": datetime}
     others = [kinds[values.dtype.kind]] if values.dtype.kind in kinds else []
@@ -132,7 +139,7 @@ def _other_data(values):
     return f"an array of {values.dtype} data"
 
 
-def rows(name, matrix):
+def rows(name: str, matrix: object) -> int:
     """Return how many rows a matrix has, or raise."""
     values = real_numbers(name, matrix, "a matrix")
     if values.ndim != 2 or values.size == 0:
@@ -140,7 +147,7 @@ def rows(name, matrix):
     return len(values)
 
 
-def covariance(name, value, size, definite=False, rounding=ROUNDING):
+def covariance(name: str, value: object, size: int, definite: bool = False, rounding: float = ROUNDING) -> Array:
     """Return a symmetric positive semidefinite (or definite) matrix of this size, or raise.
 
     The eigenvalues examined are those of the correlation matrix, so that variances of very different size pass.
@@ -171,7 +178,7 @@ def covariance(name, value, size, definite=False, rounding=ROUNDING):
     return matrix
 
 
-def measurements(z, m):
+def measurements(z: object, m: int) -> Array:
     """Return measurements as a float array of shape (N, m) or (N, m, M), or raise. NaN stands for a missing one.
 
     Infinity is not looked for here: `no_infinity` does that where a result is not finite.
@@ -184,13 +191,13 @@ def measurements(z, m):
         return z.astype(float, copy=False)
 
 
-def no_infinity(z):
+def no_infinity(z: np.ndarray) -> None:
     """Raise a ValueError if one of the measurements is infinite."""
     if np.isinf(z).any():
         refuse("z", "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
 
-def times(name, value):
+def times(name: str, value: object) -> Array:
     """Return times (N,) or (N, M) that do not decrease as a read-only float array, or raise."""
     need = "an (N,) or (N, M) array of finite times that do not decrease"
     values = real_numbers(name, value, need)
@@ -204,7 +211,7 @@ def times(name, value):
     return values
 
 
-def variances(name, value, m):
+def variances(name: str, value: object, m: int) -> Array:
     """Return variances (N, m) or (N, m, M) as a read-only float array, or raise; the numbers are not looked at."""
     need = f"an (N, {m}) or (N, {m}, M) array of variances"
     values = real_numbers(name, value, need)
