@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-import shipped
 from conftest import NOTEBOOKS, ROOT, part_one
+from tools import shipped
 
 from mpt_helpers.__main__ import BLOCK, readme
 from mpt_helpers.ledger import shipped_verdicts

@@ -106,10 +106,17 @@ def test_averages_over_long_runs_are_those_of_long_simulations(noise, monkeypatc
     short = table1.averages(column, relative_errors(column, noise, 1, 500)["x"], [800])[0]
     monkeypatch.setattr(table1, "TRANSIENT", 800)
     long = table1.averages(column, relative_errors(column, noise, 2, 500)["x"], [800])[0]
-    # Five standard errors of the difference.
+    # Five standard errors of the differences of the means and of the standard deviations.
     off = np.abs(short.mean(axis=1) - long.mean(axis=1))
     assert (off < 5 * np.sqrt((short.var(axis=1) + long.var(axis=1)) / 500)).all()
-    np.testing.assert_allclose(short.std(axis=1), long.std(axis=1), rtol=0.2)  # 500 runs know σ to 3 %
+    ratio = long.std(axis=1) / short.std(axis=1)
+    assert (np.abs(ratio - 1) < 5 * np.hypot(error_of_sigma(short), error_of_sigma(long))).all()
+
+
+def error_of_sigma(runs):
+    """The relative standard error of the standard deviation of runs (..., M): √((κ - 1) / 4M), κ the kurtosis."""
+    kurtosis = ((runs - runs.mean(axis=-1, keepdims=True)) ** 4).mean(axis=-1) / runs.var(axis=-1) ** 2
+    return np.sqrt((kurtosis - 1) / 4 / runs.shape[-1])
 
 
 @both_models
