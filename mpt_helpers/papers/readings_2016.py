@@ -178,7 +178,7 @@ def log10_at_best(columns, ratio, seed, runs=500):
 
 
 def rough(ratio):
-    """Return a ratio as text with the one digit that another seed leaves as it is; a large one as a power of ten.
+    """Return a ratio as text with one digit, since another seed changes it by some 15 %; a large one as a power of ten.
 
     >>> rough(27.9), rough(0.83), rough(1.24), rough(6.6), rough(158), rough(75272)
     ('30', '0.8', '1', '7', '200', '10^5')
