@@ -212,12 +212,12 @@ def test_the_odds_of_percent(log_p):
     says(f"percent is about {readings.rough(ratio)} times as probable")
     assert 6 / 1.3 < min(of_axes) < 6 * 1.3
     assert 80 / 1.3 < max(of_axes) < 80 * 1.3
-    says("(some 6 to 80, by axis)")
+    says("(6 to 80, by axis)")
     says(f"finds 100 steps over {readings.rough(ratio)} times as plausible")
     says("if each had its own, it is an even bet")
     own = np.prod([article.odds(log_p, keys=[key]) for key in COLUMNS])
     assert 0.2 < own < 6  # with the noise of the track open, as in Part II, nearer to 1
-    says("10,000 steps end at 20 km/s")
+    says("10,000 s at 2 m/s² end at 20 km/s")
     assert 2 * STEPS * table1.DT == 20_000
 
 
