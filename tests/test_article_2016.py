@@ -145,7 +145,7 @@ def sigma_by_hand(key, seconds, dt, noise):
     A = F - K @ H @ F
     update = np.eye(len(F)) - K @ H
     P = np.zeros_like(Q)
-    for _ in range(3000):
+    for _ in range(500):
         P = A @ P @ A.T + noise * update @ Q @ update.T + K @ R @ K.T
     for _ in range(round(100 * seconds)):  # in steps of 0.01 s
         later = table1.MODELS[key](0.01, table1.Q, table1.R)

@@ -56,11 +56,9 @@ def all_samples(columns, reading, seed, runs=RUNS, lengths=None, average=average
 
 def averages_within(column, ratio, lengths):
     """Return `averages` that stop where their target leaves the run: N steps earlier than the estimate's."""
-    result = np.empty((len(lengths), *ratio[:, 0].shape))
-    for i, L in enumerate(lengths):
-        for N in range(table1.LARGEST_N + 1):
-            result[i, N] = averages(column, ratio, [L - N])[0, N]
-    return result
+    lengths = np.asarray(lengths)
+    each = [averages(column, ratio, lengths - N)[:, N] for N in range(table1.LARGEST_N + 1)]
+    return np.stack(each, axis=1)
 
 
 def log_probabilities(samples, columns):
