@@ -36,7 +36,8 @@ BESIDE = {  # modules of one paper
     "article_2007": {"positioning", "experiments_2007"},
     "article_2014": {"burden", "table4"},
     "article_2015": {"burden"},
-    "article_2016": {"burden", "table1_2016"},
+    "article_2016": {"readings_2016", "table1_2016"},
+    "readings_2016": {"table1_2016"},
 }
 STEADY = mpt.SteadyStateFilter.from_kalman(AXIS)
 EVERY_FILTER = {
