@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
+from scipy.special import chdtri
 
 from .. import plots
 from ..filters import KalmanFilter
@@ -29,6 +30,7 @@ SETTLED = 20
 LASTING, LEFT = 0.55, 0.97
 FAR = 3000.0  # metres from the origin
 CANDIDATES, SEED = 10_000, 1
+USUAL = float(chdtri(1, 0.001))  # a good fix has a higher NIS once in 1,000
 REACH = 3.1  # metres, the vertical axis
 
 
@@ -72,6 +74,8 @@ SENTENCES = {
     "open": "After the last fix all three filters can only predict: the band opens to ± {band} m.",
     "outlier": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "
     "Kalman’s own test sees it (NIS {nis}, where 1 is usual), but no filter acts on it without a gate.",
+    "small": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "
+    "Kalman’s own test lets it pass (NIS {nis}; a good fix is above {usual} once in 1,000).",
     "lag": "H = [1 Δt] says that each fix is the next position. Fed with present ones, every filter is one step late: "
     "{late} m at walking pace, {times} times the σ it states. Its own test {test}.",
     "lasting": "An error that lasts looks like motion, and every filter follows it: the truth is outside the band "
@@ -321,6 +325,7 @@ def for_the_page():
         "p0": START[0, 0],
         "settled": SETTLED,
         "reach": REACH,
+        "usual": USUAL,
         "band": [[round(float(edge), 3) for edge in chi_square_band(1, count)] for count in range(1, FIXES + 1)],
         "scenes": scenes,
         "sentences": SENTENCES | {"unseen": UNSEEN, "seen": SEEN},
