@@ -84,7 +84,7 @@ def title_of(section):
 def contents(summary, sections):
     """Return a list of links to sections that opens."""
     items = "".join(f'<li><a href="#{each["ids"][0]}">{escape(title_of(each))}</a></li>' for each in sections)
-    return raw(f'<details class="contents"><summary>{summary}</summary><ul>{items}</ul></details>')
+    return raw(f'<details class="sections"><summary>{summary}</summary><ul>{items}</ul></details>')
 
 
 def describe(app, pagename, templatename, context, doctree):
@@ -97,7 +97,10 @@ def describe(app, pagename, templatename, context, doctree):
         paper = words["papers"][key]
         first = {"corrections": "Corrections to ", "notebooks": "Checked: "}[place]
         said = f"{first}{paper['authors']}. {paper['outcome']}"
-    context["metatags"] = context.get("metatags", "") + f'<meta name="description" content="{escape(said or words["descriptions"]["index"])}">'
+    context["metatags"] = (
+        context.get("metatags", "")
+        + f'<meta name="description" content="{escape(said or words["descriptions"]["index"])}">'
+    )
 
 
 def raw(html):

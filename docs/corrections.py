@@ -63,6 +63,13 @@ def entry(verdict, corrected):
 
 
 GRID = re.compile(r"row (\d+), column (\d+)")
+NAMED_ROW = re.compile(r"row (\d+) \(([^)]*)\)")
+
+
+def names_of_rows(given):
+    """Return what the paper calls its numbered rows, {1: "A, KF"}, wherever it says so."""
+    found = [NAMED_ROW.search(each.where) for each in given]
+    return {int(match[1]): match[2] for match in found if match}
 
 
 def grid(members, corrected):

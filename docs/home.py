@@ -146,7 +146,9 @@ FIR_PAYS = ("table7.mu.a", "table7.mu.b")
 
 def ratios_of_table_4(by_id):
     """Return (printed, computed, verdict, the verdict itself) of each ratio of 2014's Table 4 that can be read."""
-    cells = [each for (key, id), each in by_id.items() if key == "2014_gsm_2d" and re.fullmatch(r"table4\.\d+\.\d+", id)]
+    cells = [
+        each for (key, id), each in by_id.items() if key == "2014_gsm_2d" and re.fullmatch(r"table4\.\d+\.\d+", id)
+    ]
     read = [each for each in cells if each.verdict in HOLDS + FAILS]
     return [(float(each.printed), float(each.computed), each.verdict, each) for each in read]
 
@@ -160,7 +162,7 @@ def start_of_2016():
 
 
 def outcomes(given):
-    """Return how the claims and the values of some verdicts come out: {"claims": (hold, in part, all), "values": ...}."""
+    """Return how claims and values come out, {"claims": (hold, in part, all), "values": (agree, in part, all)}."""
 
     def counted(verdicts):
         hold = sum(each.verdict in HOLDS for each in verdicts)

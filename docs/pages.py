@@ -27,11 +27,11 @@ import matplotlib
 import numpy as np
 import speed
 import yaml
+from corrections import place
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 import mpt_helpers as mpt
-from corrections import place
 from mpt_helpers import plots
 from mpt_helpers.ledger import Verdicts, keys, stored_verdicts
 from mpt_helpers.ledger.verdicts import BASES, CANNOT_BE_CHECKED, CAUSE_KINDS, FIELDS, OF_CLAIMS, VERDICTS
@@ -185,7 +185,9 @@ def unbroken(text):
     >>> unbroken("1.5 m at 3 km") == "1.5\N{NO-BREAK SPACE}m at 3\N{NO-BREAK SPACE}km"
     True
     """
-    return re.sub(r"(?<=\d) (?=(?:m|km|σ|s|fixes)\b)|(?<=H) (?==)|(?<==) (?=\[)|(?<=\[1) (?=[Δ0])", "\N{NO-BREAK SPACE}", text)
+    return re.sub(
+        r"(?<=\d) (?=(?:m|km|σ|s|fixes)\b)|(?<=H) (?==)|(?<==) (?=\[)|(?<=\[1) (?=[Δ0])", "\N{NO-BREAK SPACE}", text
+    )
 
 
 def home_page(given, about):
@@ -541,6 +543,7 @@ def write_corrections(env, key, own, about):
     """Write the page of corrections to one paper."""
     html = env.get_template("correction.html").render(
         key=key,
+        rows=corrections.names_of_rows(own),
         sections=corrections.sections(own, about["corrected"].get(key, {})),
         questions=corrections.questions(own, about["questions"].get(key, {})),
     )

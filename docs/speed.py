@@ -34,8 +34,10 @@ def times_as_fast(row):
 
     The stored ratio is the median over the rounds, in the direction of the row's goal; the median times tell which.
 
-    >>> times_as_fast({"ms": 10, "against_ms": 30, "ratio": 3.1}), times_as_fast({"ms": 30, "against_ms": 10, "ratio": 4})
-    (3.1, 0.25)
+    >>> times_as_fast({"ms": 10, "against_ms": 30, "ratio": 3.1})
+    3.1
+    >>> times_as_fast({"ms": 30, "against_ms": 10, "ratio": 4})
+    0.25
     """
     if not row.get("against_ms"):
         return row["ratio"]
@@ -59,7 +61,7 @@ def answer(rows):
     most = max(each.get("tracks") or 1 for each in rows)
     beside = [each for each in rows if each["work"] == "Kalman" and each.get("tracks") == most]
     compared = ", ".join(f"{in_words(times_as_fast(each))} as {each['against']}" for each in beside)
-    return f"The Kalman filter over {most:,} tracks of 1,000 steps is {compared}."
+    return f"The Kalman filter over {most:,} tracks of 1,000 steps takes {beside[0]['ms']:.0f} ms: {compared}."
 
 
 def tables(rows):
