@@ -54,6 +54,9 @@ def name_parts(app, doctree):
     for formula in doctree.findall(nodes.math):
         if len(formula.astext()) > 35:  # too wide for a phone
             formula["classes"].append("long")
+    for code in doctree.findall(nodes.literal):
+        if len(code.astext()) <= 28:  # fits a line of a phone
+            code["classes"].append("unbroken")
     add_contents(app.env.docname, doctree)
 
 

