@@ -34,8 +34,9 @@ def committed(root):
 def lying_there(root):
     """Return {path: (bytes, executable)} of the files below root that .gitignore does not name."""
     root = Path(root)
-    lines = (root / ".gitignore").read_text(encoding="utf-8").split()
-    ignored = [".git", *(line.rstrip("/") for line in lines)]
+    names = root / ".gitignore"
+    lines = names.read_text(encoding="utf-8").split() if names.is_file() else []
+    ignored = [".git", "__pycache__", "docs/_build", *(line.rstrip("/") for line in lines)]
 
     def leaves_out(path):
         return any(fnmatch(path.name, each) or path.relative_to(root).as_posix() == each for each in ignored)

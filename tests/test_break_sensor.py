@@ -66,7 +66,7 @@ def test_a_sentence_is_filled(name):
 
 
 def test_what_the_sentences_say_of_the_filters_own_test_holds_for_most_tracks(tracks):
-    """ "Sees nothing" where the fixes come one step late or their errors last: some 19 of 20 tracks are within the band."""
+    """Where fixes come one step late, or their errors last, 85 % of the tracks have a NIS within its band."""
     for name in ("lag", "lasting"):
         given = break_sensor.numbers(break_sensor.SCENES[name], tracks)
         low, high = mpt.metrics.chi_square_band(1, 40)

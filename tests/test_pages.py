@@ -1,5 +1,6 @@
 """What the site is made of, where no browser is needed."""
 
+import doctest
 import io
 import json
 import re
@@ -135,7 +136,7 @@ def test_the_table_of_filters_counts_the_operations_of_the_papers(by_id):
     fir = break_sensor.filters()[2]
     for distance, near in ((home.near(), True), (home.near() + 20, False)):
         off = distance * abs(fir.taps[:, 0, 0].sum() - 1)
-        assert (off < 0.1 * home.settled_sigma()) is near
+        assert bool(off < 0.1 * home.settled_sigma()) is near
 
 
 def test_a_corrected_formula_is_what_the_operations_give(given):
@@ -156,8 +157,9 @@ def test_a_corrected_formula_is_what_the_operations_give(given):
 def test_a_hint_in_a_question_is_right_arithmetic(given):
     for asked in pages.texts(given)["questions"].values():
         for text in asked.values():
-            for whole, right in re.findall(r"(\d+) = ((?:\d+ )?\([\d +]+\) \+ \d+)", text):
-                assert int(whole) == burden.value(right)
+            for numbers in re.findall(r"(\d+) = (\d+) \((\d+) \+ (\d+)\) \+ (\d+)", text):
+                whole, times, a, b, more = map(int, numbers)
+                assert whole == times * (a + b) + more
 
 
 def test_a_page_of_corrections_has_the_tables_whole_and_what_is_wrong_beside_what_is_right():
@@ -203,7 +205,7 @@ def unpacked(data, folder):
 
 
 def test_the_archive_is_the_committed_tree_and_makes_itself_again(tmp_path):
-    """Where there is git, from the last commit; in what was unpacked, where there is none, from the files: equal bytes."""
+    """With git it holds the last commit; in what was unpacked, where there is no git, the files: equal bytes."""
     first = archive.source(ROOT, "mpt_helpers-1", "2026-01-01")
     inside = unpacked(first, tmp_path / "first")
     assert (inside / "mpt_helpers" / "__init__.py").is_file()
@@ -230,6 +232,11 @@ def test_the_speed_page_has_the_direction_of_the_median_times():
     for row in speed.results()["rows"]:
         if row.get("against_ms"):
             assert speed.times_as_fast(row) == pytest.approx(row["against_ms"] / row["ms"], rel=0.5), row
+
+
+@pytest.mark.parametrize("module", [archive, corrections, home, pages, speed], ids=lambda module: module.__name__)
+def test_the_examples_of_the_modules_print_what_they_say(module):
+    assert doctest.testmod(module).failed == 0
 
 
 def test_what_only_a_checkout_needs_is_left_out_of_the_site():
