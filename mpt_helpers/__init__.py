@@ -16,6 +16,7 @@ __version__ = "0.2.0"
 from . import metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
+from .fitting import fit
 from .ledger import Table, gap_text, published
 from .model import (
     LinearModel,
@@ -29,7 +30,8 @@ from .model import (
     stack,
 )
 from .monte_carlo import study
-from .steady import FIRFilter, SteadyStateFilter, SteadyStatePredictor, fir_order
+from .predictor import Predictor, SteadyStatePredictor
+from .steady import FIRFilter, SteadyStateFilter, fir_order
 
 __all__ = [
     "FIRFilter",
@@ -37,6 +39,7 @@ __all__ = [
     "KalmanFilter",
     "LainiotisFilter",
     "LinearModel",
+    "Predictor",
     "Separate",
     "SteadyStateFilter",
     "SteadyStatePredictor",
@@ -45,6 +48,7 @@ __all__ = [
     "constant_velocity",
     "exact_motion",
     "fir_order",
+    "fit",
     "gap_text",
     "gps_ins",
     "gsm_axis",
