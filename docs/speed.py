@@ -69,7 +69,12 @@ def tables(rows):
     for tracks in dict.fromkeys(each.get("tracks") for each in rows):
         own = [each for each in rows if each.get("tracks") == tracks]
         lines = [
-            [each["work"], in_words(times_as_fast(each)), each["against"], number(each["ms"]) if each.get("ms") else ""]
+            [
+                each["work"],
+                in_words(times_as_fast(each)).replace(" ", "\N{NO-BREAK SPACE}"),
+                each["against"],
+                number(each["ms"]) if each.get("ms") else "",
+            ]
             for each in own
         ]
         made.append((tracks, Table(["what", "ratio", "beside", "ms"], lines).markdown()))
