@@ -17,7 +17,8 @@ project = "mpt_helpers"
 release = mpt_helpers.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 nb_execution_mode = "off"
-suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included"]  # verdicts for machines; the full notebooks
+# Verdicts for machines; the full notebooks; names such as P that several classes have.
+suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included", "ref.python"]
 myst_enable_extensions = ["dollarmath"]
 default_role = "py:obj"
 add_module_names = False

@@ -21,16 +21,14 @@ class Entry(NamedTuple):
 
 
 class Section(NamedTuple):
-    """The corrections of one cause: its sentence and meaning, and its tables, each (title, entries, columns).
+    """Corrections that share their tables: the causes, each with a verdict that it explains, and the tables.
 
-    columns is 0 for a list of entries and the number of columns for a grid, whose empty cells are None.
+    A table is (title, entries, columns): columns is 0 for a list of entries and the number of columns for a grid, whose
+    empty cells are None.
     """
 
-    kind: str
-    sentence: str
-    meaning: str
+    causes: list
     tables: list
-    proof: object
 
 
 def place(verdict):
@@ -80,26 +78,36 @@ def grid(members, corrected):
 
 
 def sections(given, corrected):
-    """Return the corrections to a paper as Sections, one for each cause that still makes an item fail."""
+    """Return the corrections to a paper as Sections: slips before wordings, causes that share a table together."""
     failing = {}
     for each in given:
-        if each.verdict in FAILS and each.cause and given.causes[each.paper, each.cause].kind in CORRECTED_KINDS:
+        cause = given.causes.get((each.paper, each.cause))
+        if each.verdict in FAILS and cause and cause.kind in CORRECTED_KINDS:
             failing.setdefault(each.cause, []).append(each)
-    made = []
+    together = []  # (causes, items), of causes whose items share a place
     for id, members in failing.items():
         cause = given.causes[members[0].paper, id]
-        tables = []
-        for title in dict.fromkeys(map(place, members)):
-            own = [each for each in members if place(each) == title]
-            whole = [each for each in given if place(each) == title]
-            if all(GRID.search(each.where) for each in whole):
-                tables.append((title, *grid(whole, corrected)))
-            elif any(each.kind == "number" for each in own):
-                tables.append((title, [entry(each, corrected) for each in whole], 0))
-            else:
-                tables.append((title, [entry(each, corrected) for each in own], 0))
-        made.append(Section(cause.kind, cause.sentence, cause.meaning, tables, members[0]))
-    return sorted(made, key=lambda section: CORRECTED_KINDS.index(section.kind))
+        shared = [each for each in together if {place(item) for item in each[1]} & {place(item) for item in members}]
+        together = [each for each in together if each not in shared]
+        causes = [pair for each in shared for pair in each[0]] + [(cause, members[0])]
+        together.append((causes, [item for each in shared for item in each[1]] + members))
+    made = [Section(causes, tables(given, items, corrected)) for causes, items in together]
+    return sorted(made, key=lambda section: CORRECTED_KINDS.index(section.causes[0][0].kind))
+
+
+def tables(given, failing, corrected):
+    """Return the tables of the paper in which some items fail, whole if there are numbers among them."""
+    made = []
+    for title in dict.fromkeys(map(place, failing)):
+        own = [each for each in failing if place(each) == title]
+        whole = [each for each in given if place(each) == title]
+        if all(GRID.search(each.where) for each in whole):
+            made.append((title, *grid(whole, corrected)))
+        elif any(each.kind == "number" for each in own):
+            made.append((title, [entry(each, corrected) for each in whole], 0))
+        else:
+            made.append((title, [entry(each, corrected) for each in own], 0))
+    return made
 
 
 def questions(given, asked):

@@ -69,12 +69,13 @@ class Group(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A figure of a notebook: its file's name, what it is called, its heading, its caption, its cell, its alt text."""
+    """A figure of a notebook: its file's name, what it is called, its heading, its caption and what that concludes."""
 
     name: str
     label: str
     heading: str
     caption: str
+    conclusion: str
     cell: str
     alt: str
     width: int
@@ -142,7 +143,7 @@ def figures_of(key, cells):
     drawn, section = [], "What we found"
     for cell in cells:
         if cell["cell_type"] == "markdown":
-            section = [section, *re.findall(r"(?m)^## (?:\d+\. )?(.*)", source(cell))][-1]
+            section = [section, *re.findall(r"(?m)^###? (?:\d+\. )?(.*)", source(cell))][-1]
         for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
@@ -150,9 +151,16 @@ def figures_of(key, cells):
             captions = [part for part in prose if label in names_of(part)]
             (alt,) = (out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out["data"])
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
-            caption = captions[0] if captions else alt
-            drawn.append(Drawn(name, label, heading, caption, cell["id"], alt, width, height))
+            caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else alt
+            said = conclusion(caption)
+            drawn.append(Drawn(name, label, heading, caption, said, cell["id"], alt, width, height))
     return drawn
+
+
+def conclusion(caption):
+    """Return the first sentence of a caption, behind the figure's name and without markup."""
+    found = re.match(r"\*\*Figure [^*]*\*\* *(?:\*\*(.+?)\*\*|([^*]+?[.](?=\s|$)))", caption.replace("\n", " "))
+    return (found[1] or found[2]).strip() if found else ""
 
 
 def names_of(paragraph):
@@ -389,12 +397,21 @@ def mathjax():
     return data
 
 
+# The modules of the core in the order in which they are read; others come after them, with what runs the filters.
+FIRST = ["model", "filters", "steady", "predictor", "combined"]
+JUDGE = ["metrics", "fitting", "bands", "monte_carlo"]
+NOT_SHOWN = ["checks", "files", "plots"]
+
+
 def api():
     """Return the headings of the API page, each with its modules: those of the layout, and what is in papers/."""
     papers = sorted(path.stem for path in (ROOT / "mpt_helpers" / "papers").glob("[a-z]*.py"))
+    core = sorted(path.stem for path in (ROOT / "mpt_helpers").glob("[a-z]*.py"))
+    others = [name for name in core if name not in (*FIRST, *JUDGE, *NOT_SHOWN)]
     return {
-        "Models and filters": ["model", "filters", "steady", "combined", "riccati", "recursion"],
-        "Judging them": ["metrics", "monte_carlo"],
+        "Models and filters": [name for name in FIRST if name in core],
+        "Judging them": [name for name in JUDGE if name in core],
+        "What runs them": others,
         "What the papers need": [f"papers.{name}" for name in papers],
         "What the papers print, and whether it holds": ["ledger.paper", "ledger.verdicts", "ledger.tables"],
         "Figures": ["plots"],

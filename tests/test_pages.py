@@ -97,8 +97,7 @@ def test_mistakes_stand_in_the_order_of_their_cost_and_each_has_words_and_a_proo
     said = [text for each in (*made["metres"], *made["choices"]) for text in each.values() if isinstance(text, str)]
     assert not [text for text in said if "{" in text]
     for each in found:
-        assert each.proof.verdict in FAILS, each.name
-        assert each.proof.cell
+        assert each.proof.cell, each.name
 
 
 def test_a_mistake_of_metres_costs_what_simulated_tracks_say(by_id):
@@ -168,7 +167,7 @@ def test_a_page_of_corrections_has_the_tables_whole_and_what_is_wrong_beside_wha
     fine = verdict("t.1", "Table 3, row 1 (A, KF)")
     (section,) = corrections.sections(Verdicts([fine, wrong], cause), {})
     ((title, entries, columns),) = section.tables
-    assert (title, columns, section.sentence) == ("Table 3", 0, "One is missing.")
+    assert (title, columns, section.causes) == ("Table 3", 0, [(cause["p", "join"], wrong)])
     assert [(each.label, each.old, each.new) for each in entries] == [
         ("row 1 (A, KF)", "1", ""),
         ("row 2 (B, LF)", "0.427", "0.422"),
@@ -177,6 +176,11 @@ def test_a_page_of_corrections_has_the_tables_whole_and_what_is_wrong_beside_wha
     grid[0] = verdict("g.1.2", "Table 4, row 1, column 2", "erratum", "join", printed="2", computed="3")
     ((_, cells, columns),) = corrections.sections(Verdicts(grid, cause), {})[0].tables
     assert ([each and each.new for each in cells], columns) == ([None, "3", "", None], 2)
+    other = {("p", "split"): Cause("split", "slip", "One is too many.", "Count one.")}
+    more = verdict("t.3", "Table 3, row 3 (B, JKLF)", "erratum", "split", printed="1", computed="2")
+    (section,) = corrections.sections(Verdicts([fine, wrong, more], cause | other), {})
+    assert [each.id for each, _ in section.causes] == ["join", "split"]
+    assert len(section.tables) == 1
     assert corrections.names_of_rows([fine, wrong]) == {1: "A, KF", 2: "B, LF"}
 
 
@@ -327,6 +331,17 @@ def test_a_figure_of_our_own_is_listed_under_the_title_of_its_section():
     assert pages.figures_of("2014_gsm_2d", own)[0].heading == "What we found (figure `gain`)"
     own[1] = own[0] | {"source": "## 4. How close?\n\nVery."}
     assert pages.figures_of("2014_gsm_2d", own)[0].heading == "How close? (figure `gain`)"
+    own[1] = own[0] | {"source": "## Part II: the evidence\n\n### 2. How sure?\n\nVery."}
+    assert pages.figures_of("2014_gsm_2d", own)[0].heading == "How sure? (figure `gain`)"
+
+
+def test_the_conclusion_of_a_figure_is_the_first_sentence_of_its_caption():
+    assert pages.conclusion("**Figure 1.** It falls. Then it rests.") == "It falls."
+    assert (
+        pages.conclusion("**Figure `gain`.** **The gain settles, at 0.5.** What is left shrinks.")
+        == "The gain settles, at 0.5."
+    )
+    assert pages.conclusion("*Left:* a curve.") == ""
 
 
 def test_two_figures_may_share_a_caption():
