@@ -46,6 +46,7 @@ MATHJAX_SHA256 = "d4295dc33744836935c1399feece5159577b34c5c8ffb9f1c6324cd82e03a8
 SAVED = re.compile(r'save_figure\(\w+, "(\w+)"\)')
 # More verdicts than this that share their table, outcome and cause become one row, or one chip, that opens.
 FOLD = 4
+PART_2 = re.compile(r"(?m)^## Part II\b")
 # What the filter of the values calls all that did not come out as printed.
 NOT_REPRODUCED = "not reproduced"
 # What a page holds for the site, hidden where Markdown is shown as it is: a template, and in the guide a drawing.
@@ -267,7 +268,7 @@ def prepared(key, notebook, page, whole):
     last_of_part_1 = None
     if not whole and figure.startswith(key):
         last_of_part_1 = end_of_part_1(notebook["cells"], {each.cell for each in drawn.values() if each.name == figure})
-    cells = []
+    cells, evidence = [], False
     for i, cell in enumerate(notebook["cells"]):
         text = source(cell)
         if cell["cell_type"] == "markdown":
@@ -275,7 +276,8 @@ def prepared(key, notebook, page, whole):
             text = text.replace("](../docs/", "](../").replace("](../benchmarks/README.md", "](../speed.md")
         made = {**cell, "source": text, "metadata": {**cell["metadata"], "id": cell["id"]}}
         ledger = "ledger" in cell["metadata"].get("tags", ())
-        made["metadata"]["folded"] = not whole and not teaches(cell)
+        evidence = evidence or PART_2.search(text) is not None
+        made["metadata"]["folded"] = not whole and not is_open(cell, evidence)
         made["metadata"]["tags"] = []  # code is folded here, not by myst-nb
         if ledger and not whole:
             cells.append(raw_cell(page["verdicts"](cell["id"])))
@@ -295,14 +297,16 @@ def end_of_part_1(cells, figure):
     for i, cell in enumerate(cells):
         if cell["id"] in figure:
             return i
-    ends = [i for i, cell in enumerate(cells) if re.search(r"(?m)^## Part II\b", source(cell))]
+    ends = [i for i, cell in enumerate(cells) if PART_2.search(source(cell))]
     return ends[0] - 1 if ends else len(cells) - 1
 
 
-def teaches(cell):
-    """Tell whether a cell defines a function that the text explains: its code stays open on the page."""
+def is_open(cell, evidence):
+    """Tell whether the code of a cell stays open on the page: not that of a figure, and in Part II only functions."""
     hidden = "hide-input" in cell["metadata"].get("tags", ())
-    return not hidden and not SAVED.search(source(cell)) and re.search(r"(?m)^def ", source(cell)) is not None
+    if hidden or SAVED.search(source(cell)):
+        return False
+    return not evidence or re.search(r"(?m)^def ", source(cell)) is not None
 
 
 def raw_cell(html):
@@ -551,7 +555,8 @@ def write_article(env, key, notebook, own, live):
 
     html = {"live": (live, env.get_template("live.html").render(here)), "verdicts": verdicts}
     for name, whole in ((key, False), (f"{key}-full", True)):
-        page = html | {"top": env.get_template("top.html").render(here, whole=whole)}
+        first = source(notebook["cells"][0])
+        page = html | {"top": env.get_template("top.html").render(here, whole=whole, first=first)}
         text = json.dumps(prepared(key, notebook, page, whole), ensure_ascii=False)
         (BUILD / "source" / "notebooks" / f"{name}.ipynb").write_text(text, encoding="utf-8")
 

@@ -275,6 +275,17 @@ def test_an_article_has_chips_for_the_calls_to_the_ledger_and_the_full_notebook_
     json.dumps(made)
 
 
+def test_code_is_open_in_part_one_and_folded_in_part_two_but_for_functions():
+    plain = {"cell_type": "code", "id": "plain", "metadata": {}, "source": "x = A @ x", "outputs": []}
+    function = plain | {"id": "function", "source": "def step(x):\n    return x"}
+    part_2 = {"cell_type": "markdown", "id": "two", "metadata": {}, "source": "## Part II: the evidence"}
+    notebook = {"cells": [*cells(), plain, part_2, plain | {"id": "later"}, function]}
+    page = {"top": "TOP", "live": ("", "LIVE"), "verdicts": lambda cell: "CHIPS"}
+    made = {cell["id"]: cell["metadata"] for cell in pages.prepared("2014_gsm_2d", notebook, page, False)["cells"]}
+    folded = {id: about["folded"] for id, about in made.items() if id in ("draw", "plain", "later", "function")}
+    assert folded == {"draw": True, "plain": False, "later": True, "function": False}
+
+
 def test_the_figure_with_sliders_stands_below_its_figure_or_at_the_end_of_part_one():
     markdown = {"cell_type": "markdown", "metadata": {}}
     end = [markdown | {"id": "two", "source": "## Part II: the evidence"}, markdown | {"id": "last", "source": "Text."}]
