@@ -787,6 +787,11 @@ def test_lines_of_text_have_some_eighty_characters(visit, place):
     assert visit(place).evaluate(LONG_LINES) == []
 
 
+def test_the_notation_wraps_on_a_phone(visit):
+    wrapper = visit("api.html", 390).locator("#notation .table-wrapper")
+    assert wrapper.evaluate("each => each.scrollWidth <= each.clientWidth + 1")
+
+
 @pytest.mark.parametrize("place", PAGES)
 def test_a_page_says_in_its_head_what_it_is_about(place):
     text = (HTML / place).read_text(encoding="utf-8")
