@@ -50,6 +50,7 @@ class Ahead(NamedTuple):
     sigma (K, m): the standard deviation of the error that the filter states
     recent (K,): c, the size of the recent innovations against the one stated, when the prediction was made
     row, due_row (K,): the rows of z of both fixes
+    fixes (K,): how many fixes later the one is that checks it
     track (K,): the track that they belong to, 0 where there is one
     left_out: how many fixes had no later one between 1 and 1.5 horizons: before a gap, and at the end
     seconds: the horizon
@@ -62,6 +63,7 @@ class Ahead(NamedTuple):
     recent: np.ndarray
     row: np.ndarray
     due_row: np.ndarray
+    fixes: np.ndarray
     track: np.ndarray
     left_out: int
     seconds: float
@@ -89,14 +91,14 @@ def ahead(estimator, z, seconds):
     fix the first one that is `seconds` later is predicted, if it is at most 1.5 times as much later. On a grid the
     times count from the first row.
 
-    Raises ValueError for a model that does not know steps of any length and for a horizon that is not positive, and as
-    `estimator.estimates`.
+    Raises ValueError for a model that does not know steps of any length, for a horizon that is not positive or that no
+    fix is later by, and as `estimator.estimates`.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
     >>> a = ahead(kf, [[1.1], [1.9], [np.nan], [4.0], [5.2]], seconds=2.0)
     >>> a.made, a.due, a.errors.ravel().round(2), a.sigma.ravel().round(2), a.left_out
-    (array([0., 1.]), array([2., 3.]), array([0.95, 0.16]), array([0.38, 0.38]), 3)
+    (array([0., 1.]), array([3., 3.]), array([-0.02,  0.04]), array([0.56, 0.53]), 2)
     """
     model = _model_of_any_step(estimator)
     seconds = checks.positive("seconds", seconds)
@@ -111,6 +113,10 @@ def ahead(estimator, z, seconds):
         x_c = np.vstack([model.x0, x[..., c]])
         P_c = np.concatenate([estimator.P0[None], P[..., c]])
         parts.append(_ahead_on_one_track(model, t_c, z[..., c], x_c, P_c, R_c, seconds, c))
+    if not any(len(part[0]) for part in parts):
+        steps = np.diff(t[np.isfinite(z[..., 0]).any(axis=1), 0])
+        got = f"{seconds:g} with steps of {np.median(steps):g} s" if len(steps) else "fewer than two fixes"
+        checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
     joined = [np.concatenate(column) for column in zip(*[part[:-1] for part in parts], strict=True)]
     return Ahead(*joined, left_out=sum(part[-1] for part in parts), seconds=seconds)
 
@@ -125,10 +131,10 @@ def following(a, before=None, level=0.95):
     Raises TypeError for anything but an Ahead, ValueError for a level outside (0, 1) and for another horizon or number
     of axes before.
 
-    >>> errors, ones = np.array([[1.0], [9.0], [1.0], [1.0]]), np.ones((4, 1))
-    >>> row = np.arange(4)
-    >>> a = Ahead(row, row + 1, errors, ones, np.ones(4), row, row + 1, 0 * row, left_out=1, seconds=1.0)
-    >>> following(a).ravel().round(3)
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> a = ahead(kf, [[0.0], [0.1], [5.0], [5.0], [5.0]], seconds=1.0)
+    >>> (following(a) / a.sigma / a.recent[:, None]).ravel().round(3)  # f after a hit, a miss and a hit
     array([1.96 , 1.95 , 2.145, 2.134])
     """
     checks.instance("a", a, Ahead)
@@ -149,11 +155,11 @@ def coverage(a, band, where=None):
 
     Raises ValueError for a band or a `where` of another shape, and where no prediction is left.
 
-    >>> row = np.arange(60)
-    >>> errors = np.where(row < 3, 5.0, 0.0)[:, None]
-    >>> a = Ahead(row, row + 1, errors, errors, row, row, row + 1, 0 * row, left_out=1, seconds=1.0)
-    >>> coverage(a, np.ones((60, 1)))
-    Coverage(share=array([0.95]), independent=60)
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> a = ahead(kf, np.where(np.arange(64) == 60, 9.0, 0.0)[:, None], seconds=1.0)
+    >>> coverage(a, following(a))  # one fix is 9 m off, and the filter with it for a while
+    Coverage(share=array([0.95238095]), independent=63)
     """
     band, where = _checked_band(a, band, where)
     errors = np.abs(a.errors[where])
@@ -173,10 +179,12 @@ def interval_score(a, band, level=0.95, where=None):
     It is smallest for the true quantiles (Gneiting and Raftery 2007, Eq. 43), in the units of the errors: a band that
     is too wide pays by its width, one that is too narrow by 40 times what it misses (level 0.95). Raises as `coverage`.
 
-    >>> row = np.arange(2)
-    >>> a = Ahead(row, row + 1, np.array([[0.5], [1.5]]), np.ones((2, 1)), row, row, row + 1, 0 * row, 1, seconds=1.0)
-    >>> interval_score(a, np.ones((2, 1)))
-    array([12.])
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
+    >>> a.errors.ravel().round(2)
+    array([0.5 , 1.82])
+    >>> interval_score(a, np.ones((2, 1))).round(2)  # the second is missed by 0.82
+    array([18.38])
     """
     band, where = _checked_band(a, band, where)
     missed_by = np.maximum(np.abs(a.errors[where]) - band[where], 0)
@@ -189,11 +197,10 @@ def placebo(a, rng):
     A band that follows its errors holds as many of them with these. Its interval score and its coverage in states that
     are known beforehand are what a true sigma must beat. rng is a numpy Generator.
 
-    >>> row = np.arange(2)
-    >>> a = Ahead(row, row + 1, np.zeros((2, 1)), np.ones((2, 1)), row, row, row + 1, 0 * row, 1, seconds=1.0)
-    >>> placebo(a, np.random.default_rng(1)).sigma.round(2)
-    array([[1.41],
-           [2.27]])
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
+    >>> placebo(a, np.random.default_rng(1)).sigma.ravel().round(2)
+    array([1.41, 2.27])
     """
     checks.instance("a", a, Ahead)
     checks.instance("rng", rng, np.random.Generator)
@@ -212,8 +219,11 @@ class LiveBand:
     >>> x, P = kf.model.x0, kf.P0
     >>> for t, z in enumerate([[1.1], [1.9], [3.2]]):
     ...     x, P = kf.step(x, P, z)
-    ...     print(live.step(t, z, x, P))
-    Expected(position=array([3.01]), half_width=array([0.68]))
+    ...     position, half_width = live.step(t, z, x, P)
+    ...     print(f"at {t + 2} s: {position.item():.2f} ± {half_width.item():.2f}")
+    at 2 s: 3.01 ± 0.79
+    at 3 s: 3.96 ± 0.90
+    at 4 s: 5.14 ± 0.96
     """
 
     def __init__(self, estimator, seconds, before=None, level=0.95):
@@ -249,7 +259,7 @@ class LiveBand:
         t = checks.number("t", t, "a time in seconds", lambda _: True)
         z = checks.measurements(np.reshape(z, (1, -1)), m)[0]
         x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
-        R = self.model.R if r is None else np.diag(checks.array("r", r, (m,)))
+        R = self.model.R if r is None else np.diag(checks.variances("r", np.reshape(r, (1, -1)), m)[0])
         if self.last is None:
             self.last = t - self.model.dt, *self.first
         if t < self.last[0]:
@@ -299,6 +309,7 @@ def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
     checked = due < len(fixes)
     checked[checked] = t_fix[due[checked]] - t_fix[checked] <= seconds * (LATEST + ROUNDING)
     row, due_row = fixes[checked], fixes[due[checked]]
+    later = due[checked] - np.flatnonzero(checked)
     expected, S = _expected(model, x[row + 1], P[row + 1], t[due_row] - t[row], R[due_row])
     sigma = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
     before = np.diff(t, prepend=t[0] - model.dt)[fixes]
@@ -306,7 +317,7 @@ def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
     recent = _recent(t_fix, _size(z[fixes] - innovation_of, S_of), seconds)[checked]
     tracks = np.full(len(row), track)
     left_out = len(fixes) - len(row)
-    return t[row], t[due_row], z[due_row] - expected, sigma, recent, row, due_row, tracks, left_out
+    return t[row], t[due_row], z[due_row] - expected, sigma, recent, row, due_row, later, tracks, left_out
 
 
 def _expected(model, x, P, seconds, R):
@@ -356,18 +367,18 @@ def _gain(fixes):
 def _follow(a, rows, log_f, level, band):
     """Write the half-widths of one track, a slice of rows, to band (K, m); return log f (m,) after the last fix."""
     widths = a.sigma[rows] * a.recent[rows, None]
-    made, due = a.row[rows].tolist(), a.due_row[rows].tolist()
+    made, due, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
     ends = []
     for axis, log_factor in enumerate(log_f.tolist()):
         errors, width = np.abs(a.errors[rows, axis]).tolist(), widths[:, axis].tolist()
         half, checked = [], 0
         for k, row in enumerate(made):
             while checked < k and due[checked] <= row:
-                log_factor += _move(errors[checked], half[checked], due[checked] - made[checked], level)
+                log_factor += _move(errors[checked], half[checked], fixes[checked], level)
                 checked += 1
             half.append(math.exp(log_factor) * width[k])
         for k in range(checked, len(made)):
-            log_factor += _move(errors[k], half[k], due[k] - made[k], level)
+            log_factor += _move(errors[k], half[k], fixes[k], level)
         ends.append(log_factor)
         band[rows, axis] = half
     return np.array(ends)
