@@ -184,6 +184,19 @@ def test_of_a_model_that_is_right_the_band_is_the_filters_own():
         assert 0.9 < np.median(band / true) < 1.1
 
 
+def test_the_recent_size_is_the_average_of_the_innovations_over_the_fixes_of_a_horizon():
+    t, z = recorded()
+    kf = mpt.KalmanFilter(PLANE, t=t)
+    a = ahead(kf, z, 20.0)
+    nis, numbers = mpt.metrics.nis(kf, z), np.isfinite(z).sum(axis=1)
+    fixes, average, expected = np.flatnonzero(numbers), 1.0, {}
+    for row in fixes:
+        memory = max(5, ((t[fixes] >= t[row] - 20.0) & (fixes < row)).sum())
+        average += (np.sqrt(nis[row] / numbers[row]) - average) / memory
+        expected[row] = (1 + average) / 2
+    np.testing.assert_allclose(a.recent, [expected[row] for row in a.row], rtol=1e-9)
+
+
 def test_the_recent_size_pays_where_the_mobile_is_calm_and_wild_by_turns():
     calm, rng, wild = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1), np.random.default_rng(0), np.arange(4000) // 200 % 2
     velocity = np.cumsum(np.where(wild, np.sqrt(10.0), np.sqrt(0.01)) * rng.standard_normal(4000))
@@ -243,7 +256,8 @@ def test_predictions_that_overlap_are_not_independent():
     a = an_ahead(np.zeros((600, 1)), lag=10)
     assert coverage(a, a.sigma).independent == 60
     assert coverage(a, a.sigma, where=np.arange(600) % 100 < 50).independent == 30
-    two = a._replace(track=np.repeat([0, 1], 300))
+    row = np.tile(np.arange(300), 2)
+    two = a._replace(made=row * 1.0, due=row + 10.0, track=np.repeat([0, 1], 300))
     assert coverage(two, two.sigma).independent == 60
     sparse = a._replace(made=a.made * 1000, due=a.made * 1000 + 10)  # the span alone would count 59,900
     assert coverage(sparse, sparse.sigma).independent == 600
