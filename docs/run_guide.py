@@ -28,12 +28,21 @@ def run(text, names=None):
         plots.use_style()
         for part in PART.finditer(text):
             if part["code"]:
-                with contextlib.redirect_stdout(io.StringIO()) as printed, warnings.catch_warnings():
-                    warnings.filterwarnings("ignore", "coverage: .* are too few")  # the guide says that it warns
+                with contextlib.redirect_stdout(io.StringIO()) as printed, _printed_warnings():
                     exec(compile(part["code"], "a block of guide.md", "exec"), names)
                 yield part, printed.getvalue()
             elif "fig" in names:
                 yield part, plots.save_figure(names.pop("fig"), part["name"], place).png
+
+
+@contextlib.contextmanager
+def _printed_warnings():
+    """Print warnings for users as a terminal shows them, and let others be errors."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, category, *_: print(f"{category.__name__}: {message}")
+        yield
 
 
 def rewritten(text):

@@ -8,8 +8,8 @@ same band fix by fix.
 Two numbers for each axis make the band, a prediction's half-width being f · c · sigma:
 
     sigma   what the filter states: the root of H P(k+h/k) Hᵀ + R
-    c       (1 + a) / 2, with the recent average a of the size of the innovations, sqrt(NIS / m): one where the filter's
-            model is right. Half of it stays, so that a mobile at rest does not make the band vanish before it starts.
+    c       sqrt(0.2 + 0.8 a), with the recent average a of NIS / m: one where the filter's model is right. A fifth
+            stays, so that a mobile at rest does not make the band vanish before it starts.
     f       a factor that follows the misses of its own axis: up by 0.95 gamma after a miss, down by 0.05 gamma after a
             hit, on the logarithm, for a band of 95 %
 
@@ -33,6 +33,10 @@ from . import checks
 
 # What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
 SHORTEST_MEMORY = 5
+# The part of a prediction's variance that the recent innovations scale.
+LOCAL = 0.8
+# A fix further off than this many variances counts as that: one jump does not widen the band for a whole memory.
+CAP = 50.0
 # A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
 LATEST = 1.5
 # Times that should be one horizon apart may differ by their rounding, in horizons.
@@ -48,7 +52,7 @@ class Ahead(NamedTuple):
     made, due (K,): the times of a prediction and of the fix that checks it, in s
     errors (K, m): measured minus predicted, NaN where nothing was measured
     sigma (K, m): the standard deviation of the error that the filter states
-    recent (K,): c, the size of the recent innovations against the one stated, when the prediction was made
+    recent (K,): c, the size of the recent innovations over the one stated, when the prediction was made
     row, due_row (K,): the rows of z of both fixes
     fixes (K,): how many fixes later the one is that checks it
     track (K,): the track that they belong to, 0 where there is one
@@ -236,7 +240,7 @@ class LiveBand:
             if before.seconds != self.seconds or before.errors.shape[1] != self.model.m:
                 _refuse_before(f"{self.seconds:g} s and {self.model.m} axes", before)
             self.log_f = _end(before, self.level)
-        self.size = 1.0  # a: the recent average of the innovations' size
+        self.recent = 1.0  # a: the recent average of NIS / m
         self.last = None  # the estimate of the last call: time, x, P
         self.first = self.model.x0, estimator.P0
         self.times = deque()  # of the fixes within the last horizon
@@ -268,7 +272,7 @@ class LiveBand:
             self._check(t, z, R)
             self._learn(t, z, R)
         self.last = t, x, P
-        scale = self.factor * (1 + self.size) / 2
+        scale = self.factor * _local(self.recent)
         if not np.isnan(z).all():
             self.fixes += 1
             self.times.append(t)
@@ -288,13 +292,13 @@ class LiveBand:
             self.log_f = self.log_f + np.where(np.isnan(error), 0, moved)
 
     def _learn(self, t, z, R):
-        """Let the size of the recent innovations learn from the fix z."""
+        """Let the average of the recent innovations learn from the fix z."""
         while self.times and self.times[0] < t - self.seconds * (1 + ROUNDING):
             self.times.popleft()
         last, x, P = self.last
         expected, S = _expected(self.model, x[None], P[None], np.array([t - last]), R[None])
-        size = _size(z[None] - expected, S)[0]
-        self.size += (size - self.size) / _memory(len(self.times))
+        squared = _nis_per_number(z[None] - expected, S)[0]
+        self.recent += (squared - self.recent) / _memory(len(self.times))
 
     def _predicted(self, x, P, seconds, R):
         expected, S = _expected(self.model, x[None], P[None], np.array([seconds]), R[None])
@@ -314,7 +318,7 @@ def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
     sigma = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
     before = np.diff(t, prepend=t[0] - model.dt)[fixes]
     innovation_of, S_of = _expected(model, x[fixes], P[fixes], before, R[fixes])
-    recent = _recent(t_fix, _size(z[fixes] - innovation_of, S_of), seconds)[checked]
+    recent = _recent(t_fix, _nis_per_number(z[fixes] - innovation_of, S_of), seconds)[checked]
     tracks = np.full(len(row), track)
     left_out = len(fixes) - len(row)
     return t[row], t[due_row], z[due_row] - expected, sigma, recent, row, due_row, later, tracks, left_out
@@ -332,23 +336,28 @@ def _expected(model, x, P, seconds, R):
     return x @ model.H.T, model.H @ P @ model.H.T + R
 
 
-def _size(innovations, S):
-    """Return sqrt(NIS / m) of innovations (K, m), where m counts those that are there."""
+def _nis_per_number(innovations, S):
+    """Return NIS / m of innovations (K, m), at most CAP, where m counts those that are there."""
     seen = np.isfinite(innovations)
     both = seen[:, :, None] & seen[:, None]
     y = np.where(seen, innovations, 0)
     nis = np.einsum("ki,ki->k", y, np.linalg.solve(np.where(both, S, np.eye(S.shape[1])), y[..., None])[..., 0])
-    return np.sqrt(nis / seen.sum(axis=1))
+    return np.minimum(nis / seen.sum(axis=1), CAP)
 
 
-def _recent(t, sizes, seconds):
-    """Return c = (1 + a) / 2 after each fix, a the average of the sizes over the memory."""
+def _recent(t, squared, seconds):
+    """Return c after each fix, from NIS / m of all fixes."""
     within = np.arange(len(t)) - np.searchsorted(t, t - seconds * (1 + ROUNDING))
     a, averages = 1.0, []
-    for size, count in zip(sizes.tolist(), within.tolist(), strict=True):
-        a += (size - a) / _memory(count)
+    for value, count in zip(squared.tolist(), within.tolist(), strict=True):
+        a += (value - a) / _memory(count)
         averages.append(a)
-    return (1 + np.array(averages)) / 2
+    return _local(np.array(averages))
+
+
+def _local(average):
+    """Return c from the recent average of NIS / m."""
+    return np.sqrt(1 - LOCAL + LOCAL * average)
 
 
 def _memory(fixes):

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from . import checks
+from .bands import Ahead, LiveBand, ahead, coverage, following, interval_score, placebo  # noqa: F401
 from .columns import whitened
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
@@ -204,5 +205,5 @@ def error_moments(steady, truth, N, steps=0):
         C = corrected_covariance(predicted_covariance(truth, C), steady.B, truth.H, truth.R)
         mean.append(e)
         P.append(C)
-    ahead = np.linalg.matrix_power(truth.F, steps)
-    return ErrorMoments(np.array(mean) @ ahead.T, predicted_covariance(truth, np.array(P), steps))
+    F_steps = np.linalg.matrix_power(truth.F, steps)
+    return ErrorMoments(np.array(mean) @ F_steps.T, predicted_covariance(truth, np.array(P), steps))

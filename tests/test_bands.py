@@ -192,8 +192,8 @@ def test_the_recent_size_is_the_average_of_the_innovations_over_the_fixes_of_a_h
     fixes, average, expected = np.flatnonzero(numbers), 1.0, {}
     for row in fixes:
         memory = max(5, ((t[fixes] >= t[row] - 20.0) & (fixes < row)).sum())
-        average += (np.sqrt(nis[row] / numbers[row]) - average) / memory
-        expected[row] = (1 + average) / 2
+        average += (min(nis[row] / numbers[row], 50) - average) / memory
+        expected[row] = np.sqrt(0.2 + 0.8 * average)
     np.testing.assert_allclose(a.recent, [expected[row] for row in a.row], rtol=1e-9)
 
 
@@ -204,7 +204,7 @@ def test_the_recent_size_pays_where_the_mobile_is_calm_and_wild_by_turns():
     a = ahead(mpt.KalmanFilter(calm), z, 5.0)
     settled = a.row % 200 > 50
     of_wild = wild[a.row] == 1
-    assert np.median(a.recent[settled & ~of_wild]) == pytest.approx(0.9, abs=0.1)  # (1 + the mean of |N(0, 1)|) / 2
+    assert np.median(a.recent[settled & ~of_wild]) == pytest.approx(1, abs=0.1)
     assert np.median(a.recent[settled & of_wild]) > 3
     plain = a._replace(recent=np.ones(len(a.recent)))
     assert (interval_score(a, following(a)) < 0.9 * interval_score(plain, following(plain))).all()
