@@ -81,9 +81,9 @@ class KalmanFilter(RecursiveFilter):
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter
-        with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances of
-        the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a negative
-        dt, and for states and covariances that are not finite.
+        with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances
+        of the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a
+        negative dt, and for states and covariances that are not finite.
         """
         n, m = self.model.n, self.model.m
         x, P = one_state(x, P, n)

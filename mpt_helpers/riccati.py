@@ -29,6 +29,8 @@ NEAR = 1e-4
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
 # By how much a solution P may miss its equation, relative to the standard deviations: six digits hold.
 RESIDUAL = 1e-6
+# The rounding of a variance may not be more than this part of it: less than one digit would hold.
+RESOLVED = 0.1
 # Each round doubles the number of steps: 2^64 are more than any filter needs to converge.
 ROUNDS = 64
 
@@ -107,7 +109,31 @@ def _solve_rekf(model):
     P = P + change
     sigma = np.sqrt(np.maximum(np.diag(P), 1))  # no less than 1, the noise of n steps in these units
     solved = (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all()
-    return (P + P.T) / 2 * unit[:, None] * unit, solved
+    # A state that nothing drives is known exactly in the end: what is left of its variance is the rounding of zero.
+    known = np.diag(P) <= np.finfo(float).eps ** 2
+    P = np.where(known[:, None] | known, 0.0, (P + P.T) / 2)
+    return P * unit[:, None] * unit, solved
+
+
+def require_resolved(model, P):
+    """Raise a ValueError where P (n×n), a steady-state estimation error covariance, has no digit left in doubles.
+
+    A residual cannot see that, since it is rounded as P is. So P must stand a step of the other filter, the Kalman
+    filter's (I - K H) P_p (I - K H)ᵀ + K R Kᵀ with P_p = F P Fᵀ + Q, and the rounding of P_p and I - K H must not carry
+    farther than P.
+    """
+    P_p = predicted_covariance(model, P)
+    K = gain(P_p, model.H, model.R)
+    sigma = np.sqrt(np.maximum(np.diag(P_p), 0))
+    eps = model.n * np.finfo(float).eps
+    keep = np.eye(model.n) - K @ model.H
+    terms = np.eye(model.n) + np.abs(K) @ np.abs(model.H)
+    rounding = eps * (np.abs(keep) @ sigma) ** 2 + (eps * terms @ sigma) ** 2
+    variance = np.diag(P)
+    change = np.abs(corrected_covariance(P_p, K, model.H, model.R) - P)
+    moved = change > RESOLVED * np.sqrt(variance[:, None] * variance) + eps * np.sqrt(np.diag(P_p)[:, None] * np.diag(P_p))
+    if moved.any() or (rounding > RESOLVED * variance).any():
+        raise ValueError("model: needs a steady state that double precision can resolve; in a variance no digit holds")
 
 
 def _newton_step(P, F, H, Q):

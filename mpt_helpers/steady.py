@@ -61,7 +61,9 @@ class SteadyStateFilter(RecursiveFilter):
         P = riccati.rekf(model)
         K = gain(P, model.H, model.R)
         A = (np.eye(model.n) - K @ model.H) @ model.F
-        return cls(model, A=A, B=K, P=corrected_covariance(P, K, model.H, model.R))
+        P = corrected_covariance(P, K, model.H, model.R)
+        riccati.require_resolved(model, P)
+        return cls(model, A=A, B=K, P=P)
 
     @classmethod
     def from_lainiotis(cls, model):
@@ -70,6 +72,7 @@ class SteadyStateFilter(RecursiveFilter):
         Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
         """
         P = riccati.relf(model)
+        riccati.require_resolved(model, P)
         A, B, _ = lainiotis_step(P, lainiotis_matrices(model))
         return cls(model, A=A, B=B, P=P)
 
