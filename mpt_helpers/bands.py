@@ -226,8 +226,8 @@ class LiveBand:
     ...     position, half_width = live.step(t, z, x, P)
     ...     print(f"at {t + 2} s: {position.item():.2f} ± {half_width.item():.2f}")
     at 2 s: 3.01 ± 0.79
-    at 3 s: 3.96 ± 0.90
-    at 4 s: 5.14 ± 0.96
+    at 3 s: 3.96 ± 0.89
+    at 4 s: 5.14 ± 0.92
     """
 
     def __init__(self, estimator, seconds, before=None, level=0.95):

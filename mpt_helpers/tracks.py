@@ -47,7 +47,7 @@ def gpx(path, up=False, skip=False):
     declared = re.search(rb"""encoding=["']([\w-]+)""", data[:200])
     encoding = declared[1].decode() if declared else "utf-8"
     try:
-        document = gpxpy.parse(data.decode("utf-8-sig" if encoding.lower() in ("utf-8", "utf8") else encoding))
+        document = gpxpy.parse(data.decode(encoding))
     except (gpxpy.gpx.GPXException, UnicodeDecodeError, LookupError) as error:
         raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from error
     segments = [segment.points for track in document.tracks for segment in track.segments]
@@ -84,10 +84,10 @@ def local(lat, lon, origin=None):
     lat, lon = checks.real_numbers("lat", lat, "latitudes"), checks.real_numbers("lon", lon, "longitudes")
     if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
         checks.refuse("lat, lon", "as many latitudes as longitudes, in one dimension", f"{lat.shape} and {lon.shape}")
-    if not (np.nanmax(np.abs(lat)) <= 90 and np.nanmax(np.abs(lon)) <= 360):
-        checks.refuse("lat, lon", "degrees of at most 90 and 360", "others: metres, or the two exchanged")
+    (there,) = np.nonzero(np.isfinite(lat) & np.isfinite(lon))
+    if not there.size or np.abs(lat[there]).max() > 90 or np.abs(lon[there]).max() > 360:
+        checks.refuse("lat, lon", "degrees of at most 90 and 360", "others: none, metres, or the two exchanged")
     if origin is None:
-        (there,) = np.nonzero(np.isfinite(lat + lon))
         origin = lat[there[0]], lon[there[0]]
     import pymap3d
 

@@ -37,8 +37,8 @@ def test_segments_stay_apart_in_seconds_and_metres_of_one_origin(written):
     first, second = tracks.gpx(path)
     np.testing.assert_array_equal(first.t, [0, 2.5])
     np.testing.assert_array_equal(second.t, [50])
-    np.testing.assert_allclose(first.z, [[0, 0], [0, 111.37]], atol=0.01)
-    np.testing.assert_allclose(second.z, [[607.86, 0.04]], atol=0.01)
+    np.testing.assert_allclose(first.z, [[0, 0], [0, 111.36]], atol=0.01)
+    np.testing.assert_allclose(second.z, [[607.72, 0.04]], atol=0.01)
     assert first.origin == second.origin == (57.0, 9.9, 0.0)
     assert first.start == datetime(2024, 5, 3, 12, 0, 10, tzinfo=UTC)
 
@@ -115,10 +115,15 @@ def test_metres_are_those_of_the_ellipsoid():
     np.testing.assert_allclose(z, [[0, 0], [0, north], [east, 0]], atol=2e-3)
 
 
+def test_up_in_the_mountains_a_degree_is_longer():
+    low, high = (tracks.local([57.0, 57.001], [9.9, 9.9], origin=(57.0, 9.9, height))[1, 1] for height in (0, 3000))
+    assert high / low - 1 == pytest.approx(3000 / 6.37e6, rel=0.01)
+
+
 def test_lengths_100_km_away_are_too_short_by_what_the_docstring_says():
     lat = 57.0 + 100.0 / 111.4
-    here, there = tracks.local([57.0, 57.001], [9.9, 9.9]), tracks.local([57.0, lat, lat + 0.001], [9.9] * 3)
-    shorter = 1 - hypot(*(there[2] - there[1])) / hypot(*(here[1] - here[0]))
+    far, near = tracks.local([57.0, lat, lat + 0.001], [9.9] * 3), tracks.local([lat, lat + 0.001], [9.9, 9.9])
+    shorter = 1 - hypot(*(far[2] - far[1])) / hypot(*near[1])
     assert 0.00005 < shorter < 0.00015
 
 
