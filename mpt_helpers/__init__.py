@@ -21,6 +21,7 @@ from . import metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit
+from .lasting import lasting_error
 from .ledger import Table, gap_text, published
 from .model import (
     LinearModel,
@@ -56,6 +57,7 @@ __all__ = [
     "gap_text",
     "gps_ins",
     "gsm_axis",
+    "lasting_error",
     "mean_track",
     "metrics",
     "published",
