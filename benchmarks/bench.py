@@ -279,7 +279,7 @@ def study():
 def commands():
     """Return what `make clock` prints of the everyday commands, in the environment that runs them."""
     python = HERE.parent / ".venv" / "bin" / "python"
-    run = subprocess.run([python, HERE.parent / "tests" / "clock.py"], capture_output=True, text=True)
+    run = subprocess.run([python, HERE.parent / "tests" / "tools" / "clock.py"], capture_output=True, text=True)
     return run.stdout.strip() if run.returncode == 0 else "not measured: one of the commands failed"
 
 

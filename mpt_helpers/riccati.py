@@ -4,10 +4,13 @@ The two solvers share no algorithm, so their agreement is a real check. Each che
 equation and refuses a model that has no steady state.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from . import checks
+from .checks import Array
 from .equations import (
     corrected_covariance,
     gain,
@@ -35,7 +38,7 @@ RESOLVED = 0.1
 ROUNDS = 64
 
 
-def rekf(model):
+def rekf(model: LinearModel) -> Array:
     """Return P_p (n×n), the steady-state prediction error covariance (2014 Eq. 11, 2015 Eq. 9).
 
         P_p = Q + F P_p Fᵀ - F P_p Hᵀ [H P_p Hᵀ + R]⁻¹ H P_p Fᵀ
@@ -51,7 +54,7 @@ def rekf(model):
     return _verified(model, _solve_rekf)
 
 
-def relf(model):
+def relf(model: LinearModel) -> Array:
     """Return P_e (n×n), the steady-state estimation error covariance (2014 Eq. 14, 2015 Eq. 12), by doubling.
 
         P_e = P_n + F_n [I + P_e O_n]⁻¹ P_e F_nᵀ
@@ -131,8 +134,8 @@ def require_resolved(model, P):
     rounding = eps * (np.abs(keep) @ sigma) ** 2 + (eps * terms @ sigma) ** 2
     variance = np.diag(P)
     change = np.abs(corrected_covariance(P_p, K, model.H, model.R) - P)
-    moved = change > RESOLVED * np.sqrt(variance[:, None] * variance) + eps * np.sqrt(np.diag(P_p)[:, None] * np.diag(P_p))
-    if moved.any() or (rounding > RESOLVED * variance).any():
+    allowed = RESOLVED * np.sqrt(np.outer(variance, variance)) + eps * np.outer(sigma, sigma)
+    if (change > allowed).any() or (rounding > RESOLVED * variance).any():
         raise ValueError("model: needs a steady state that double precision can resolve; in a variance no digit holds")
 
 

@@ -3,8 +3,8 @@
 import json
 
 import pytest
-import seeds
 from conftest import NOTEBOOKS, ROOT, VERDICTS, write_notebook
+from tools import seeds
 
 from mpt_helpers.__main__ import main
 from mpt_helpers.ledger import shipped_verdicts
@@ -33,12 +33,20 @@ def test_a_notebook_has_one_seed_if_and_only_if_it_simulates():
 
 @pytest.mark.parametrize(
     "sources",
-    [["x = 1"], ["SEED = 1\nSEED = 2"], ["x = 1", "SEED = 1"], ["SEED = 1", "SEED = 2"], ["OTHER_SEED = 1"]],
+    [["x = 1"], ["SEED = 1\nSEED = 2"], ["SEED = 1", "SEED = 2"], ["OTHER_SEED = 1"], ["f(SEED = 1)"]],
 )
-def test_another_place_of_the_seed_is_refused(tmp_path, sources):
+def test_no_seed_or_several_are_refused(tmp_path, sources):
     write_notebook(tmp_path / "n.ipynb", *sources)
-    with pytest.raises(ValueError, match="needs one line `SEED = <int>`, in its first code cell"):
+    with pytest.raises(ValueError, match=r"needs one line `SEED = <int>`, got [02]"):
         seeds.with_seed(json.loads((tmp_path / "n.ipynb").read_text()), 5)
+
+
+def test_the_seed_may_stand_in_any_cell(tmp_path):
+    """That of a notebook in two parts stands in the second, which uses nothing of the first."""
+    write_notebook(tmp_path / "n.ipynb", "x = 1", "SEED = 3\ny = SEED")
+    notebook, own = seeds.with_seed(json.loads((tmp_path / "n.ipynb").read_text()), 5)
+    assert own == 3
+    assert [cell["source"] for cell in notebook["cells"]] == ["x = 1", "SEED = 5\ny = SEED"]
 
 
 def test_the_other_seeds_are_25_and_not_the_own():
@@ -60,12 +68,12 @@ def test_a_verdict_that_moves_with_the_seed_is_counted(project, monkeypatch, cap
         toml.write_text(toml.read_text().replace("]\n", PART, 1))
     claim = next(line for line in VERDICTS.splitlines() if '"equal"' in line)
     write_notebook(project / "notebooks/small.ipynb", VERDICTS.replace(claim, MOVES), "assert SEED == 1")
-    (project / "tests").mkdir()
+    (project / "tests/tools").mkdir(parents=True)
     assert main(["reproduce"]) == 0
     before = {path: path.read_bytes() for path in project.rglob("*") if path.is_file()}
     monkeypatch.setattr(seeds, "SEEDS", 2)
     assert seeds.main([]) == 1
-    table = project / "tests/seeds.csv"
+    table = project / "tests/tools/seeds.csv"
     assert table.read_text().splitlines() == [
         "paper,id,verdict,agree", "small,ratio,within band,2", "small,equal,reproduced,0", "small,part,holds in part,0",
     ]  # fmt: skip

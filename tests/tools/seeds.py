@@ -1,13 +1,14 @@
 """Does a verdict that rests on simulation depend on the seed? `make seeds [KEYS="2016_prediction"]`, some minutes each.
 
-Each notebook with such verdicts runs with 25 other values of its one line `SEED = ...`. tests/seeds.csv says for each
-verdict in how many of the 25 runs it came out as it is stored; tests/test_seeds.py holds all of them to 24.
+Each notebook with such verdicts runs with 25 other values of its one line `SEED = ...`. seeds.csv beside this file says
+for each verdict in how many of the 25 runs it came out as it is stored; tests/test_seeds.py holds all of them to 24.
 """
 
 import asyncio
 import csv
 import io
 import json
+import os
 import re
 import sys
 import time
@@ -15,7 +16,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
-from mpt_helpers.__main__ import NOTEBOOKS, project, staged
+from mpt_helpers.__main__ import NOTEBOOKS, project, settings_of_nobody, staged
 from mpt_helpers.files import write_whole
 from mpt_helpers.ledger import keys, stored_verdicts
 from mpt_helpers.ledger.verdicts import IN_PART
@@ -23,7 +24,7 @@ from mpt_helpers.ledger.verdicts import IN_PART
 SEEDS = 25
 LEAST = 24
 COLUMNS = ("paper", "id", "verdict", "agree")
-TABLE = Path("tests") / "seeds.csv"
+TABLE = Path("tests") / "tools" / "seeds.csv"
 SEED_LINE = re.compile(r"^SEED = (\d+)\b", re.MULTILINE)
 
 
@@ -39,12 +40,15 @@ def simulated(notebook):
 
 def with_seed(notebook, seed):
     """Return a notebook with another seed, and the seed that it had; raises ValueError without exactly one."""
-    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    found = [SEED_LINE.findall("".join(cell["source"])) for cell in code]
-    if [len(seeds) for seeds in found] != [1] + [0] * (len(code) - 1):
-        raise ValueError("needs one line `SEED = <int>`, in its first code cell")
-    code[0]["source"] = SEED_LINE.sub(f"SEED = {seed}", "".join(code[0]["source"]))
-    return notebook, int(found[0][0])
+    found = []
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            text = "".join(cell["source"])
+            found += SEED_LINE.findall(text)
+            cell["source"] = SEED_LINE.sub(f"SEED = {seed}", text)
+    if len(found) != 1:
+        raise ValueError(f"needs one line `SEED = <int>`, got {len(found)}")
+    return notebook, int(found[0])
 
 
 def other_seeds(own):
@@ -71,7 +75,8 @@ def run(root, key, seed):
             resources={"metadata": {"path": str(path.parent)}},
             allow_errors=True,
         )
-        asyncio.run(client.async_execute())  # a loop for each thread
+        # A loop for each thread.
+        asyncio.run(client.async_execute(env=os.environ | settings_of_nobody(stage)))
         nbformat.write(notebook, path)
         outcomes = {id: outcome(each) for id, each in simulated(path).items()}
     outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]

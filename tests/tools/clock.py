@@ -14,7 +14,7 @@ import numpy as np
 
 from mpt_helpers.ledger import Table
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 NBVAL = ["-p", "tests.exact", "--nbval", "--nbval-current-env"]
 COMMANDS = {
     "`make reproduce`": ["-m", "mpt_helpers", "reproduce"],

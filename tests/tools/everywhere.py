@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MINORS = (11, 12, 13)
 CORES = ("Nehalem", "SkylakeX")  # OpenBLAS for an old processor and for a new one: other last bits
@@ -81,7 +81,7 @@ def tried(place):
         for arguments in (["-p", "no:nbval"], nbval):
             log = ROOT / ".test-all" / f"{place.name} {len(results)}.txt"
             log.parent.mkdir(exist_ok=True)
-            command = [python, "-m", "pytest", "-q", "-n", "auto", "--dist", "loadfile", *arguments]
+            command = [python, "-m", "pytest", "-q", "--color=no", "-n", "auto", "--dist", "loadfile", *arguments]
             run = subprocess.run(command, cwd=copy, env=os.environ | place.variables, capture_output=True, text=True)
             log.write_text(run.stdout + run.stderr)
             results.append(re.sub(r" in .*|=", "", (run.stdout.strip().splitlines() or ["no output"])[-1]).strip())

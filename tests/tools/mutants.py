@@ -16,7 +16,7 @@ from tqdm import tqdm
 from mpt_helpers.files import write_whole
 from mpt_helpers.ledger.tables import Table
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 LEAST = 0.95  # of the mutants must be caught
 NOT_RUN = "not run"  # what the table says of a mutant that was not tried since the code changed
 
@@ -77,7 +77,7 @@ def first_failure(project, tests):
     of_notebooks = ["-p", "tests.exact", "--nbval", "--nbval-current-env", *notebooks] if notebooks else []
     for stage in (of_tests, of_notebooks):
         if stage:
-            command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *stage]
+            command = [sys.executable, "-m", "pytest", "-q", "-x", "--color=no", "-p", "no:cacheprovider", *stage]
             run = subprocess.run(command, cwd=project, env=here, capture_output=True, text=True)
             if run.returncode:
                 found = re.findall(r"(?m)^(?:FAILED|ERROR) (\S+)", run.stdout)
@@ -100,8 +100,8 @@ def table(caught):
 
 def write_table(caught):
     """Write the table of (mutant, what it was caught by) into README.md."""
-    readme = Path(__file__).with_name("README.md")
-    head = readme.read_text().partition("<!-- mutants -->")[0]
+    readme = ROOT / "tests" / "README.md"
+    head = readme.read_text(encoding="utf-8").partition("<!-- mutants -->")[0]
     write_whole(readme, f"{head}<!-- mutants -->\n{table(caught)}".encode())
 
 

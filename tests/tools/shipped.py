@@ -1,7 +1,7 @@
 """Build the package, install it into clean environments and use it there: `make build`, `make extras`.
 
-    python tests/shipped.py            wheel and sdist into dist/; the README's code runs on the installed wheel
-    python tests/shipped.py gps ...    the wheel with these extras, each in an environment of its own
+    python tests/tools/shipped.py            wheel and sdist into dist/; the README's code runs on the installed wheel
+    python tests/tools/shipped.py gps ...    the wheel with these extras, each in an environment of its own
 
 What is installed comes from the package index, in the newest versions that pyproject.toml allows.
 """
@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 from flit_core import buildapi
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DIST = ROOT / "dist"
 README_CODE = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
 
@@ -40,7 +40,7 @@ def last_error(rng, M):
     return (kf.filter(z) - x)[-1, 0]
 
 if __name__ == "__main__":
-    with Client(n_workers=2, threads_per_worker=1, dashboard_address=None) as client:
+    with Client(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as client:
         spread = mpt.study(last_error, runs=5000, seed=1, workers=client.get_executor().map)
     assert np.array_equal(spread, mpt.study(last_error, runs=5000, seed=1))"""
 GPS = """\
