@@ -29,7 +29,8 @@ from .model import (
     stack,
 )
 from .monte_carlo import study
-from .steady import FIRFilter, SteadyStateFilter, SteadyStatePredictor, fir_order
+from .predictor import Predictor, SteadyStatePredictor
+from .steady import FIRFilter, SteadyStateFilter, fir_order
 
 __all__ = [
     "FIRFilter",
@@ -37,6 +38,7 @@ __all__ = [
     "KalmanFilter",
     "LainiotisFilter",
     "LinearModel",
+    "Predictor",
     "Separate",
     "SteadyStateFilter",
     "SteadyStatePredictor",

@@ -157,3 +157,28 @@ def no_infinity(z):
     """Raise a ValueError if one of the measurements is infinite."""
     if np.isinf(z).any():
         refuse("z", "finite numbers, or NaN where a measurement is missing", "an infinite value")
+
+
+def times(name, value):
+    """Return times (N,) or (N, M) that do not decrease as a read-only float array, or raise."""
+    need = "an (N,) or (N, M) array of finite times that do not decrease"
+    values = real_numbers(name, value, need)
+    if values.ndim not in (1, 2) or 0 in values.shape:
+        refuse(name, need, f"shape {values.shape}")
+    values = array(name, values, values.shape)
+    back = np.argwhere(np.diff(values, axis=0) < 0)
+    if len(back):
+        k = back[0][0]
+        refuse(name, need, f"{values[k + 1].max():.15g} after {values[k].max():.15g}, in row {k + 1}")
+    return values
+
+
+def variances(name, value, m):
+    """Return variances (N, m) or (N, m, M) as a read-only float array, or raise; the numbers are not looked at."""
+    need = f"an (N, {m}) or (N, {m}, M) array of variances"
+    values = real_numbers(name, value, need)
+    if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
+        refuse(name, need, f"shape {values.shape}")
+    values = values.astype(float, order="C")
+    values.flags.writeable = False
+    return values

@@ -1,118 +1,290 @@
-"""Many tracks that each miss measurements of their own: one step of all tracks at a time, with their covariances.
+"""The Kalman filter on columns: many tracks at a time, each with conditions of its own.
 
-Tracks are columns, and so are their covariances: P is (n, n, M). Three ideas keep the Kalman filter free of branches
-and of loops over tracks:
+The conditions of an epoch are which measurements are there, how long the step before it was, and how precise they are.
+Tracks whose conditions differ differ in their covariances too, so each track is a column: P is (n, n, M). Tracks that
+share their conditions share a column of P; x is (n, c, M), where c is the number of tracks in each column.
 
-- A missing measurement gets a gain of zero and an innovation of zero, and leaves P alone.
-- A linear map x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all tracks.
+Three ideas keep the filter free of branches and of loops over tracks:
+
+- A missing measurement gets a gain of zero, and leaves P alone.
+- A linear map x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all columns.
 - Measurements are taken one after the other, each in coordinates where it is one component of the state: for H = [1 dt]
   the state [s v] may become [s + v dt, v]. There the update needs no matrix inverse, and the row of P that belongs to
   the measured component can be written without a difference of large numbers.
 """
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import numpy as np
 
-from .model import predicted_covariance
+
+class Row(NamedTuple):
+    """One epoch of all tracks, in the shapes of `Rows` without the first axis."""
+
+    z: np.ndarray
+    seen: np.ndarray
+    steps: np.ndarray | None
+    variances: np.ndarray | None
 
 
-def can_run(model, z):
-    """Tell whether `kalman_epochs` can filter z (N, m, M): no row is partly NaN, or the noises are uncorrelated."""
-    lost = np.isnan(z)
-    whole = bool((lost.all(axis=1) == lost.any(axis=1)).all())
-    return whole or _is_diagonal(model.R)
+@dataclass(frozen=True)
+class Rows:
+    """The measurements and the conditions of N epochs of c tracks in each of M columns.
 
-
-def kalman_epochs(model, z):
-    """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M) that `can_run` allows."""
-    H, variances = model.H, np.diag(model.R)
-    if not _is_diagonal(model.R):  # with R = L diag(variances) Lᵀ, the measurements L⁻¹ z have uncorrelated noises
-        root = np.linalg.cholesky(model.R)
-        L, variances = root / np.diag(root), np.diag(root) ** 2
-        H, z = np.linalg.solve(L, H), np.linalg.solve(L, z)
-    changes, T = _coordinates(model, H, variances)
-    predict, back = linear_map(model.F), linear_map(np.linalg.inv(T))
-
-    x = np.repeat(model.x0[:, None], z.shape[2], axis=1)
-    P = np.repeat(model.P0[..., None], z.shape[2], axis=2)
-    for z_k in z:
-        x, P = predict(x, P)
-        P = P + model.Q[..., None]
-        for change, j, i in changes:
-            x, P = change(x, P)
-            x, P = _corrected(x, P, z_k[j], variances[j], i)
-        x, P = back(x, P)
-        yield x, P
-
-
-def _corrected(x, P, z, variance, i):
-    """Return x (n, M) and P (n, n, M) after a measurement z (M,) of component i of the state, NaN where it is missing.
-
-    It is the textbook's update with eᵢᵀ for H. With row i of P as c, the variance as v and S = cᵢ + v, the new row and
-    column i are c - cᵢ c / S = c v / S, which is written without a difference of large numbers. P is overwritten, so it
-    must be the caller's own.
+    z (N, m, c, M) is zero where a measurement is missing, and seen (N, m, M) tells which are there. steps (N, M) are
+    the lengths of the steps before each epoch, in units of the model's dt, or None where all are one. variances
+    (N, m, M) are those of the measurements, or None where they are the model's.
     """
-    lost = np.isnan(z)
+
+    z: np.ndarray
+    seen: np.ndarray
+    steps: np.ndarray | None = None
+    variances: np.ndarray | None = None
+
+    def __len__(self):
+        """N."""
+        return len(self.z)
+
+    def __iter__(self):
+        """Yield one Row after the other."""
+        for k in range(len(self.z)):
+            yield Row(self.z[k], self.seen[k], *(None if a is None else a[k] for a in (self.steps, self.variances)))
+
+    def mapped(self, function):
+        """Return the Rows of function(array) for each array."""
+        arrays = (self.z, self.seen, self.steps, self.variances)
+        return Rows(*(None if array is None else function(array) for array in arrays))
+
+    def with_tracks_of_zeros(self, count):
+        """Return the Rows with `count` more tracks in each column, all of whose measurements are zero."""
+        N, m, _, M = self.z.shape
+        z = np.concatenate([self.z, np.zeros((N, m, count, M))], axis=2)
+        return Rows(z, self.seen, self.steps, self.variances)
+
+
+class Motion:
+    """x <- F x and P <- F P Fᵀ + Q on columns, over steps of one length or of a length of each column's own.
+
+    powers (n,) says how F and Q follow the length s of a step, in units of the one for which they are given:
+    F_ij s^(e_i - e_j) and Q_ij s^(e_i + e_j). None: there are no steps but of that length.
+    """
+
+    def __init__(self, F, Q, powers=None):
+        self.F, self.Q = F, Q
+        n = len(F)
+        self._product = product_for_covariances(F)
+        if powers is not None:
+            pairs = [(i, j) for i in range(n) for j in range(n)]
+            self._terms = [(i, j, F[i, j], round(powers[i] - powers[j])) for i, j in pairs if i != j and F[i, j]]
+            self._noises = [(i, j, Q[i, j], round(powers[i] + powers[j])) for i, j in pairs if i <= j and Q[i, j]]
+            self._diagonal = None if (np.diag(F) == 1).all() else np.diag(F)
+            self._highest = max((power for *_, power in self._terms + self._noises), default=0)
+
+    def state(self, x, steps=None):
+        """Return F x for x (n, c, M); steps (M,) are the lengths of the steps, all one where None."""
+        if steps is None:
+            return (self.F @ x.reshape(len(x), -1)).reshape(x.shape)
+        return self._moved(x, self._powers_of(steps))
+
+    def covariance(self, P, steps=None):
+        """Return F P Fᵀ + Q for P (n, n, M)."""
+        n = len(P)
+        if steps is None:
+            noise = self.Q.reshape(n, n, *[1] * (P.ndim - 2))
+            return (self._product @ P.reshape(n * n, -1)).reshape(P.shape) + noise
+        s = self._powers_of(steps)
+        P = self._moved(self._moved(P, s).swapaxes(0, 1), s)
+        for i, j, q, power in self._noises:
+            P[i, j] += q * s[power]
+        for i in range(n):
+            P[i, :i] = P[:i, i]  # both sums are the same but for rounding, and P stays symmetric
+        return P
+
+    def _powers_of(self, steps):
+        """Return [1, s, s², ...] for the lengths of the steps. Those of length zero leave the state where it is."""
+        powers = [np.ones_like(steps)]
+        for _ in range(self._highest):
+            powers.append(powers[-1] * steps)
+        return powers
+
+    def _moved(self, x, s):
+        """Return F x (n, ...), with the powers s of the steps."""
+        moved = x.copy() if self._diagonal is None else x * self._diagonal.reshape(-1, *[1] * (x.ndim - 1))
+        for i, j, f, power in self._terms:
+            moved[i] += f * s[power] * x[j]
+        return moved
+
+
+def product_for_covariances(T):
+    """Return W (m², n²) with vec(T P Tᵀ) = W vec(P) for T (m, n) and a symmetric P."""
+    m, n = T.shape
+    W = np.kron(T, T).reshape(m, m, n * n)
+    # Equal rows for (a, b) and (b, a), so that T P Tᵀ is symmetric to the last bit.
+    return ((W + W.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
+
+
+def corrected(x, P, z, seen, variance, i):
+    """Return x (n, c, M) and P (n, n, M) after measurements z (c, M) of component i of the state, and more.
+
+    seen (M,) tells where there is one, and its variance is a number or (M,). It is the textbook's update with eᵢᵀ for
+    H. With row i of P as c, the variance as v and S = cᵢ + v, the new row and column i are c - cᵢ c / S = c v / S, which
+    is written without a difference of large numbers. P is overwritten, so it must be the caller's own.
+
+    The third result is the innovation (z - xᵢ) / √S (c, M) at unit variance, zero where nothing was measured.
+    """
     c = P[i].copy()
     S = c[i] + variance
-    gain = np.where(lost, 0, c / S)
+    weight = seen / S
+    gain = c * weight
     P -= gain[:, None] * c
-    P[i] = P[:, i] = c * np.where(lost, 1, variance / S)
-    return x + gain * np.where(lost, 0, z - x[i]), P
+    P[i] = P[:, i] = c * np.where(seen, variance / S, 1.0)
+    innovation = z - x[i]
+    return x + gain[:, None] * innovation, P, innovation * np.sqrt(seen * weight)
 
 
-def constant_gain_epochs(model, B, P0, z):
-    """Yield x(k/k) (n, M) and P(k/k) (n, n, M) for k = 1 ... N of tracks z (N, m, M), filtered with the gain B (n, m).
+class KalmanColumns:
+    """The Kalman filter on columns, for measurements of uncorrelated noises.
 
-    Each row of z is complete, or all NaN: a missed epoch, which is predicted only. P is the covariance of the true
-    error if that of x0 is P0.
+    F, Q, powers are those of `Motion`, H is (m, n), variances (m,) are those of the noises and P0 (n, n) is the
+    covariance of the start: both decide only in which coordinates the measurements are taken.
     """
-    predict, correct = linear_map(model.F), linear_map(np.eye(model.n) - B @ model.H)
-    noise = (B @ model.R @ B.T)[..., None]
-    x = np.repeat(model.x0[:, None], z.shape[2], axis=1)
-    P = np.repeat(P0[..., None], z.shape[2], axis=2)
-    for z_k in z:
-        seen = ~np.isnan(z_k[0])
-        x, P = predict(x, P)
-        P = P + model.Q[..., None]
-        x_seen, P_seen = correct(x, P)
-        x = np.where(seen, x_seen + B @ np.where(seen, z_k, 0), x)
-        P = np.where(seen, P_seen + noise, P)
-        yield x, P
+
+    def __init__(self, F, H, Q, variances, P0, powers=None):
+        self.motion = Motion(F, Q, powers)
+        self._variances = variances[:, None]
+        self._changes, T = _coordinates(F, H, Q, variances, P0)
+        self._back = Change(np.linalg.inv(T))
+
+    def advance(self, row, x, P):
+        """Return x(k+1/k+1), P(k+1/k+1) and the innovations at unit covariance (m, c, M) from x(k/k) and P(k/k)."""
+        x, P = self.motion.state(x, row.steps), self.motion.covariance(P, row.steps)
+        variances = self._variances if row.variances is None else row.variances
+        innovations = np.zeros((len(row.z), *x.shape[1:]))
+        for change, j, i in self._changes:
+            x, P = change(x, P)
+            x, P, innovations[j] = corrected(x, P, row.z[j], row.seen[j], variances[j], i)
+        x, P = self._back(x, P)
+        return x, P, innovations
 
 
-def _is_diagonal(R):
-    return np.array_equal(R, np.diag(np.diag(R)))
+class Change:
+    """A change of coordinates of columns: x -> T x, P -> T P Tᵀ."""
+
+    def __init__(self, T):
+        self._T = None if np.array_equal(T, np.eye(len(T))) else T
+        self._product = product_for_covariances(T)
+
+    def __call__(self, x, P):
+        """Return T x (n, c, M) and T P Tᵀ (n, n, M)."""
+        if self._T is None:
+            return x, P
+        return (self._T @ x.reshape(len(x), -1)).reshape(x.shape), (self._product @ P.reshape(len(P) ** 2, -1)).reshape(P.shape)
 
 
-def _coordinates(model, H, variances):
+def _coordinates(F, H, Q, variances, P0):
     """Return the changes of coordinates that make one measurement after the other a component of the state.
 
-    Each is (function of x and P, index of the row of H, component). Also returns T (n, n), which takes the state to the
-    last coordinates.
+    Each is (Change, index of the row of H, component). Also returns T (n, n), which takes the state to the last
+    coordinates.
     """
     # sigma: the predicted standard deviation of each coordinate. A measurement replaces the coordinate that contributes
     # most to it: one that contributes little would come back as a small difference of large numbers.
-    variance = np.diag(predicted_covariance(model, model.P0, model.n))
-    sigma = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
-    changes, T = [], np.eye(model.n)
+    n, P = len(F), P0
+    for _ in range(n):
+        P = F @ P @ F.T + Q
+    sigma = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
+    changes, T = [], np.eye(n)
     for j, h in enumerate(H):
         if h.any():  # a row of zeros tells nothing
-            change = np.eye(model.n)
+            change = np.eye(n)
             weights = h @ np.linalg.inv(T)  # h x in the present coordinates
             i = int(np.argmax(np.abs(weights) * sigma))
             change[i] = weights
             sigma[i] = min(np.sqrt(variances[j]), np.abs(weights) @ sigma)  # once it is measured
             T = change @ T
-            changes.append((linear_map(change), j, i))
+            changes.append((Change(change), j, i))
     return changes, T
 
 
-def linear_map(T):
-    """Return a function that takes x (n, M) and its covariance P (n, n, M) to T x and T P Tᵀ."""
-    n = len(T)
-    if np.array_equal(T, np.eye(n)):
-        return lambda x, P: (x, P)
-    W = np.kron(T, T).reshape(n, n, n * n)
-    # Equal rows for (a, b) and (b, a), so that T P Tᵀ is symmetric.
-    W = ((W + W.swapaxes(0, 1)) / 2).reshape(n * n, n * n)
-    return lambda x, P: (T @ x, (W @ P.reshape(n * n, -1)).reshape(P.shape))
+class ConstantGainColumns:
+    """A filter of constant gain B (n, m) on columns. Each row is complete or missed: then it is predicted only.
+
+    P is the covariance of the true error if that of x0 is P0.
+    """
+
+    def __init__(self, F, H, Q, R, B):
+        self.motion = Motion(F, Q)
+        self._B = B
+        self._keep = Change(np.eye(len(F)) - B @ H)
+        self._noise = (B @ R @ B.T)[..., None]
+
+    def advance(self, row, x, P):
+        """Return x(k+1/k+1) and P(k+1/k+1), and no innovations: no measurement changes what the gain makes of x0."""
+        x, P = self.motion.state(x), self.motion.covariance(P)
+        seen = row.seen[0]
+        x_seen, P_seen = self._keep(x, P)
+        measured = (self._B @ row.z.reshape(len(row.z), -1)).reshape(x.shape)
+        return np.where(seen, x_seen + measured, x), np.where(seen, P_seen + self._noise, P), np.zeros((0, *x.shape[1:]))
+
+
+def whitened(values, C):
+    """Return values (d, ...) at unit covariance, and log det C (...), from their covariances C (d, d, ...).
+
+    Of a value that is NaN nothing is known: it becomes zero, and adds nothing to the determinant. One component is
+    taken after the other, each freed of what those before it say of it. Where C is not positive definite, a pivot is
+    not positive, and the results are not finite.
+    """
+    values, C = values.copy(), np.broadcast_to(C, (*C.shape[:2], *values.shape[1:])).copy()
+    log_det = np.zeros(values.shape[1:])
+    for j in range(len(values)):
+        seen = ~np.isnan(values[j])
+        pivot = np.where(seen, C[j, j], 1.0)
+        pivot[pivot <= 0] = np.nan
+        weight = seen / pivot
+        value = np.where(seen, values[j], 0.0)
+        for i in range(j + 1, len(values)):
+            share = C[i, j] * weight
+            values[i] -= share * value
+            C[i, j + 1 :] -= share * C[j, j + 1 :]
+        values[j] = value / np.sqrt(pivot)
+        log_det += np.log(pivot)
+    return values, log_det
+
+
+def product(A, B):
+    """Return the products A B (a, c, ...) of the matrices that A (a, b, ...) and B (b, c, ...) hold in their columns."""
+    total = A[:, 0, None] * B[0]
+    for j in range(1, len(B)):
+        total += A[:, j, None] * B[j]
+    return total
+
+
+def transposed(A):
+    """Return the transposed matrices of A (a, b, ...)."""
+    return A.swapaxes(0, 1)
+
+
+def solved(S, X):
+    """Return S⁻¹ X (n, c, ...) for covariances S (n, n, ...), which may be singular, and X (n, c, ...).
+
+    A direction without variance, known exactly, gets zeros: no multiple of it says anything. Its pivot is the rounding
+    of zero.
+    """
+    n = len(S)
+    S, X = S.copy(), X.copy()
+    weights = np.zeros((n, *S.shape[2:]))
+    least = n * np.finfo(float).eps
+    variances = [S[j, j].copy() for j in range(n)]
+    for j in range(n):
+        there = S[j, j] > least * variances[j]
+        weights[j] = there / np.where(there, S[j, j], 1.0)
+        for i in range(j + 1, n):
+            share = S[i, j] * weights[j]
+            S[i, j + 1 :] -= share * S[j, j + 1 :]
+            X[i] -= share * X[j]
+    for j in reversed(range(n)):
+        for i in range(j + 1, n):
+            X[j] -= S[j, i] * X[i]
+        X[j] *= weights[j]
+    return X

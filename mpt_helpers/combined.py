@@ -7,8 +7,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import checks
-from .filters import Filter, KalmanFilter, LainiotisFilter, one_measurement
+from .filters import KalmanFilter, LainiotisFilter
 from .model import stack
+from .recursive import Estimates, Filter, one_measurement
 from .steady import SteadyStateFilter
 
 
@@ -57,17 +58,36 @@ class JoinFilter(Filter):
     def step(self, x, P, z_k):
         """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
-        Repeated steps equal `filter` where both filters have the same gains, as in the papers' pairs. Otherwise each
-        filter would need a state of its own, and this keeps one.
+        Raises TypeError where the filters differ in their gains: then each needs a state of its own, and a step has one.
         """
+        if self.first.optimal != self.second.optimal:
+            kinds = " and ".join(type(each).__name__ for each in (self.first, self.second))
+            raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         x_1, P_1 = self.first.step(x, P, z_k)
         x_2, P_2 = self.second.step(x, P, z_k)
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
+
+    @property
+    def optimal(self):
+        """Whether both gains are those of the covariance."""
+        return self.first.optimal and self.second.optimal
 
     def epochs(self, z):
         """Yield the means of what both filters' `epochs` yield."""
         for (x_1, P_1), (x_2, P_2) in zip(self.first.epochs(z), self.second.epochs(z), strict=True):
             yield (x_1 + x_2) / 2, (P_1 + P_2) / 2
+
+    def smooth(self, z):
+        """Return the means of what both filters' `smooth` return."""
+        first, second = self.first.smooth(z), self.second.smooth(z)
+        return Estimates((first.x + second.x) / 2, (first.P + second.P) / 2)
+
+    def _estimates(self, z):
+        return _means(self.first._estimates(z), self.second._estimates(z))
+
+    def _innovations(self, z):
+        # Both are linear in the state and in its covariance.
+        return _means(self.first._innovations(z), self.second._innovations(z))
 
     def _fill(self, x, z):
         second = np.empty_like(x)
@@ -76,6 +96,11 @@ class JoinFilter(Filter):
         for x_k, second_k in zip(x, second, strict=True):  # an epoch at a time, which stays in the cache
             x_k += second_k
             x_k /= 2
+
+
+def _means(first, second):
+    """Return the means of two pairs of arrays."""
+    return tuple((a + b) / 2 for a, b in zip(first, second, strict=True))
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -137,9 +162,35 @@ class Separate(Filter):
                 P[i, i] = P_i
             yield np.concatenate([x for x, _ in epoch]), P
 
+    def smooth(self, z):
+        """Return what the filters' `smooth` return, as one state and a block diagonal covariance."""
+        return self._as_given(z, self._smoothed)
+
     def _fill(self, x, z):
         for each, i, rows in self._parts():
             each._fill(x[:, i], z[:, rows])
+
+    def _estimates(self, z):
+        return self._side_by_side([each._estimates(z[:, rows]) for each, _, rows in self._parts()])
+
+    def _innovations(self, z):
+        return self._side_by_side([each._innovations(z[:, rows]) for each, _, rows in self._parts()])
+
+    def _smoothed(self, z):
+        return self._side_by_side([each.smooth(z[:, rows]) for each, _, rows in self._parts()])
+
+    @staticmethod
+    def _side_by_side(parts):
+        """Return pairs of values (N, d, M) and covariances (N, d, d, M or 1) as one pair, block diagonal."""
+        values = np.concatenate([value for value, _ in parts], axis=1)
+        N, d, _ = values.shape
+        C = np.zeros((N, d, d, max(C_i.shape[3] for _, C_i in parts)))
+        end = 0
+        for _, C_i in parts:
+            here = slice(end, end + C_i.shape[1])
+            C[:, here, here] = C_i
+            end = here.stop
+        return values, C
 
     def _parts(self):
         """Return each filter with the slices of its states and of its measurements."""

@@ -1,296 +1,183 @@
-"""The Kalman filter and the Lainiotis filter, and what all recursive filters share.
+"""One step of the Kalman filter and of the Lainiotis filter, as the papers print it, and on columns.
 
-Each filter computes x(k+1/k+1) = A_k x(k/k) + B_k z(k+1). The filters differ in `next_step`, which computes A_k, B_k
-and P(k+1/k+1) from P(k/k) with the papers' equations. For speed, KalmanFilter repeats these equations for a single
-measurement (`step`) and for a stack of tracks (`_next_steps`). Where tracks have different gaps, `columns` takes one
-measurement after the other instead, unless R is correlated and a row is partly missing.
-
-A_k, B_k and P depend on which measurements are missing, not on their values. In the Kalman and the Lainiotis filter, a
-missing measurement has a row of zeros in H, and in R a one on the diagonal and zeros elsewhere in its row and column:
-then every equation holds as printed, also when all measurements of an epoch are missing.
+A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros in
+H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed, also
+when all measurements of an epoch are missing.
 """
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import filterpy.kalman
 import numpy as np
+from scipy.linalg import block_diag
 
-from . import checks, columns
-from .model import Immutable, LinearModel, predicted_covariance
-from .recursion import TILE_OF_COVARIANCES, Step, lifted, run, tiles
-from .riccati import corrected_covariance, innovation_weights, lainiotis_matrices, lainiotis_transition
+from . import checks
+from .columns import KalmanColumns, Motion, whitened
+from .equations import lainiotis_matrices, lainiotis_step, unit_measurements
+from .recursive import RecursiveFilter, neutralised, one_measurement
 
-# A filter keeps the products of its steps for its next call if it has no more steps than this, or converges within
-# them. On the models of 2014 to 2016 it converges within some 50.
-MOST_KEPT = 256
-# A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
-CONVERGED = 2e-16
-
-
-class Filter(Immutable):
-    """A filter of measurements z of its `model`.
-
-    A subclass defines `_fill(x, z)`, and `P0` and `epochs(z)` where its estimates have covariances.
-    """
-
-    steps_ahead = 0  # how far an estimate lies past its last measurement: 0, or N in a predictor
-
-    @property
-    def P0(self):
-        """P(0/0); raises TypeError for a filter that has none, a predictor or a FIR filter."""
-        raise self._not_recursive()
-
-    def epochs(self, z):
-        """Yield x(k/k) (n, M) and P(k/k), (n, n, 1) or (n, n, M), for k = 1 ... N of tracks z (N, m, M).
-
-        P is (n, n, 1) where all tracks have the same gaps. Raises TypeError for a filter that has no covariances.
-        """
-        raise self._not_recursive()
-
-    def step(self, x, P, z_k):
-        """Return x(k+1/k+1) and P(k+1/k+1); raises TypeError for a filter that has no step."""
-        raise self._not_recursive()
-
-    def filter(self, z):
-        """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
-
-        z[0] is z(1), NaN where a measurement is missing. Raises ValueError or TypeError for another shape, another kind
-        of data, or infinite values.
-        """
-        z, many = self._as_tracks(z)
-        x = np.empty((len(z), self.model.n, z.shape[2]))
-        with np.errstate(invalid="ignore"):  # NaN times zero
-            self._fill(x, z)
-        if not np.isfinite(x[-1]).all():  # an infinite measurement shows to the end, so z is searched only now
-            checks.no_infinity(z)
-        return x if many else x[..., 0]
-
-    def covariances(self, z):
-        """Return P(1/1) ... P(N/N) for the gaps that z has: (N, n, n) for z (N, m), (N, n, n, M) for z (N, m, M).
-
-        With an integer N for z, nothing is missing. Raises as `filter`, and TypeError for a filter that has none.
-        """
-        if np.ndim(z) == 0:
-            z = np.zeros((checks.count("N", z), self.model.m))
-        z, many = self._as_tracks(z)
-        checks.no_infinity(z)
-        (N, _, M), n = z.shape, self.model.n
-        P = np.empty((N, n, n, M))
-        for tracks in tiles(M, TILE_OF_COVARIANCES):
-            for k, (_, P_k) in enumerate(self.epochs(z[..., tracks])):
-                P[k, ..., tracks] = P_k
-        return P if many else P[..., 0]
-
-    def _fill(self, x, z):
-        """Write the estimates of z (N, m, M) to x (N, n, M)."""
-        raise NotImplementedError
-
-    def _as_tracks(self, z):
-        """Return checked measurements as (N, m, M), and whether they came with an axis of tracks."""
-        z = checks.measurements(z, self.model.m)
-        return (z, True) if z.ndim == 3 else (z[..., None], False)
-
-    def _not_recursive(self):
-        return TypeError(f"needs a filter with P0, epochs and step, got a {type(self).__name__}")
+# Patterns of missing measurements whose constants a Lainiotis filter keeps.
+MOST_PATTERNS = 64
 
 
 @dataclass(frozen=True, eq=False)
-class RecursiveFilter(Filter):
-    """A filter with coefficients and a covariance.
-
-    A subclass defines `next_step(P, seen)`: the Step from P(k/k) to epoch k+1, where seen (m,) says which measurements
-    are there; and either `_next_steps(P, seen)`, the same for a stack P (M, n, n), or an `_epochs_of_different_gaps` of
-    its own.
-    """
-
-    model: LinearModel
-
-    def __post_init__(self):
-        checks.instance("model", self.model, LinearModel)
-
-    @property
-    def P0(self):
-        """P(0/0), the covariance that the filter starts from: the model's."""
-        return self.model.P0
-
-    def coefficients(self, N):
-        """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing."""
-        steps = self._steps(np.ones((checks.count("N", N), self.model.m), bool))
-        return Step(*map(np.array, zip(*steps, strict=True)))
-
-    def step(self, x, P, z_k):
-        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
-
-        NaN stands for a missing measurement. The start is `model.x0` and `P0`. Only z_k is checked.
-        """
-        z_k, seen = one_measurement(z_k, self.model.m)
-        A, B, P = self.next_step(P, seen)
-        x = A @ x + B @ np.where(seen, z_k, 0)
-        return x, P
-
-    def epochs(self, z):
-        """Yield x(k/k) and P(k/k) as in Filter. The arrays are not to be written to."""
-        seen = ~np.isnan(z)
-        if not _all_alike(seen):
-            yield from self._epochs_of_different_gaps(z, seen)
-            return
-        x = self.model.x0[:, None]
-        for step, z_k in zip(self._steps(seen[..., 0]), np.where(seen, z, 0), strict=True):
-            x = step.A @ x + step.B @ z_k
-            yield x, step.P[..., None]
-
-    def _fill(self, x, z):
-        """Filter all tracks as if nothing were missing; then those that end in NaN again, with their gaps."""
-        run(self._products(len(z), z.shape[2]), self.model.x0[:, None], z, x)
-        gaps = np.isnan(x[-1]).any(axis=0)
-        if gaps.all():
-            self._fill_with_gaps(x, z)
-        elif gaps.any():
-            tracks = np.flatnonzero(gaps)
-            part = x[..., tracks]
-            self._fill_with_gaps(part, z[..., tracks])
-            x[..., tracks] = part
-
-    def _fill_with_gaps(self, x, z):
-        """Write the estimates of z to x: several steps in one product if all tracks have the same gaps."""
-        checks.no_infinity(z)
-        seen = ~np.isnan(z)
-        if _all_alike(seen):
-            products = lifted(list(self._steps(seen[..., 0])), z.shape[2])
-            run(products, self.model.x0[:, None], np.where(seen, z, 0), x)
-            return
-        for tracks in tiles(z.shape[2], TILE_OF_COVARIANCES):
-            for k, (x_k, _) in enumerate(self.epochs(z[..., tracks])):
-                x[k, :, tracks] = x_k
-
-    def _products(self, N, tracks):
-        """Return `lifted` of N steps without gaps. They are kept for the next call, often one for the same numbers."""
-        kept_for, products = vars(self).get("_kept_products", (None, None))
-        if kept_for != (N, tracks):
-            steps = list(self._steps(np.ones((N, self.model.m), bool)))
-            products = lifted(steps, tracks)
-            if N <= MOST_KEPT or steps[-1] is steps[MOST_KEPT - 1]:  # a filter that has converged repeats one Step
-                vars(self)["_kept_products"] = (N, tracks), products
-        return products
-
-    def _steps(self, seen):
-        """Yield the Steps of the epochs of seen (N, m). A filter that has converged repeats one object."""
-        as_before = [False, *(seen[1:] == seen[:-1]).all(axis=1)]
-        P, converged = self.P0, False
-        for seen_k, same in zip(seen, as_before, strict=True):
-            if not (converged and same):
-                step = Step(*self.next_step(P, seen_k))
-                for array in step:
-                    array.flags.writeable = False
-                converged = _has_not_moved(P, step.P)
-                P = step.P
-            yield step
-
-    def _epochs_of_different_gaps(self, z, seen):
-        """Yield what `epochs` yields; in each epoch, tracks that see the same measurements take their step together."""
-        x = np.repeat(self.model.x0[None], z.shape[2], axis=0)  # tracks come first here: a stack of vectors
-        P = np.repeat(self.P0[None], z.shape[2], axis=0)
-        for z_k, seen_k in zip(np.where(seen, z, 0), seen, strict=True):
-            x, P = x.copy(), P.copy()
-            for pattern in np.unique(seen_k, axis=1).T:
-                tracks = np.flatnonzero((pattern == seen_k.T).all(axis=1))
-                A, B, after = self._next_steps(P[tracks], pattern)
-                P[tracks] = after
-                x[tracks] = (A @ x[tracks, :, None] + B @ z_k.T[tracks, :, None])[..., 0]
-            yield x.T, P.transpose(1, 2, 0)
-
-
-def _all_alike(seen):
-    """Tell whether all tracks of seen (N, m, M) have the same gaps."""
-    return bool((seen == seen[..., :1]).all())
-
-
-def _has_not_moved(before, after):
-    sigma = np.sqrt(np.abs(np.diag(after)))
-    return bool((np.abs(after - before) <= len(sigma) * CONVERGED * np.outer(sigma, sigma)).all())
-
-
-def one_measurement(z_k, m):
-    """Return z_k as a vector of floats of length m, and which of them are there, or raise."""
-    need = f"a vector of length {m}"
-    z_k = checks.real_numbers("z_k", z_k, need).astype(float)
-    if z_k.shape != (m,):
-        checks.refuse("z_k", need, f"shape {z_k.shape}")
-    seen = np.isfinite(z_k)
-    if not seen.all():
-        checks.no_infinity(z_k)
-    return z_k, seen
-
-
-def neutralised(model, seen):
-    """Return H and R with zeros in H, and rows of the identity in R, for the measurements that seen (m,) lacks."""
-    H = model.H * seen[:, None]
-    R = np.where(np.outer(seen, seen), model.R, np.diag(~seen))
-    return H, R
-
-
 class KalmanFilter(RecursiveFilter):
-    """The Kalman filter (2014 Eq. 4, 2015 Eq. 1), with filterpy's gains and covariances except where gaps differ.
+    """The Kalman filter (2014 Eq. 4, 2015 Eq. 1). Tracks without gaps share filterpy's gains and covariances.
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    Where H P Hᵀ + R rounds away a precise sensor, filterpy's gain loses it: see docs/accuracy.md.
+    t are the times of the epochs (s), (N,) for all tracks or (N, M) for each: not decreasing, and x0 lies one step dt of
+    the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
+    `constant_acceleration` do. r are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R:
+    the accuracy that a receiver states of each fix. They are looked at only where there is a measurement.
 
-    >>> from mpt_helpers.model import gsm_axis
+    Raises TypeError for anything but a model, and ValueError for times that a model does not take or that decrease, and
+    for variances that are not positive.
+
+    >>> from mpt_helpers.model import constant_velocity, gsm_axis
     >>> KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1)).filter([[1.0], [2.0]]).round(4)
     array([[0.0612, 0.1224],
            [0.5557, 0.4681]])
+    >>> model = constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1])
+    >>> KalmanFilter(model, t=[1.0, 4.5]).filter([[1.0], [4.5]])
+    array([[1. , 1. ],
+           [4.5, 1. ]])
     """
 
-    def next_step(self, P, seen):
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n), with the measurements seen (m,)."""
+    t: np.ndarray = None
+    r: np.ndarray = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.t is not None:
+            if self.model.dt is None:
+                need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
+                checks.refuse("t", need, "one whose F and Q are for one length only")
+            object.__setattr__(self, "t", checks.times("t", self.t))
+        if self.r is not None:
+            object.__setattr__(self, "r", checks.variances("r", self.r, self.model.m))
+
+    def next_step(self, P, seen, steps=None, r=None):
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n), with the measurements seen (m,), by filterpy.
+
+        steps is the length of the step in units of the model's dt, r (m,) the variances; the model's where None.
+        """
         kf = copy.copy(self._filterpy)  # predict and update change the object, so each step takes a copy
         kf.P = P
-        if not seen.all():
-            kf.H, kf.R = neutralised(self.model, seen)
+        W = self._units[1]
+        if steps is not None:
+            kf.F, kf.Q = self.model.over(steps)
+        if r is not None or not seen.all():
+            model = self.model if r is None else replace(self.model, R=np.diag(np.where(seen, r, 1)))
+            H_1, W = unit_measurements(*neutralised(model, seen))
+            kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
-        kf.update(np.zeros(self.model.m))  # neither gain nor covariance depends on x or z
-        return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K, kf.P
+        kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
+        return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
+
+    def step(self, x, P, z_k, dt=None, r=None):
+        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
+
+        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k), which a filter
+        with times needs; others may give it where the model takes steps of other lengths. r (m,) are the variances of
+        the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a
+        negative dt, and for states and covariances that are not finite.
+        """
+        n, m = self.model.n, self.model.m
+        x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
+        z_k, seen = one_measurement(z_k, m)
+        if dt is None and self.t is not None:
+            checks.refuse("dt", "the time since x, as the filter has times", "none")
+        if r is None and self.r is not None:
+            checks.refuse("r", "the variances of z_k, as the filter has them for each epoch", "none")
+        steps = None if dt is None else self._steps_of(checks.not_negative("dt", dt))
+        if r is not None:
+            r = checks.variances("r", np.asarray(r)[None], m)[0]
+        A, B, P = self.next_step(P, seen, steps, r)
+        return A @ x + B @ np.where(seen, z_k, 0), P
+
+    @property
+    def _at_rest(self):
+        return self.t is None and self.r is None
+
+    @property
+    def _motion(self):
+        return Motion(self.model.F, self.model.Q, self._powers)
+
+    @property
+    def _powers(self):
+        return None if self.t is None else self.model.powers
+
+    def _conditions(self):
+        steps = variances = None
+        if self.t is not None:
+            t = self.t if self.t.ndim == 2 else self.t[:, None]
+            steps = np.concatenate([np.ones((1, t.shape[1])), np.diff(t, axis=0) / self.model.dt])
+        if self.r is not None:
+            variances = self.r if self.r.ndim == 3 else self.r[..., None]
+        return steps, variances
+
+    def _of_tracks(self, part):
+        t = self.t[:, part] if self.t is not None and self.t.ndim == 2 else self.t
+        r = self.r[..., part] if self.r is not None and self.r.ndim == 3 else self.r
+        return self if t is self.t and r is self.r else replace(self, t=t, r=r)
+
+    def _as_tracks(self, z):
+        z, many = super()._as_tracks(z)
+        for name, given, ndim in (("t", self.t, 1), ("r", self.r, 2)):
+            if given is not None:
+                shape = (len(z), *z.shape[1:2][: ndim - 1])
+                if given.shape not in (shape, (*shape, z.shape[2])) or (given.ndim > ndim and not many):
+                    checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, z.shape[2])}", given.shape)
+        if self.r is not None:
+            _, variances = self._conditions()
+            there = np.broadcast_to(variances, z.shape)[~np.isnan(z)]
+            if not (np.isfinite(there) & (there > 0)).all():
+                checks.refuse("r", "a positive variance of every measurement that is there", "another")
+        return z, many
+
+    def _in_columns(self, rows):
+        model, powers = self.model, self._powers
+        F, H, Q, R, x0, P0 = model.F, model.H, model.Q, model.R, model.x0, model.P0
+        variances = np.diag(R)
+        if rows.variances is None and not np.array_equal(R, np.diag(variances)):
+            if (rows.seen.all(axis=1) == rows.seen.any(axis=1)).all():
+                # With R = L diag(variances) Lᵀ, the measurements L⁻¹ z have uncorrelated noises.
+                root = np.linalg.cholesky(R)
+                L, variances = root / np.diag(root), np.diag(root) ** 2
+                H = np.linalg.solve(L, H)
+                rows = replace(rows, z=np.moveaxis(np.tensordot(np.linalg.inv(L), rows.z, axes=(1, 1)), 0, 1))
+            else:
+                # Rows that are partly missing: the noises join the state, and what is measured has none left.
+                F, Q = block_diag(F, np.zeros_like(R)), block_diag(Q, R)
+                P0 = block_diag(P0, np.zeros_like(R))
+                H, x0, variances = np.hstack([H, np.eye(model.m)]), np.append(x0, np.zeros(model.m)), np.zeros(model.m)
+                powers = None if powers is None else np.append(powers, np.zeros(model.m))
+        _, _, c, M = rows.z.shape
+        x = np.broadcast_to(x0[:, None, None], (len(x0), c, M))
+        return KalmanColumns(F, H, Q, variances, P0, powers), rows, x, np.repeat(P0[..., None], M, axis=2)
+
+    def _steps_of(self, dt):
+        if self.model.dt is None:
+            need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
+            checks.refuse("dt", need, "one whose F and Q are for one length only")
+        return dt / self.model.dt
+
+    @cached_property
+    def _units(self):
+        return unit_measurements(self.model.H, self.model.R)
 
     @cached_property
     def _filterpy(self):
-        # filterpy 2.0: a scalar R would be added to all of S, so R is a matrix; x has one dimension, as z has.
-        kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=self.model.m)
+        # filterpy 2.0: a scalar R would be added to all of S, so R is a matrix; x has one dimension, as z has. It gets
+        # measurements of unit noise, since its S = H P Hᵀ + R rounds a precise sensor away beside a large P.
+        H_1, _ = self._units
+        kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=len(H_1))
         kf.x = np.zeros(self.model.n)
-        kf.F, kf.Q, kf.H, kf.R = self.model.F, self.model.Q, self.model.H, self.model.R
+        kf.F, kf.Q, kf.H, kf.R = self.model.F, self.model.Q, H_1, np.eye(len(H_1))
         return kf
-
-    def step(self, x, P, z_k):
-        """Return x(k+1/k+1) and P(k+1/k+1), as in RecursiveFilter: the textbook's equations, Joseph's form for P."""
-        z_k, seen = one_measurement(z_k, self.model.m)
-        F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
-        # `dot` takes half the time of `@` on matrices as small as these.
-        x = F.dot(x)
-        P = F.dot(P).dot(F.T) + Q
-        if not seen.all():
-            if not seen.any():
-                return x, P
-            z_k = np.where(seen, z_k, 0)
-            H, R = neutralised(self.model, seen)
-        PHt = P.dot(H.T)
-        K = PHt.dot(np.linalg.inv(H.dot(PHt) + R))
-        update = np.eye(len(x)) - K.dot(H)
-        return x + K.dot(z_k - H.dot(x)), update.dot(P).dot(update.T) + K.dot(R).dot(K.T)
-
-    def _epochs_of_different_gaps(self, z, seen):
-        if columns.can_run(self.model, z):
-            return columns.kalman_epochs(self.model, z)
-        return super()._epochs_of_different_gaps(z, seen)
-
-    def _next_steps(self, P, seen):
-        """Return what `next_step` returns, for a stack P (M, n, n), which filterpy does not take."""
-        H, R = neutralised(self.model, seen)
-        P = predicted_covariance(self.model, P)
-        K = P @ innovation_weights(P, H, R)
-        A = (np.eye(self.model.n) - K @ H) @ self.model.F
-        return A, K, corrected_covariance(P, K, H, R)
 
 
 class LainiotisFilter(RecursiveFilter):
@@ -298,8 +185,10 @@ class LainiotisFilter(RecursiveFilter):
 
         A_k = F_n [I + P(k/k) O_n]⁻¹,   B_k = K_n + A_k P(k/k) K_m,   P(k+1/k+1) = P_n + A_k P(k/k) F_nᵀ
 
-    Tracks with different gaps take many times as long as with the Kalman filter. Where P0 is 10⁷ R or more, the
-    estimates lose digits that the Kalman filter keeps: see docs/accuracy.md.
+    Each step is made as if x(k/k) were exact: F_n, K_n and P_n; what is not known of it is added, with what the
+    measurement tells about it: O_n and K_m. That holds for many steps as well as for one, and that is what this filter
+    is good for: `partition` runs a long track in pieces by it, for every filter here. As a filter of its own it
+    computes what the Kalman filter computes. Tracks with different gaps take it many times as long.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> LainiotisFilter(gsm_axis(dt=1.0, q=0.01, r=0.1)).filter([[1.0], [2.0]]).round(4)
@@ -309,16 +198,46 @@ class LainiotisFilter(RecursiveFilter):
 
     def next_step(self, P, seen):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n), with the measurements seen (m,)."""
-        Fn, Kn, Km, Pn, On = self._matrices
-        if not seen.all():
-            Fn, Kn, Km, Pn, On = lainiotis_matrices(self.model, *neutralised(self.model, seen))
-        A = lainiotis_transition(P, Fn, On)
-        B = Kn + A @ P @ Km
-        P = Pn + A @ P @ Fn.T
-        return A, B, (P + P.swapaxes(-1, -2)) / 2
+        return lainiotis_step(P, self._constants_of(seen))
 
-    _next_steps = next_step  # it takes stacks of matrices as it takes one
+    def _constants_of(self, seen):
+        kept, pattern = self._constants, seen.tobytes()
+        if pattern not in kept:
+            if len(kept) == MOST_PATTERNS:
+                kept.clear()
+            kept[pattern] = lainiotis_matrices(self.model, *neutralised(self.model, seen))
+        return kept[pattern]
 
     @cached_property
-    def _matrices(self):
-        return lainiotis_matrices(self.model)
+    def _constants(self):
+        return {}
+
+    def _in_columns(self, rows):
+        _, _, c, M = rows.z.shape
+        x = np.broadcast_to(self.model.x0[:, None, None], (self.model.n, c, M))
+        return LainiotisColumns(self), rows, x, np.repeat(self.P0[..., None], M, axis=2)
+
+
+class LainiotisColumns:
+    """The Lainiotis filter on columns: in each epoch, those that see the same measurements take their step together."""
+
+    def __init__(self, lainiotis):
+        self._filter = lainiotis
+        self._motion = Motion(lainiotis.model.F, lainiotis.model.Q)
+
+    def advance(self, row, x, P):
+        """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations at unit covariance (m, c, M)."""
+        innovations = self._innovations(row, x, P)
+        x, P, z = (np.ascontiguousarray(np.moveaxis(each, 2, 0)) for each in (x, P, row.z))  # stacks of matrices
+        for seen in np.unique(row.seen, axis=1).T:
+            columns = np.flatnonzero((seen == row.seen.T).all(axis=1))
+            A, B, P[columns] = self._filter.next_step(P[columns], seen)
+            x[columns] = A @ x[columns] + B @ z[columns]
+        return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
+
+    def _innovations(self, row, x, P):
+        H, R = self._filter.model.H, self._filter.model.R
+        expected = np.tensordot(H, self._motion.state(x), axes=1)
+        P = np.moveaxis(self._motion.covariance(P), 2, 0)
+        S = np.moveaxis(H @ P @ H.T + R, 0, 2)[:, :, None]
+        return whitened(np.where(row.seen[:, None], row.z - expected, np.nan), S)[0]

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from . import checks
-from .filters import Filter
-from .model import LinearModel, predicted_covariance
-from .recursion import TILE_OF_COVARIANCES, tiles
-from .riccati import corrected_covariance
+from .columns import whitened
+from .equations import corrected_covariance, predicted_covariance
+from .model import LinearModel
+from .recursive import Filter
 from .steady import SteadyStateFilter
 
 
@@ -56,31 +56,26 @@ def innovations(estimator, z):
     array([[1.   ],
            [1.239]])
     """
-    checks.instance("estimator", estimator, Filter)
-    model = estimator.model
-    z = checks.measurements(z, model.m)
-    checks.no_infinity(z)
-    if z.ndim == 2:
-        values, S = innovations(estimator, z[..., None])
+    z, many, values, S = _of(estimator, z)
+    if not many:
         return Innovations(values[..., 0], S[..., 0])
-    N, m, M = z.shape
-    values, S = np.empty((N, m, M)), np.empty((N, m, m, M))
-    for tracks in tiles(M, TILE_OF_COVARIANCES):
-        expected, S_next = _next_measurement(model, model.x0[:, None], estimator.P0[..., None])
-        for k, (x, P) in enumerate(estimator.epochs(z[..., tracks])):
-            values[k, :, tracks] = z[k, :, tracks] - expected
-            S[k, ..., tracks] = S_next
-            expected, S_next = _next_measurement(model, x, P)
+    return Innovations(values, S if S.shape[3] == z.shape[2] else np.repeat(S, z.shape[2], axis=3))
+
+
+def _of(estimator, z):
+    """Return z (N, m, M), whether it came with an axis of tracks, its innovations and S, (N, m, m, M) or (N, m, m, 1)."""
+    checks.instance("estimator", estimator, Filter)
+    z, many = estimator._as_tracks(z)
+    checks.no_infinity(z)
+    values, S = estimator._innovations(z)
     if not np.isfinite(np.where(np.isnan(z), 0, values)).all() or not np.isfinite(S).all():
         checks.refuse("estimator", "states and covariances that doubles can hold over these epochs", "an overflow")
-    return Innovations(values, S)
+    return z, many, values, S
 
 
-def _next_measurement(model, x, P):
-    """Return the mean (m, M) and the covariance (m, m, M) of z(k+1), from x(k/k) (n, M) and P(k/k) (n, n, M)."""
-    HF = model.H @ model.F
-    noise = model.H @ model.Q @ model.H.T + model.R
-    return HF @ x, np.einsum("ia,abM,jb->ijM", HF, P, HF) + noise[..., None]
+def _at_unit_covariance(values, C):
+    """Return values (N, d, M) as (d, N, M) at unit covariance, zero where NaN, and log det C (N, M)."""
+    return whitened(np.moveaxis(values, 1, 0), np.moveaxis(C, 0, 2))
 
 
 def nis(estimator, z):
@@ -92,9 +87,10 @@ def nis(estimator, z):
     >>> nis(SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [2.0]]).round(2)
     array([4.51, 6.93])
     """
-    values, S = innovations(estimator, z)
-    whitened, _ = _whitened(*_without_missing(values, S))
-    return np.where(np.isnan(values).all(axis=1), np.nan, np.square(whitened).sum(axis=1))
+    z, many, values, S = _of(estimator, z)
+    unit, _ = _at_unit_covariance(values, S)
+    result = np.where(np.isnan(z).all(axis=1), np.nan, np.square(unit).sum(axis=0))
+    return result if many else result[:, 0]
 
 
 def log_likelihood(estimator, z):
@@ -109,32 +105,11 @@ def log_likelihood(estimator, z):
     >>> round(float(log_likelihood(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [np.nan]])), 4)
     -4.6228
     """
-    values, S = innovations(estimator, z)
-    whitened, log_det = _whitened(*_without_missing(values, S))
+    z, many, values, S = _of(estimator, z)
+    unit, log_det = _at_unit_covariance(values, S)
     count = np.isfinite(values).sum(axis=1)
-    return -0.5 * (np.square(whitened).sum(axis=1) + log_det + count * np.log(2 * np.pi)).sum(axis=0)
-
-
-def _without_missing(values, S):
-    """Return innovations with zeros for missing ones and S with rows of the identity for them.
-
-    So they add nothing to a sum of squares nor to a determinant.
-    """
-    there = np.isfinite(values)
-    identity = np.eye(values.shape[1]).reshape(S.shape[1:3] + (1,) * (S.ndim - 3))
-    return np.where(there, values, 0), np.where(there[:, :, None] & there[:, None], S, identity)
-
-
-def _whitened(values, C):
-    """Return values (N, d) or (N, d, M) at unit covariance, and log det C, from C (N, d, d) or (N, d, d, M).
-
-    Raises LinAlgError where a C is not positive definite.
-    """
-    values = np.moveaxis(values, 1, -1)  # numpy takes matrices and vectors along the last axes
-    root = np.linalg.cholesky(np.moveaxis(C, (1, 2), (-2, -1)))
-    whitened = np.linalg.solve(root, values[..., None])[..., 0]
-    log_det = 2 * np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.moveaxis(whitened, -1, 1), log_det
+    result = -0.5 * (np.square(unit).sum(axis=0) + log_det + count * np.log(2 * np.pi)).sum(axis=0)
+    return result if many else result[0]
 
 
 def nees(errors, P):
@@ -153,21 +128,22 @@ def nees(errors, P):
     if errors.ndim not in (2, 3):
         checks.refuse("errors", need, f"shape {errors.shape}")
     N, n = errors.shape[:2]
+    many = errors.ndim == 3
     if P.shape not in ((n, n), (N, n, n), (N, n, *errors.shape[1:])):
         need = f"an (n, n), (N, n, n) or (N, n, n, M) array for errors of {errors.shape}"
         checks.refuse("P", need, f"shape {P.shape}")
     if not (np.isfinite(P).all() and np.isfinite(errors).all()):
         checks.refuse("errors, P", "finite numbers", "NaN or infinity")
     P = np.broadcast_to(P, (N, n, n)) if P.ndim == 2 else P
-    P = P[..., None] if P.ndim == errors.ndim else P  # one for all tracks: now (N, n, n), or (N, n, n, 1 or M)
+    P = P[..., None] if P.ndim == 3 else P  # one for all tracks
     sigma = np.sqrt(np.abs(np.einsum("kii...->ki...", P)))
     if (np.abs(P - P.swapaxes(1, 2)) > checks.SOLVED * sigma[:, :, None] * sigma[:, None]).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
-    try:
-        whitened, _ = _whitened(errors, P)
-    except np.linalg.LinAlgError:
+    unit, _ = _at_unit_covariance(errors if many else errors[..., None], P)
+    if not np.isfinite(unit).all():
         checks.refuse("P", "positive definite matrices", "one that is not")
-    return np.square(whitened).sum(axis=1)
+    result = np.square(unit).sum(axis=0)
+    return result if many else result[:, 0]
 
 
 def chi_square_band(dof, runs, level=0.95):

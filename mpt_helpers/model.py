@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import checks
+from .equations import square_root
 from .recursion import Step, lifted, run
 
 
@@ -30,6 +31,11 @@ class LinearModel(Immutable):
     F is n×n, H is m×n, Q is n×n (the papers' G Q Gᵀ), R is m×m and positive definite. x0 (n,) and P0 (n×n) are the mean
     and the covariance of x(0), zero where not given, as in the papers. All arrays are copied and made read-only.
 
+    dt (s) and powers (n,) say what F and Q become over a step of another length, for tracks with times of their own:
+    a step of s dt has F_ij s^(e_i - e_j) and Q_ij s^(e_i + e_j), with the powers e. `constant_velocity` and
+    `constant_acceleration` give them. They are dropped where they do not fit F and Q, as when `replace` gives other
+    ones: two steps of dt / 2 must be one of dt.
+
     Raises ValueError for a wrong shape or value and TypeError for anything but real numbers, naming the argument.
 
     >>> LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.01]], R=[[0.1]]).P0
@@ -42,6 +48,8 @@ class LinearModel(Immutable):
     R: np.ndarray
     x0: np.ndarray = None
     P0: np.ndarray = None
+    dt: float = None
+    powers: np.ndarray = None
 
     def __post_init__(self):
         n, m = checks.rows("F", self.F), checks.rows("H", self.H)
@@ -55,8 +63,41 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", x0, (n,)),
             "P0": checks.covariance("P0", P0, n),
         }
+        if self.dt is not None:
+            checked["dt"] = checks.positive("dt", self.dt)
+        if self.powers is not None:
+            checked["powers"] = checks.array("powers", self.powers, (n,))
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+        if self.dt is None or self.powers is None or not self._two_half_steps_are_one():
+            object.__setattr__(self, "dt", None)
+            object.__setattr__(self, "powers", None)
+
+    def _two_half_steps_are_one(self):
+        """Tell whether F and Q fit the powers, and whether a step of length zero changes nothing."""
+        e, F, Q = self.powers, self.F, self.Q
+        differences, sums = e[:, None] - e, e[:, None] + e
+        if (sums % 1).any() or (differences[F != 0] < 0).any() or (sums[Q != 0] <= 0).any():
+            return False
+        if (np.diag(F) != 1).any() or F[(differences == 0) & ~np.eye(len(F), dtype=bool)].any():
+            return False
+        half, noise = F * 0.5**differences, Q * 0.5**sums
+        rounding = 1e-12  # of a few products
+        size = np.abs(half) @ np.abs(Q) @ np.abs(half.T) + np.abs(Q)
+        same_F = np.abs(half @ half - F) <= rounding * np.abs(half) @ np.abs(half)
+        same_Q = np.abs(half @ noise @ half.T + noise - Q) <= rounding * size
+        return bool(same_F.all() and same_Q.all())
+
+    def over(self, steps):
+        """Return F and Q of a step of length `steps` in units of dt, a number that is not negative.
+
+        >>> constant_velocity(dt=2.0, q=0.01, r=0.1).over(1.5)[0]
+        array([[1., 3.],
+               [0., 1.]])
+        """
+        differences, sums = self.powers[:, None] - self.powers, self.powers[:, None] + self.powers
+        F = np.where(self.F, self.F * float(steps) ** np.maximum(differences, 0), 0)
+        return F, self.Q * float(steps) ** sums
 
     @property
     def n(self):
@@ -111,7 +152,7 @@ def constant_velocity(dt, q, r, x0=None, P0=None):
     dt, q, r = _checked(dt, q, r)
     F = [[1, dt], [0, 1]]
     Q = [[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]
-    return LinearModel(F=F, H=[[1, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0)
+    return LinearModel(F=F, H=[[1, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0, dt=dt, powers=[1.5, 0.5])
 
 
 def constant_acceleration(dt, q, r, x0=None, P0=None):
@@ -135,7 +176,8 @@ def constant_acceleration(dt, q, r, x0=None, P0=None):
     dt, q, r = _checked(dt, q, r)
     F = [[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]]
     Q = [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
-    return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0)
+    powers = [2.5, 1.5, 0.5]
+    return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0, dt=dt, powers=powers)
 
 
 def gps_ins(dt, q, r, x0=None, P0=None):
@@ -185,36 +227,11 @@ def stack(*models):
     for i, model in enumerate(models):
         checks.instance(f"models[{i}]", model, LinearModel)
     blocks = {name: block_diag(*[getattr(model, name) for model in models]) for name in ("F", "H", "Q", "R", "P0")}
-    return LinearModel(**blocks, x0=np.concatenate([model.x0 for model in models]))
-
-
-def predicted_covariance(model, P, steps=1):
-    """Return what becomes of the covariance P, (n, n) or (..., n, n), when nothing is measured: P <- F P Fᵀ + Q.
-
-    >>> predicted_covariance(constant_velocity(dt=1.0, q=3.0, r=1.0), np.zeros((2, 2)))
-    array([[1. , 1.5],
-           [1.5, 3. ]])
-    """
-    for _ in range(steps):
-        P = model.F @ P @ model.F.T + model.Q
-    return P
-
-
-def square_root(C):
-    """Return a matrix G with G Gᵀ = C for a positive semidefinite matrix C (n×n).
-
-    It is diag(σ) times the symmetric root of the correlation matrix: unique, so that tracks drawn with it do not depend
-    on the signs that an eigenvalue routine picks, and accurate for variances of very different size.
-
-    >>> square_root(np.diag([4.0, 0.0]))
-    array([[2., 0.],
-           [0., 0.]])
-    """
-    sigma = np.sqrt(np.maximum(np.diag(C), 0))
-    unit = np.where(sigma > 0, sigma, 1)
-    w, V = np.linalg.eigh(C / unit[:, None] / unit)
-    w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # a smaller eigenvalue is the rounding of a zero
-    return sigma[:, None] * (V * np.sqrt(w)) @ V.T
+    x0 = np.concatenate([model.x0 for model in models])
+    if models[0].dt is None or any(model.dt != models[0].dt for model in models):
+        return LinearModel(**blocks, x0=x0)
+    powers = np.concatenate([model.powers for model in models])
+    return LinearModel(**blocks, x0=x0, dt=models[0].dt, powers=powers)
 
 
 def exact_motion(model, x0):

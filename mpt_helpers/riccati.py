@@ -1,17 +1,23 @@
 """Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
 
 The two solvers share no algorithm, so their agreement is a real check. Each checks its solution against its own
-equation and refuses a model that has no steady state. The constant matrices of the Lainiotis filter are defined here
-too, since its Riccati equation is made of them.
+equation and refuses a model that has no steady state.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from . import checks
-from .model import LinearModel, predicted_covariance, square_root
+from .equations import (
+    corrected_covariance,
+    gain,
+    lainiotis_matrices,
+    lainiotis_transition,
+    predicted_covariance,
+    square_root,
+    unit_measurements,
+)
+from .model import LinearModel
 
 # A mode whose distance from being undetectable or unstabilizable is below this, relative to the matrix, counts as such:
 # the rounding of an eigenvalue of F, loose enough for n of a few hundred.
@@ -25,68 +31,6 @@ ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
 RESIDUAL = 1e-6
 # Each round doubles the number of steps: 2^64 are more than any filter needs to converge.
 ROUNDS = 64
-
-
-class LainiotisMatrices(NamedTuple):
-    """The constant matrices of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3)."""
-
-    Fn: np.ndarray
-    Kn: np.ndarray
-    Km: np.ndarray
-    Pn: np.ndarray
-    On: np.ndarray
-
-
-def lainiotis_matrices(model, H=None, R=None):
-    """Return F_n (n×n), K_n, K_m (n×m), P_n, O_n (n×n) of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3).
-
-        K_n = Q Hᵀ S⁻¹,   K_m = Fᵀ Hᵀ S⁻¹,   F_n = F - K_n H F,   P_n = Q - K_n H Q,   O_n = K_m H F
-
-    with S = H Q Hᵀ + R; the papers write A for S⁻¹. H and R are those of the model unless others are given.
-
-    >>> from mpt_helpers.model import gsm_axis
-    >>> lainiotis_matrices(gsm_axis(dt=1.0, q=0.01, r=0.1)).Fn.round(4)
-    array([[ 0.9388,  0.8776],
-           [-0.1224,  0.7551]])
-    """
-    F, Q = model.F, model.Q
-    H = model.H if H is None else H
-    R = model.R if R is None else R
-    weights = innovation_weights(Q, H, R)
-    Kn = Q @ weights
-    Km = F.T @ weights
-    update = np.eye(model.n) - Kn @ H
-    G = np.hstack([update @ square_root(Q), Kn @ np.linalg.cholesky(R)])  # a root of P_n keeps more of its digits
-    return LainiotisMatrices(Fn=update @ F, Kn=Kn, Km=Km, Pn=G @ G.T, On=Km @ H @ F)
-
-
-def innovation_weights(P, H, R):
-    """Return Hᵀ [H P Hᵀ + R]⁻¹ (n×m): P times it is the Kalman gain.
-
-    Where two sensors of very unequal precision see the same state, the sum in brackets rounds the better one away. So
-    the measurements are first combined into at most n measurements of unit noise: with R = L Lᵀ and L⁻¹ H = E H₁, where
-    E has orthonormal columns (QR), the result is H₁ᵀ [H₁ P H₁ᵀ + I]⁻¹ Eᵀ L⁻¹. P may be a stack (M, n, n).
-
-    >>> innovation_weights(P=np.eye(1), H=np.array([[1.0]]), R=np.array([[3.0]])).round(12)
-    array([[0.25]])
-    """
-    L = np.linalg.cholesky(R)
-    E, H_1 = np.linalg.qr(np.linalg.solve(L, H))
-    S = H_1 @ P @ H_1.T + np.eye(len(H_1))
-    return H_1.T @ np.linalg.solve(S, np.linalg.solve(L.T, E).T)
-
-
-def corrected_covariance(P, K, H, R):
-    """Return (I - K H) P (I - K H)ᵀ + K R Kᵀ (n×n), Joseph's form; P and K may be stacks (M, n, n) and (M, n, m).
-
-    It holds for any gain K, and keeps its digits where R is far smaller than P.
-
-    >>> corrected_covariance(P=np.eye(1), K=np.array([[0.5]]), H=np.eye(1), R=np.eye(1))
-    array([[0.5]])
-    """
-    update = np.eye(P.shape[-1]) - K @ H
-    P = update @ P @ update.swapaxes(-1, -2) + K @ R @ K.swapaxes(-1, -2)
-    return (P + P.swapaxes(-1, -2)) / 2
 
 
 def rekf(model):
@@ -156,8 +100,8 @@ def _solve_rekf(model):
     unit = _units(model)
     F = model.F * unit / unit[:, None]
     Q = model.Q / unit[:, None] / unit
-    H = np.linalg.solve(np.linalg.cholesky(model.R), model.H * unit)
-    P = solve_discrete_are(F.T, H.T, Q, np.eye(model.m))
+    H, _ = unit_measurements(model.H * unit, model.R)
+    P = solve_discrete_are(F.T, H.T, Q, np.eye(len(H)))
     P = P + _newton_step(P, F, H, Q)
     change = _newton_step(P, F, H, Q)
     P = P + change
@@ -173,7 +117,7 @@ def _newton_step(P, F, H, Q):
     terms and `A` is the power 2^j.
     """
     identity = np.eye(len(H))
-    K = P @ innovation_weights(P, H, identity)
+    K = gain(P, H, identity)
     A = F - F @ K @ H
     total = F @ corrected_covariance(P, K, H, identity) @ F.T + Q - P
     for _ in range(ROUNDS):
@@ -182,7 +126,7 @@ def _newton_step(P, F, H, Q):
 
 
 def _solve_relf(model):
-    Fn, _, _, Pn, On = lainiotis_matrices(model)
+    Fn, _, _, Pn, On, _, _ = lainiotis_matrices(model)
     F_i, P, O_i = Fn, Pn, On  # of 2^i steps
     for _ in range(ROUNDS):
         A = lainiotis_transition(P, F_i, O_i)
@@ -201,16 +145,6 @@ def _solve_relf(model):
     solved = (missed <= RESIDUAL * np.outer(sigma, sigma) + rounding).all()
     forgets_the_start = np.abs(np.linalg.eigvals(A)).max() < 1
     return P, solved and forgets_the_start
-
-
-def lainiotis_transition(P, Fn, On):
-    """Return A = F_n [I + P O_n]⁻¹ (n×n) of the Lainiotis filter (2014 Eqs. 5 and 13); P may be a stack (M, n, n).
-
-    >>> lainiotis_transition(P=np.eye(1), Fn=np.eye(1), On=np.eye(1))
-    array([[0.5]])
-    """
-    bracket = np.eye(len(Fn)) + P @ On
-    return np.linalg.solve(bracket.swapaxes(-1, -2), Fn.T).swapaxes(-1, -2)
 
 
 def _units(model):

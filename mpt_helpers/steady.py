@@ -1,13 +1,15 @@
-"""Filters with constant coefficients: the steady-state filter, its prediction N steps ahead, and its FIR form."""
+"""Filters with constant coefficients: the steady-state filter and its FIR form."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from . import checks, columns, riccati
-from .filters import Filter, RecursiveFilter
-from .model import LinearModel, predicted_covariance
+from . import checks, riccati
+from .columns import ConstantGainColumns
+from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
+from .model import LinearModel
 from .recursion import TILE, tiles
+from .recursive import Filter, RecursiveFilter
 
 # How far A may be from (I - B H) F, relative to the size of the terms: room for the rounding of the solvers.
 SAME_A = 1e-6
@@ -36,6 +38,8 @@ class SteadyStateFilter(RecursiveFilter):
     B: np.ndarray
     P: np.ndarray
 
+    optimal = False
+
     def __post_init__(self):
         super().__post_init__()
         n, m, F, H = self.model.n, self.model.m, self.model.F, self.model.H
@@ -54,9 +58,9 @@ class SteadyStateFilter(RecursiveFilter):
         Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
         """
         P = riccati.rekf(model)
-        K = P @ riccati.innovation_weights(P, model.H, model.R)
+        K = gain(P, model.H, model.R)
         A = (np.eye(model.n) - K @ model.H) @ model.F
-        return cls(model, A=A, B=K, P=riccati.corrected_covariance(P, K, model.H, model.R))
+        return cls(model, A=A, B=K, P=corrected_covariance(P, K, model.H, model.R))
 
     @classmethod
     def from_lainiotis(cls, model):
@@ -65,9 +69,8 @@ class SteadyStateFilter(RecursiveFilter):
         Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
         """
         P = riccati.relf(model)
-        Fn, Kn, Km, _, On = riccati.lainiotis_matrices(model)
-        A = riccati.lainiotis_transition(P, Fn, On)
-        return cls(model, A=A, B=Kn + A @ P @ Km, P=P)
+        A, B, _ = lainiotis_step(P, lainiotis_matrices(model))
+        return cls(model, A=A, B=B, P=P)
 
     @property
     def P0(self):
@@ -80,81 +83,14 @@ class SteadyStateFilter(RecursiveFilter):
         if not seen.any():
             return self.model.F, np.zeros_like(self.B), P_predicted
         _require_whole_rows(seen)
-        return self.A, self.B, riccati.corrected_covariance(P_predicted, self.B, self.model.H, self.model.R)
+        return self.A, self.B, corrected_covariance(P_predicted, self.B, self.model.H, self.model.R)
 
-    def _epochs_of_different_gaps(self, z, seen):
-        _require_whole_rows(seen)
-        return columns.constant_gain_epochs(self.model, self.B, self.P, z)
-
-
-@dataclass(frozen=True, eq=False)
-class SteadyStatePredictor(Filter):
-    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): `filter(z)` returns x(1+N/1), x(2+N/2), ...
-
-        x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
-
-    `steady` is the SteadyStateFilter with A and B, `steps` is N. The prediction is Fᴺ x(k/k), and computed so, through
-    gaps too: where nothing is missing, the recursion above is that of the filter in other coordinates. Raises TypeError
-    or ValueError for another kind of argument.
-
-    >>> from mpt_helpers.model import constant_velocity
-    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> SteadyStatePredictor(steady, steps=3).filter([[1.0], [2.0]]).round(4)
-    array([[1.186 , 0.2125],
-           [2.8678, 0.4757]])
-    """
-
-    steady: SteadyStateFilter
-    steps: int
-
-    def __post_init__(self):
-        checks.instance("steady", self.steady, SteadyStateFilter)
-        checks.count("steps", self.steps, least=0)
-
-    @property
-    def model(self):
-        """The model of the steady-state filter."""
-        return self.steady.model
-
-    @property
-    def steps_ahead(self):
-        """N."""
-        return self.steps
-
-    @property
-    def F_N(self):
-        """The transition over N steps, Fᴺ (n×n)."""
-        return np.linalg.matrix_power(self.model.F, self.steps)
-
-    @property
-    def A(self):
-        """A_N = Fᴺ A F⁻ᴺ (n×n), as precise as Fᴺ can be inverted; `filter` does not use it. Raises LinAlgError, a
-        ValueError, where F has no inverse.
-        """
-        return np.linalg.solve(self.F_N.T, (self.F_N @ self.steady.A).T).T
-
-    @property
-    def B(self):
-        """B_N = Fᴺ B (n×m)."""
-        return self.F_N @ self.steady.B
-
-    @property
-    def P(self):
-        """The covariance of the prediction's error in steady state (n×n)."""
-        return predicted_covariance(self.model, self.steady.P, self.steps)
-
-    def epochs(self, z):
-        """Yield the predictions x(k+N/k) and the covariances of their errors, in the shapes of Filter."""
-        F_N = self.F_N
-        for x, P in self.steady.epochs(z):
-            predicted = predicted_covariance(self.model, np.moveaxis(P, 2, 0), self.steps)
-            yield F_N @ x, np.moveaxis(predicted, 0, 2)
-
-    def _fill(self, x, z):
-        self.steady._fill(x, z)
-        F_N = self.F_N
-        for x_k in x:
-            x_k[:] = F_N @ x_k
+    def _in_columns(self, rows):
+        _require_whole_rows(rows.seen)
+        model, (_, _, c, M) = self.model, rows.z.shape
+        x = np.broadcast_to(model.x0[:, None, None], (model.n, c, M))
+        columns = ConstantGainColumns(model.F, model.H, model.Q, model.R, self.B)
+        return columns, rows, x, np.repeat(self.P[..., None], M, axis=2)
 
 
 def _require_whole_rows(seen):

@@ -1,0 +1,145 @@
+"""One long track as many short ones: Lainiotis' partition.
+
+The Lainiotis filter takes a step as if x(k) were known exactly, and adds afterwards what is not known of it. That holds
+for many steps as well as for one. So a long track is cut into pieces that run side by side, as columns:
+
+1. every piece from a start that is known exactly: what it makes of its measurements, how it answers to its start, and
+   what its measurements tell about its start;
+2. the starts, one after the other: each takes one Lainiotis step over a whole piece;
+3. every piece again, from its own start.
+
+The part that must run in order shrinks from N steps to N / K, for pieces of K rows.
+"""
+
+import math
+from functools import partial
+
+import numpy as np
+
+from .equations import corrected_covariance, gain_on_the_start
+
+# Fewer rows than this are not worth cutting, nor are tracks by the hundred, which fill the processor without. Measured.
+LEAST_ROWS = 30
+MOST_TRACKS = 64
+
+
+def rows_per_piece(N, tracks):
+    """Return K, how many rows a piece has: N where cutting does not pay.
+
+    >>> rows_per_piece(12_000, tracks=1), rows_per_piece(12_000, tracks=1000)
+    (55, 12000)
+    """
+    if N < LEAST_ROWS or tracks > MOST_TRACKS:
+        return N
+    return max(8, math.ceil(math.sqrt(N * tracks) / 2))
+
+
+def through(advance, rows, x0, P0, x, P):
+    """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
+
+    advance(row, x, P) takes columns x (n, c, M) and P (n, n, M) one row further. It may know more states than x has
+    room for, which is for the first ones. x0 and P0 are the start. Returns the last P.
+    """
+    N, n, c, M = x.shape
+    K = rows_per_piece(N, c * M)
+    if K == N:
+        return _each_row(advance, rows, x0, P0, x, P)
+    pieces = rows.mapped(partial(cut, K=K))
+    x0, P0 = starts(advance, pieces, -(-N // K), x0, P0)
+    x_pieces = np.empty((K, n, *x0.shape[1:]))
+    P_pieces = None if P is None else np.empty((K, n, n, P0.shape[2]))
+    last = _each_row(advance, pieces, x0, P0, x_pieces, P_pieces)
+    x[...] = joined(x_pieces, N, M)
+    if P is not None:
+        P[...] = joined(P_pieces, N, M)
+    return last
+
+
+def _each_row(advance, rows, x_k, P_k, x, P):
+    n = x.shape[1]
+    for k, row in enumerate(rows):
+        x_k, P_k, _ = advance(row, x_k, P_k)
+        x[k] = x_k[:n]
+        if P is not None:
+            P[k] = P_k[:n, :n]
+    return P_k
+
+
+def cut(array, K):
+    """Return an array (N, ..., M) as (K, ..., C M): C pieces side by side. The last one is filled up with its last row.
+
+    >>> cut(np.arange(5)[:, None], K=2)
+    array([[0, 2, 4],
+           [1, 3, 4]])
+    """
+    N, M = len(array), array.shape[-1]
+    C = -(-N // K)
+    filled = np.concatenate([array, np.repeat(array[-1:], C * K - N, axis=0)])
+    pieces = np.moveaxis(filled.reshape(C, K, *array.shape[1:]), 0, -2)
+    return np.ascontiguousarray(pieces).reshape(*pieces.shape[:-2], C * M)
+
+
+def joined(array, N, M):
+    """Return the array (N, ..., M) that `cut` takes to this one (K, ..., C M).
+
+    >>> joined(np.array([[0, 2, 4], [1, 3, 4]]), N=5, M=1)[:, 0]
+    array([0, 1, 2, 3, 4])
+    """
+    pieces = np.moveaxis(array.reshape(*array.shape[:-1], -1, M), -2, 0)  # (C, K, ..., M)
+    return pieces.reshape(-1, *pieces.shape[2:])[:N]
+
+
+def starts(advance, pieces, count, x0, P0):
+    """Return where each piece starts: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
+
+    advance(row, x, P) takes columns one row further, and returns their innovations at unit covariance besides, (m, c,
+    C M), as in `columns`; with no innovations (m = 0), the measurements tell nothing about the start. pieces are rows
+    that were cut into `count` pieces, C.
+    """
+    n, c, M = x0.shape
+    columns = count * M
+    # Beside the c tracks of a column run n more without measurements, from each unit start: the answers to the start.
+    x = np.zeros((n, c + n, columns))
+    x[:, c:] = np.eye(n)[..., None]
+    P = np.zeros((n, n, columns))
+    innovations = []
+    for row in pieces.with_tracks_of_zeros(n):
+        x, P, new = advance(row, x, P)
+        innovations.append(new)
+    x, P = _matrices(x, M), _matrices(P, M)
+    x_piece, answer = x[..., :c], x[..., c:]
+    C, y = _told(_matrices(np.concatenate(innovations), M), c)
+    x_k, P_k = _matrices(x0, M)[0], _matrices(P0, M)[0]
+    states, covariances = [x_k], [P_k]
+    for i in range(count - 1):
+        G = gain_on_the_start(P_k, C[i])
+        x_k = x_k + G @ (y[i] - C[i].swapaxes(1, 2) @ x_k)
+        P_k = corrected_covariance(P_k, G, C[i].swapaxes(1, 2), np.eye(C.shape[-1]))
+        x_k = x_piece[i] + answer[i] @ x_k
+        P_k = P[i] + answer[i] @ P_k @ answer[i].swapaxes(1, 2)
+        states.append(x_k)
+        covariances.append(P_k)
+    return _columns(states), _columns(covariances)
+
+
+def _told(innovations, c):
+    """Return C (..., n, p) and y (..., p, c): all that a piece tells about its start are y = Cᵀ x + unit noise.
+
+    innovations (..., K m, c + n) are those of the tracks from a start of zero, and the answers to each unit start,
+    which enter with a minus. Rows of many measurements are joined into p <= n by an orthogonal factor, which keeps
+    the digits that sums of squares lose.
+    """
+    Q, R = np.linalg.qr(-innovations[..., c:])
+    return R.swapaxes(-1, -2), Q.swapaxes(-1, -2) @ innovations[..., :c]
+
+
+def _matrices(columns, M):
+    """Return columns (a, b, C M) as matrices (C, M, a, b)."""
+    a, b, width = columns.shape
+    return np.ascontiguousarray(np.moveaxis(columns.reshape(a, b, width // M, M), (2, 3), (0, 1)))
+
+
+def _columns(matrices):
+    """Return a list of C matrices (M, a, b) as columns (a, b, C M)."""
+    stacked = np.moveaxis(np.array(matrices), (0, 1), (2, 3))
+    return np.ascontiguousarray(stacked).reshape(*stacked.shape[:2], -1)

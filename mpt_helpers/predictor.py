@@ -1,0 +1,125 @@
+"""Predictions some steps ahead: of any filter, and of the steady-state filter as 2016 prints it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import checks
+from .columns import Motion
+from .equations import predicted_covariance
+from .recursive import Filter
+from .steady import SteadyStateFilter
+
+
+class _Ahead(Filter):
+    """The states of an `estimator` so many `steps` ahead."""
+
+    @property
+    def model(self):
+        """The model of the filter."""
+        return self.estimator.model
+
+    @property
+    def steps_ahead(self):
+        """How far a prediction lies past its last measurement."""
+        return self.estimator.steps_ahead + self.steps
+
+    @property
+    def F_N(self):
+        """The transition over N steps, Fᴺ (n×n)."""
+        return np.linalg.matrix_power(self.model.F, self.steps)
+
+    def epochs(self, z):
+        """Yield the predictions x(k+N/k) and the covariances of their errors, in the shapes of Filter."""
+        motion = Motion(self.model.F, self.model.Q)
+        for x, P in self.estimator.epochs(z):
+            yield self.F_N @ x, self._ahead(motion, P)
+
+    def _fill(self, x, z):
+        self.estimator._fill(x, z)
+        F_N = self.F_N
+        for x_k in x:
+            x_k[:] = F_N @ x_k
+
+    def _estimates(self, z):
+        x, P = self.estimator._estimates(z)
+        motion = Motion(self.model.F, self.model.Q)
+        return self.F_N @ x, np.moveaxis(self._ahead(motion, np.moveaxis(P, 0, 2)), 2, 0)
+
+    def _ahead(self, motion, P):
+        for _ in range(self.steps):
+            P = motion.covariance(P)
+        return P
+
+
+@dataclass(frozen=True, eq=False)
+class Predictor(_Ahead):
+    """The prediction of a filter's state some steps ahead: `filter(z)` returns x(1+N/1), x(2+N/2), ...
+
+        x(k+N/k) = Fᴺ x(k/k),   P(k+N/k) = Fᴺ P(k/k) Fᴺᵀ + Q + F Q Fᵀ + ... + Fᴺ⁻¹ Q (Fᴺ⁻¹)ᵀ
+
+    `estimator` is any filter, `steps` is N, in steps of the model's dt also where the filter has times of its own. Row
+    k of `covariances(z)` is P(k+N/k). A prediction has no P0, no innovations and no `step`. Raises TypeError or
+    ValueError for another kind of argument.
+
+    >>> from mpt_helpers.filters import KalmanFilter
+    >>> from mpt_helpers.model import constant_velocity
+    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 2], P0=np.eye(2)))
+    >>> Predictor(kf, steps=3).filter([[2.0], [4.0]])
+    array([[ 8.,  2.],
+           [10.,  2.]])
+    """
+
+    estimator: Filter
+    steps: int
+
+    def __post_init__(self):
+        checks.instance("estimator", self.estimator, Filter)
+        checks.count("steps", self.steps, least=0)
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyStatePredictor(_Ahead):
+    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): `filter(z)` returns x(1+N/1), x(2+N/2), ...
+
+        x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
+
+    `steady` is the SteadyStateFilter with A and B, `steps` is N. The prediction is Fᴺ x(k/k), and computed so, through
+    gaps too: where nothing is missing, the recursion above is that of the filter in other coordinates. Raises TypeError
+    or ValueError for another kind of argument.
+
+    >>> from mpt_helpers.model import constant_velocity
+    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> SteadyStatePredictor(steady, steps=3).filter([[1.0], [2.0]]).round(4)
+    array([[1.186 , 0.2125],
+           [2.8678, 0.4757]])
+    """
+
+    steady: SteadyStateFilter
+    steps: int
+
+    def __post_init__(self):
+        checks.instance("steady", self.steady, SteadyStateFilter)
+        checks.count("steps", self.steps, least=0)
+
+    @property
+    def estimator(self):
+        """The steady-state filter."""
+        return self.steady
+
+    @property
+    def A(self):
+        """A_N = Fᴺ A F⁻ᴺ (n×n), as precise as Fᴺ can be inverted; `filter` does not use it. Raises LinAlgError, a
+        ValueError, where F has no inverse.
+        """
+        return np.linalg.solve(self.F_N.T, (self.F_N @ self.steady.A).T).T
+
+    @property
+    def B(self):
+        """B_N = Fᴺ B (n×m)."""
+        return self.F_N @ self.steady.B
+
+    @property
+    def P(self):
+        """The covariance of the prediction's error in steady state (n×n)."""
+        return predicted_covariance(self.model, self.steady.P, self.steps)
