@@ -8,7 +8,7 @@ import filterpy.kalman
 import numpy as np
 import simdkalman
 
-from mpt_helpers.model import predicted_covariance
+from mpt_helpers.equations import predicted_covariance
 
 try:
     import jax

@@ -16,6 +16,7 @@ __version__ = "0.2.0"
 from . import metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
+from .fitting import fit
 from .ledger import Table, gap_text, published
 from .model import (
     LinearModel,
@@ -47,6 +48,7 @@ __all__ = [
     "constant_velocity",
     "exact_motion",
     "fir_order",
+    "fit",
     "gap_text",
     "gps_ins",
     "gsm_axis",

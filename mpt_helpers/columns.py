@@ -128,8 +128,8 @@ def corrected(x, P, z, seen, variance, i):
     """Return x (n, c, M) and P (n, n, M) after measurements z (c, M) of component i of the state, and more.
 
     seen (M,) tells where there is one, and its variance is a number or (M,). It is the textbook's update with eᵢᵀ for
-    H. With row i of P as c, the variance as v and S = cᵢ + v, the new row and column i are c - cᵢ c / S = c v / S, which
-    is written without a difference of large numbers. P is overwritten, so it must be the caller's own.
+    H. With row i of P as c, the variance as v and S = cᵢ + v, the new row and column i are c - cᵢ c / S = c v / S: that
+    takes no difference of large numbers. P is overwritten, so it must be the caller's own.
 
     The third result is the innovation (z - xᵢ) / √S (c, M) at unit variance, zero where nothing was measured.
     """
@@ -179,7 +179,9 @@ class Change:
         """Return T x (n, c, M) and T P Tᵀ (n, n, M)."""
         if self._T is None:
             return x, P
-        return (self._T @ x.reshape(len(x), -1)).reshape(x.shape), (self._product @ P.reshape(len(P) ** 2, -1)).reshape(P.shape)
+        return (self._T @ x.reshape(len(x), -1)).reshape(x.shape), (self._product @ P.reshape(len(P) ** 2, -1)).reshape(
+            P.shape
+        )
 
 
 def _coordinates(F, H, Q, variances, P0):
@@ -225,7 +227,11 @@ class ConstantGainColumns:
         seen = row.seen[0]
         x_seen, P_seen = self._keep(x, P)
         measured = (self._B @ row.z.reshape(len(row.z), -1)).reshape(x.shape)
-        return np.where(seen, x_seen + measured, x), np.where(seen, P_seen + self._noise, P), np.zeros((0, *x.shape[1:]))
+        return (
+            np.where(seen, x_seen + measured, x),
+            np.where(seen, P_seen + self._noise, P),
+            np.zeros((0, *x.shape[1:])),
+        )
 
 
 def whitened(values, C):
@@ -253,7 +259,7 @@ def whitened(values, C):
 
 
 def product(A, B):
-    """Return the products A B (a, c, ...) of the matrices that A (a, b, ...) and B (b, c, ...) hold in their columns."""
+    """Return the products A B (a, c, ...) of the matrices in the columns of A (a, b, ...) and B (b, c, ...)."""
     total = A[:, 0, None] * B[0]
     for j in range(1, len(B)):
         total += A[:, j, None] * B[j]

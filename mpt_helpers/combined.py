@@ -58,7 +58,7 @@ class JoinFilter(Filter):
     def step(self, x, P, z_k):
         """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
-        Raises TypeError where the filters differ in their gains: then each needs a state of its own, and a step has one.
+        Raises TypeError where the filters differ in their gains: then each would need a state of its own.
         """
         if self.first.optimal != self.second.optimal:
             kinds = " and ".join(type(each).__name__ for each in (self.first, self.second))

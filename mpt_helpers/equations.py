@@ -1,7 +1,7 @@
 """The papers' equations on matrices: predicted covariance, gain, Joseph's form, and the constants of Lainiotis.
 
-Each function is one equation. `model` is a LinearModel, or anything with its F, H, Q and R. Where a docstring says so, P
-may be a stack of covariances, (..., n, n).
+Each function is one equation. `model` is a LinearModel, or anything with its F, H, Q and R. Where a docstring says so,
+P may be a stack of covariances, (..., n, n).
 """
 
 from typing import NamedTuple
@@ -136,7 +136,8 @@ def lainiotis_step(P, constants):
     G = gain_on_the_start(P, C)
     A = Fn @ (np.eye(len(Fn)) - G @ C.T)
     B = Kn + Fn @ G @ W  # A P K_m = F_n [I + P C Cᵀ]⁻¹ P C W = F_n G W
-    return A, B, Pn + Fn @ corrected_covariance(P, G, C.T, np.eye(C.shape[1])) @ Fn.T
+    P = Pn + Fn @ corrected_covariance(P, G, C.T, np.eye(C.shape[1])) @ Fn.T
+    return A, B, (P + _transposed(P)) / 2
 
 
 def lainiotis_transition(P, Fn, On):

@@ -1,8 +1,8 @@
 """One step of the Kalman filter and of the Lainiotis filter, as the papers print it, and on columns.
 
-A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros in
-H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed, also
-when all measurements of an epoch are missing.
+A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros
+in H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed,
+also when all measurements of an epoch are missing.
 """
 
 import copy
@@ -28,8 +28,8 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    t are the times of the epochs (s), (N,) for all tracks or (N, M) for each: not decreasing, and x0 lies one step dt of
-    the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
+    t are the times of the epochs (s), (N,) for all tracks or (N, M) for each. They do not decrease, and x0 lies one step
+    dt of the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
     `constant_acceleration` do. r are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R:
     the accuracy that a receiver states of each fix. They are looked at only where there is a measurement.
 
@@ -80,10 +80,10 @@ class KalmanFilter(RecursiveFilter):
     def step(self, x, P, z_k, dt=None, r=None):
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
-        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k), which a filter
-        with times needs; others may give it where the model takes steps of other lengths. r (m,) are the variances of
-        the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a
-        negative dt, and for states and covariances that are not finite.
+        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter with
+        times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances of the
+        measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a negative
+        dt, and for states and covariances that are not finite.
         """
         n, m = self.model.n, self.model.m
         x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
@@ -228,7 +228,7 @@ class LainiotisColumns:
     def advance(self, row, x, P):
         """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations at unit covariance (m, c, M)."""
         innovations = self._innovations(row, x, P)
-        x, P, z = (np.ascontiguousarray(np.moveaxis(each, 2, 0)) for each in (x, P, row.z))  # stacks of matrices
+        x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, row.z))  # stacks of matrices
         for seen in np.unique(row.seen, axis=1).T:
             columns = np.flatnonzero((seen == row.seen.T).all(axis=1))
             A, B, P[columns] = self._filter.next_step(P[columns], seen)

@@ -63,7 +63,7 @@ def innovations(estimator, z):
 
 
 def _of(estimator, z):
-    """Return z (N, m, M), whether it came with an axis of tracks, its innovations and S, (N, m, m, M) or (N, m, m, 1)."""
+    """Return z (N, m, M), whether it came with an axis of tracks, its innovations, and S (N, m, m, M or 1)."""
     checks.instance("estimator", estimator, Filter)
     z, many = estimator._as_tracks(z)
     checks.no_infinity(z)

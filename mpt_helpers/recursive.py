@@ -307,7 +307,6 @@ class RecursiveFilter(Filter):
             yield step
 
 
-
 def _alike(z, steps, variances):
     """Tell whether all tracks of z (N, m, M) have the same gaps, steps and variances: one covariance for all."""
     seen = np.isnan(z)
@@ -333,7 +332,7 @@ def _repeated(array, M):
 
 
 def _refuse_overflow():
-    checks.refuse("z", "gaps and a model over which covariances stay within the range of doubles", "an overflow")
+    checks.refuse("z", "gaps over which the covariances stay within the range of doubles", "an overflow")
 
 
 def _has_not_moved(before, after):

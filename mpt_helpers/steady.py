@@ -48,7 +48,8 @@ class SteadyStateFilter(RecursiveFilter):
         object.__setattr__(self, "P", checks.covariance("P", self.P, n, rounding=checks.SOLVED))
         gap = np.abs(self.A - (F - self.B @ H @ F))
         size = np.abs(F) + np.abs(self.B) @ np.abs(H) @ np.abs(F)
-        if (gap > SAME_A * size).any():
+        rounding = n * np.finfo(float).eps * size.max()  # where a term is zero
+        if (gap > SAME_A * size + rounding).any():
             checks.refuse("A", "(I - B H) F, as in every filter of the papers", f"a gap of {gap.max():.6g}")
 
     @classmethod

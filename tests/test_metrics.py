@@ -88,5 +88,8 @@ def test_states_beyond_doubles_are_no_missing_measurements(make, seen):
     model = mpt.LinearModel(F=[[10.0]], H=[[1.0]], Q=[[0.0 if seen > 1 else 1.0]], R=[[1.0]], x0=[1.0])
     z = np.zeros((400, 1))
     z[:-seen] = np.nan
-    with np.errstate(all="ignore"), pytest.raises(ValueError, match=r"estimator: needs states .* got an overflow"):
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(ValueError, match=r": needs .* doubles.* got an overflow"),
+    ):
         make(mpt.KalmanFilter(model), z)

@@ -1,0 +1,179 @@
+"""The parameters of a model that make measurements most probable."""
+
+import math
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+from tqdm import tqdm
+
+from . import checks, metrics
+from .equations import predicted_covariance
+from .filters import KalmanFilter
+from .model import LinearModel
+from .recursive import Filter
+
+# How near, in natural logarithms of the parameters and in log L, the search must come: a hundredth of the error of a
+# parameter that a thousand measurements tell to some percent.
+NEAR = 1e-4
+# A step of the second differences of log L: 5 % of a parameter. Their rounding is 1e-16 |log L| / step², below 1e-6 of
+# them up to a million measurements, and their bias some step².
+DIFFERENCE = 0.05
+# A parameter that came this far from its start has no end in sight.
+FARTHEST = math.log(1e12)
+# A log L that falls by less than this says nothing against a parameter: half the 2 log L of one standard error.
+NOTHING = 0.5
+# A parameter known to no better than this factor is not known.
+VAGUE = math.log(10)
+# Squares of the distance from the start to the first measurement, in standard deviations, which no fit survives, and
+# which it absorbs by a wrong q.
+ANOTHER_PLACE, FAR = 1e6, 100.0
+
+
+class Fit(NamedTuple):
+    """What `fit` found: the values and the standard errors of their natural logarithms, by name, the filter, log L."""
+
+    values: dict
+    log_errors: dict
+    filter: Filter
+    log_likelihood: float
+
+
+def fit(make, z, **start):
+    """Return the positive parameters that make measurements z most probable, jointly for all tracks.
+
+    make(**values) returns a model, for a Kalman filter, or a filter; z is (N, m) or (N, m, M), NaN where missing; start
+    has a first guess of each parameter by its name. The search (Nelder and Mead) runs on logarithms, and its progress
+    shows on a terminal. `log_errors` are the standard errors of the natural logarithms of the values, from second
+    differences of log L: 0.1 stands for ten percent.
+
+    Warns (UserWarning) where log L does not fall as a parameter goes to zero, where a direction is flat, and where the
+    first measurements are far from the start of the model, so that the fit explains the distance as motion. Raises
+    ValueError for guesses that are not positive, for a start far from all measurements, and where no guess has a
+    likelihood; TypeError where make returns something else.
+
+    >>> from mpt_helpers.model import constant_velocity, simulate
+    >>> make = lambda q, r: constant_velocity(dt=1.0, q=q, r=r, P0=np.eye(2))
+    >>> _, z = simulate(make(q=0.04, r=0.5), N=500, rng=np.random.default_rng(1))
+    >>> found = fit(make, z, q=1.0, r=1.0)
+    >>> {name: f"{value:.3f}" for name, value in found.values.items()}
+    {'q': '0.035', 'r': '0.566'}
+    """
+    if not callable(make):
+        checks.refuse("make", "a function that returns a model or a filter", type(make).__name__, TypeError)
+    if not start:
+        checks.refuse("start", "a first guess of at least one parameter", "none")
+    guess = {name: checks.positive(name, value) for name, value in start.items()}
+    _require_a_start_near(_filter(make, guess), z)
+    origin = np.log(list(guess.values()))
+
+    def values_at(point):
+        return dict(zip(guess, np.exp(point).tolist(), strict=True))
+
+    def surprise(point):
+        """Return -log L, infinite where the model cannot be computed."""
+        if np.abs(point - origin).max() > FARTHEST:
+            return math.inf
+        try:
+            return -float(np.sum(metrics.log_likelihood(_filter(make, values_at(point)), z)))
+        except (ValueError, FloatingPointError):
+            return math.inf
+
+    if not math.isfinite(surprise(origin)):
+        metrics.log_likelihood(_filter(make, guess), z)  # raises, and says why
+        checks.refuse("start", "parameters under which z has a likelihood", guess)
+    best = _lowest(surprise, origin)
+    covariance = _inverse(_second_differences(surprise, best))
+    log_errors = dict(zip(guess, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    _warn_of_what_is_not_known(surprise, best, log_errors)
+    found = _filter(make, values_at(best))
+    _warn_of_a_start_that_is_far(found, z)
+    return Fit(values_at(best), log_errors, found, -surprise(best))
+
+
+def _filter(make, values):
+    made = make(**values)
+    if isinstance(made, LinearModel):
+        return KalmanFilter(made)
+    checks.instance("make", made, Filter)
+    return made
+
+
+def _lowest(function, origin):
+    d = len(origin)
+    simplex = origin + np.vstack([np.zeros(d), np.eye(d)])  # from each guess to e times it
+    with tqdm(desc="fit", unit=" filters", disable=None, leave=False) as bar:
+
+        def counted(point):
+            bar.update()
+            return function(point)
+
+        options = {"initial_simplex": simplex, "xatol": NEAR, "fatol": NEAR, "maxfev": 400 * d}
+        return minimize(counted, origin, method="Nelder-Mead", options=options).x
+
+
+def _second_differences(function, point):
+    """Return the matrix of second derivatives of a function at a point, by central differences."""
+    d, h = len(point), DIFFERENCE
+    unit = h * np.eye(d)
+    H = np.empty((d, d))
+    for i in range(d):
+        for j in range(i + 1):
+            signs = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
+            H[i, j] = sum(a * b * function(point + a * unit[i] + b * unit[j]) for a, b in signs) / (4 * h**2)
+            H[j, i] = H[i, j]
+    return H
+
+
+def _inverse(H):
+    """Return the inverse of a matrix, infinite variances where it is not positive definite."""
+    if np.isfinite(H).all() and np.linalg.eigvalsh(H)[0] > 0:
+        return np.linalg.inv(H)
+    return np.full_like(H, math.inf)
+
+
+def _warn_of_what_is_not_known(surprise, best, log_errors):
+    for i, name in enumerate(log_errors):
+        lower = best.copy()
+        lower[i] -= math.log(1000)
+        if surprise(lower) < surprise(best) + NOTHING:
+            _warn(f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known")
+        elif log_errors[name] > VAGUE:
+            _warn(f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters")
+
+
+def _require_a_start_near(estimator, z):
+    distance = _squared_distance_of_the_start(estimator, z)
+    if distance > ANOTHER_PLACE:
+        need = "a model whose x0 and P0 say where the tracks begin (x0 at the first measurement, or z - z[0])"
+        checks.refuse("make", need, f"first measurements {math.sqrt(distance):.0f} standard deviations away")
+
+
+def _warn_of_a_start_that_is_far(estimator, z):
+    distance = _squared_distance_of_the_start(estimator, z)
+    if distance > FAR:
+        away = f"{math.sqrt(distance):.0f} standard deviations from what x0 and P0 expect"
+        _warn(f"the first measurements are {away}: the fit explains the distance as motion or noise")
+
+
+def _squared_distance_of_the_start(estimator, z):
+    """Return the largest squared distance of a first measurement from H Fᵏ x0, over its variance by P0 and R alone."""
+    model, (values, S) = estimator.model, metrics.innovations(estimator, z)
+    if np.ndim(z) == 2:
+        values, S = values[..., None], S[..., None]
+    seen = ~np.isnan(values)
+    first = seen.any(axis=1).argmax(axis=0)  # of each track
+    largest, noise = 0.0, np.zeros_like(model.Q)
+    for k in range(first.max() + 1):
+        noise = predicted_covariance(model, noise)
+        by_motion = np.diag(model.H @ noise @ model.H.T)[:, None]
+        # A noise far larger than R rounds it away in the difference.
+        variance = np.maximum(np.einsum("jjM->jM", S[k]) - by_motion, np.diag(model.R)[:, None])
+        begins = seen[k] & (first == k)
+        largest = max(largest, float(np.max(values[k] ** 2 / variance, initial=0.0, where=begins)))
+    return largest
+
+
+def _warn(text):
+    warnings.warn(f"fit: {text}", UserWarning, stacklevel=4)
