@@ -8,11 +8,11 @@ from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular, toeplitz
+from scipy.linalg import toeplitz
 from scipy.special import gammaincc
 
 from .. import checks
-from ..model import square_root
+from ..equations import square_root
 
 EARTH_RADIUS = 6_378_137.0  # m, at the equator
 FLATNESS = 6.69437999014e-3  # e² of the WGS 84 ellipsoid
@@ -333,8 +333,8 @@ def _update(satellites, ranges, sigma, predicted, P, linearisations):
         expected = pseudoranges(satellites, X) + H @ (predicted - X)
         orthogonal, triangular = np.linalg.qr(np.vstack([np.eye(4), H @ G / sigma[:, None]]))
         new = np.append(np.zeros(4), (ranges - expected) / sigma)
-        X = predicted + G @ solve_triangular(triangular, orthogonal.T @ new)
-    half = solve_triangular(triangular, G.T, trans="T")
+        X = predicted + G @ np.linalg.solve(triangular, orthogonal.T @ new)
+    half = np.linalg.solve(triangular.T, G.T)
     return X, half.T @ half
 
 

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from ..checks import refuse
 from ..filters import KalmanFilter
+from ..fitting import fit
 from ..lasting import lasting_error
-from ..metrics import log_likelihood, nis, rms
-from ..model import constant_velocity
+from ..metrics import nis, rms
+from ..model import constant_velocity, gps_ins
 from . import positioning
+from .experiments_2007 import exact_moments
 
 TABLES = {"ESBC": "esbc_2020_177.csv.gz", "NYA1": "nya1_2024_124.csv.gz"}
 KINDS = ("one frequency", "two frequencies")
@@ -30,6 +31,7 @@ SMOOTHED = (
 WINDOW = 100  # fixes of a line or a filter: the paper's n
 UNKNOWN = np.diag([10.0**2, 1.0**2])  # m², (m/s)²: what a filter knows of position and velocity at the start
 SETTLED = 20  # epochs after which a filter's statement is judged
+SPEED, BIAS, INS_SIGMA = 0.2, 1.0, 0.01  # m/s, of the paper: the velocity, and the INS's constant and random error
 
 
 class Day(NamedTuple):
@@ -283,29 +285,7 @@ def white(r):
 def with_lasting(r, sigma, tau):
     """Return the filter whose model has an error state besides: of sigma metres, that fades within tau seconds."""
     axis = constant_velocity(dt=30.0, q=0.0, r=r, P0=UNKNOWN)
-    return KalmanFilter(lasting_error(axis, sigma=sigma, tau=tau, dt=30.0))
-
-
-class Fit(NamedTuple):
-    """The parameters that make measurements most probable, the filter with them, and its log-likelihood."""
-
-    values: dict
-    filter: KalmanFilter
-    log_likelihood: float
-
-
-def fit(make, z, **start):
-    """Return the `Fit` of filters make(**values) to measurements z (N, 1), by Nelder-Mead on their logarithms."""
-
-    def surprise(logs):
-        return -log_likelihood(make(**dict(zip(start, np.exp(logs), strict=True))), z)
-
-    first = np.log(list(start.values()))
-    simplex = first + 0.5 * np.eye(len(first) + 1, len(first), k=-1)
-    options = {"xatol": 1e-3, "fatol": 1e-3, "initial_simplex": simplex}
-    found = minimize(surprise, first, method="Nelder-Mead", options=options)
-    values = {name: float(value) for name, value in zip(start, np.exp(found.x), strict=True)}
-    return Fit(values, make(**values), -float(found.fun))
+    return KalmanFilter(lasting_error(axis, sigma=sigma, tau=tau))
 
 
 def fit_lasting(errors):
@@ -337,3 +317,68 @@ def judged(filter, tracks):
     return Judged(
         rms(position, axis=1), np.sqrt(variance[:, 0]), square.mean(), share, nis(filter, tracks)[SETTLED:].mean()
     )
+
+
+class Filtered(NamedTuple):
+    """Three axes of a case: the fits of `fit_lasting`, and both filters `judged` over windows, with and without it.
+
+    The white filter takes the variance of the fixes for that of independent errors.
+    """
+
+    fits: tuple
+    white: tuple
+    aware: tuple
+
+
+def filtered(case):
+    """Return the `Filtered` of a `Case`."""
+    fits = tuple(fit_lasting(errors) for errors in case.errors.T)
+    tracks = [windows(errors) for errors in case.errors.T]
+    without = tuple(judged(white(errors.var()), each) for errors, each in zip(case.errors.T, tracks, strict=True))
+    aware = tuple(judged(found.filter, each) for found, each in zip(fits, tracks, strict=True))
+    return Filtered(fits, without, aware)
+
+
+def half_days(case):
+    """Return the spread (2, 3) of what lasts in both halves of the day, in metres, about the mean of each half."""
+    half = len(case.lasting) // 2
+    return np.array([case.lasting[:half].std(axis=0), case.lasting[half:].std(axis=0)])
+
+
+def ins_model(r, q=0.0):
+    """Return the paper's model of GPS and INS for fixes 30 s apart: r (m²) is their variance, q as in `gps_ins`."""
+    return gps_ins(30.0, q, (r, INS_SIGMA**2), P0=np.diag([*np.diag(UNKNOWN), 1.0]))
+
+
+class WithIns(NamedTuple):
+    """What a filter of GPS and INS made over windows of recorded errors, rms over their second halves, and stated.
+
+    position (m), velocity and bias (m/s) are its errors, fix (m) that of the fixes. stated (m) is its last sigma of the
+    position, nees that of the position alone.
+    """
+
+    position: float
+    velocity: float
+    bias: float
+    fix: float
+    stated: float
+    nees: float
+
+
+def with_ins(model, errors):
+    """Judge a filter of GPS and INS over windows of recorded errors (N,). The INS is simulated: no receiver had one.
+
+    The numbers are the expected ones: the effect of the INS's random errors is added as their covariance, so that no
+    seed enters.
+    """
+    gps = windows(errors)[:, 0]
+    n, M = gps.shape
+    truth = np.tile(np.column_stack([SPEED * 30.0 * np.arange(n), np.full(n, SPEED), np.full(n, BIAS)])[..., None], M)
+    z = np.stack([truth[:, 0] + gps, truth[:, 1] + truth[:, 2]], axis=1)
+    kf = KalmanFilter(model)
+    mean, covariance = exact_moments(lambda z: kf.filter(z)[:, :3], z, truth, [0.0, INS_SIGMA])
+    square = np.square(mean) + np.diagonal(covariance, axis1=1, axis2=2)[..., None]
+    variance = kf.covariances(n)[:, 0, 0]
+    nees = (square[SETTLED:, 0] / variance[SETTLED:, None]).mean()
+    position, velocity, bias = np.sqrt(square[n // 2 :].mean(axis=(0, 2)))
+    return WithIns(position, velocity, bias, rms(gps[n // 2 :]), np.sqrt(variance[-1]), nees)
