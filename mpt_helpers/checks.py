@@ -166,9 +166,9 @@ def times(name, value):
     if values.ndim not in (1, 2) or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
     values = array(name, values, values.shape)
-    back = np.argwhere(np.diff(values, axis=0) < 0)
-    if len(back):
-        k = back[0][0]
+    back = np.diff(values, axis=0) < 0
+    if back.any():
+        k = np.argwhere(back)[0][0]
         refuse(name, need, f"{values[k + 1].max():.15g} after {values[k].max():.15g}, in row {k + 1}")
     return values
 

@@ -76,44 +76,58 @@ class Motion:
         self._product = product_for_covariances(F)
         if powers is not None:
             pairs = [(i, j) for i in range(n) for j in range(n)]
+            # State i moves by states j of lower powers. The highest moves first, by the others as they were.
+            pairs.sort(key=lambda pair: -powers[pair[0]])
             self._terms = [(i, j, F[i, j], round(powers[i] - powers[j])) for i, j in pairs if i != j and F[i, j]]
             self._noises = [(i, j, Q[i, j], round(powers[i] + powers[j])) for i, j in pairs if i <= j and Q[i, j]]
-            self._diagonal = None if (np.diag(F) == 1).all() else np.diag(F)
             self._highest = max((power for *_, power in self._terms + self._noises), default=0)
+            self._diagonal = None if (np.diag(F) == 1).all() else np.diag(F)
+
+    def both(self, x, P, steps=None):
+        """Return F x (n, c, M) and F P Fᵀ + Q (n, n, M). The lengths of the steps (M,) are all one where None."""
+        if steps is None:
+            return self.state(x), self.covariance(P)
+        s = self._powers_of(steps)
+        return self._moved(x, s), self._moved_covariance(P, s)
 
     def state(self, x, steps=None):
-        """Return F x for x (n, c, M); steps (M,) are the lengths of the steps, all one where None."""
+        """Return F x for x (n, ...)."""
         if steps is None:
             return (self.F @ x.reshape(len(x), -1)).reshape(x.shape)
         return self._moved(x, self._powers_of(steps))
 
     def covariance(self, P, steps=None):
-        """Return F P Fᵀ + Q for P (n, n, M)."""
-        n = len(P)
+        """Return F P Fᵀ + Q for P (n, n, ...)."""
         if steps is None:
+            n = len(P)
             noise = self.Q.reshape(n, n, *[1] * (P.ndim - 2))
             return (self._product @ P.reshape(n * n, -1)).reshape(P.shape) + noise
-        s = self._powers_of(steps)
-        P = self._moved(self._moved(P, s).swapaxes(0, 1), s)
-        for i, j, q, power in self._noises:
-            P[i, j] += q * s[power]
-        for i in range(n):
-            P[i, :i] = P[:i, i]  # both sums are the same but for rounding, and P stays symmetric
-        return P
+        return self._moved_covariance(P, self._powers_of(steps))
 
     def _powers_of(self, steps):
-        """Return [1, s, s², ...] for the lengths of the steps. Those of length zero leave the state where it is."""
-        powers = [np.ones_like(steps)]
-        for _ in range(self._highest):
+        """Return [1, s, s², ...] for the lengths of the steps. A step of length zero leaves the state where it is."""
+        powers = [1.0, steps]
+        for _ in range(self._highest - 1):
             powers.append(powers[-1] * steps)
         return powers
 
     def _moved(self, x, s):
-        """Return F x (n, ...), with the powers s of the steps."""
         moved = x.copy() if self._diagonal is None else x * self._diagonal.reshape(-1, *[1] * (x.ndim - 1))
         for i, j, f, power in self._terms:
-            moved[i] += f * s[power] * x[j]
+            moved[i] += f * s[power] * moved[j]
         return moved
+
+    def _moved_covariance(self, P, s):
+        P = self._moved(P, s)
+        if self._diagonal is not None:
+            P *= self._diagonal.reshape(-1, *[1] * (P.ndim - 2))
+        for i, j, f, power in self._terms:
+            P[:, i] += f * s[power] * P[:, j]
+        for i, j, q, power in self._noises:
+            P[i, j] += q * s[power]
+        for i in range(len(P)):
+            P[i, :i] = P[:i, i]  # the same sums in another order: P stays symmetric to the last bit
+        return P
 
 
 def product_for_covariances(T):
@@ -158,7 +172,7 @@ class KalmanColumns:
 
     def advance(self, row, x, P):
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations at unit covariance (m, c, M) from x(k/k) and P(k/k)."""
-        x, P = self.motion.state(x, row.steps), self.motion.covariance(P, row.steps)
+        x, P = self.motion.both(x, P, row.steps)
         variances = self._variances if row.variances is None else row.variances
         innovations = np.zeros((len(row.z), *x.shape[1:]))
         for change, j, i in self._changes:
@@ -223,7 +237,7 @@ class ConstantGainColumns:
 
     def advance(self, row, x, P):
         """Return x(k+1/k+1) and P(k+1/k+1), and no innovations: no measurement changes what the gain makes of x0."""
-        x, P = self.motion.state(x), self.motion.covariance(P)
+        x, P = self.motion.both(x, P)
         seen = row.seen[0]
         x_seen, P_seen = self._keep(x, P)
         measured = (self._B @ row.z.reshape(len(row.z), -1)).reshape(x.shape)
@@ -245,14 +259,11 @@ def whitened(values, C):
     log_det = np.zeros(values.shape[1:])
     for j in range(len(values)):
         seen = ~np.isnan(values[j])
-        pivot = np.where(seen, C[j, j], 1.0)
-        pivot[pivot <= 0] = np.nan
-        weight = seen / pivot
+        pivot = np.where(seen, np.where(C[j, j] > 0, C[j, j], np.nan), 1.0)
         value = np.where(seen, values[j], 0.0)
-        for i in range(j + 1, len(values)):
-            share = C[i, j] * weight
-            values[i] -= share * value
-            C[i, j + 1 :] -= share * C[j, j + 1 :]
+        share = C[j + 1 :, j] * (seen / pivot)
+        values[j + 1 :] -= share * value
+        C[j + 1 :, j + 1 :] -= share[:, None] * C[j, j + 1 :]
         values[j] = value / np.sqrt(pivot)
         log_det += np.log(pivot)
     return values, log_det
@@ -260,10 +271,7 @@ def whitened(values, C):
 
 def product(A, B):
     """Return the products A B (a, c, ...) of the matrices in the columns of A (a, b, ...) and B (b, c, ...)."""
-    total = A[:, 0, None] * B[0]
-    for j in range(1, len(B)):
-        total += A[:, j, None] * B[j]
-    return total
+    return np.einsum("ij...,jk...->ik...", A, B)
 
 
 def transposed(A):
@@ -279,18 +287,14 @@ def solved(S, X):
     """
     n = len(S)
     S, X = S.copy(), X.copy()
-    weights = np.zeros((n, *S.shape[2:]))
-    least = n * np.finfo(float).eps
-    variances = [S[j, j].copy() for j in range(n)]
+    least = n * np.finfo(float).eps * np.einsum("jj...->j...", S)
+    weights = np.zeros_like(least)
     for j in range(n):
-        there = S[j, j] > least * variances[j]
+        there = S[j, j] > least[j]
         weights[j] = there / np.where(there, S[j, j], 1.0)
-        for i in range(j + 1, n):
-            share = S[i, j] * weights[j]
-            S[i, j + 1 :] -= share * S[j, j + 1 :]
-            X[i] -= share * X[j]
+        share = (S[j + 1 :, j] * weights[j])[:, None]
+        S[j + 1 :, j + 1 :] -= share * S[j, j + 1 :]
+        X[j + 1 :] -= share * X[j]
     for j in reversed(range(n)):
-        for i in range(j + 1, n):
-            X[j] -= S[j, i] * X[i]
-        X[j] *= weights[j]
+        X[j] = weights[j] * (X[j] - np.einsum("i...,ic...->c...", S[j, j + 1 :], X[j + 1 :]))
     return X

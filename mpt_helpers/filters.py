@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from . import checks
 from .columns import KalmanColumns, Motion, whitened
 from .equations import lainiotis_matrices, lainiotis_step, unit_measurements
-from .recursive import RecursiveFilter, neutralised, one_measurement
+from .recursive import RecursiveFilter, neutralised, one_measurement, one_state
 
 # Patterns of missing measurements whose constants a Lainiotis filter keeps.
 MOST_PATTERNS = 64
@@ -28,8 +28,8 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    t are the times of the epochs (s), (N,) for all tracks or (N, M) for each. They do not decrease, and x0 lies one step
-    dt of the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
+    t are the times of the epochs (s), (N,) for all tracks or (N, M) for each. They do not decrease; x0 lies one step dt
+    of the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
     `constant_acceleration` do. r are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R:
     the accuracy that a receiver states of each fix. They are looked at only where there is a measurement.
 
@@ -80,13 +80,13 @@ class KalmanFilter(RecursiveFilter):
     def step(self, x, P, z_k, dt=None, r=None):
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
-        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter with
-        times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances of the
-        measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a negative
+        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter
+        with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances of
+        the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a negative
         dt, and for states and covariances that are not finite.
         """
         n, m = self.model.n, self.model.m
-        x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
+        x, P = one_state(x, P, n)
         z_k, seen = one_measurement(z_k, m)
         if dt is None and self.t is not None:
             checks.refuse("dt", "the time since x, as the filter has times", "none")
@@ -110,6 +110,7 @@ class KalmanFilter(RecursiveFilter):
     def _powers(self):
         return None if self.t is None else self.model.powers
 
+    @cached_property
     def _conditions(self):
         steps = variances = None
         if self.t is not None:
@@ -132,7 +133,7 @@ class KalmanFilter(RecursiveFilter):
                 if given.shape not in (shape, (*shape, z.shape[2])) or (given.ndim > ndim and not many):
                     checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, z.shape[2])}", given.shape)
         if self.r is not None:
-            _, variances = self._conditions()
+            _, variances = self._conditions
             there = np.broadcast_to(variances, z.shape)[~np.isnan(z)]
             if not (np.isfinite(there) & (there > 0)).all():
                 checks.refuse("r", "a positive variance of every measurement that is there", "another")

@@ -9,6 +9,7 @@ from . import checks
 from .columns import whitened
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
+from .recursion import epochs_at_a_time
 from .recursive import Filter
 from .steady import SteadyStateFilter
 
@@ -73,9 +74,17 @@ def _of(estimator, z):
     return z, many, values, S
 
 
-def _at_unit_covariance(values, C):
-    """Return values (N, d, M) as (d, N, M) at unit covariance, zero where NaN, and log det C (N, M)."""
-    return whitened(np.moveaxis(values, 1, 0), np.moveaxis(C, 0, 2))
+def _squares(values, C):
+    """Return the sums of squares of values (N, d, M) at unit covariance, (N, M), and log det C (N, M).
+
+    C is (N, d, d, M or 1). A value that is NaN adds nothing to either.
+    """
+    N, d, M = values.shape
+    squares, log_det = np.empty((N, M)), np.empty((N, M))
+    for part in epochs_at_a_time(N, d * d * M):
+        unit, log_det[part] = whitened(np.moveaxis(values[part], 1, 0), np.moveaxis(C[part], 0, 2))
+        squares[part] = np.square(unit).sum(axis=0)
+    return squares, log_det
 
 
 def nis(estimator, z):
@@ -88,8 +97,8 @@ def nis(estimator, z):
     array([4.51, 6.93])
     """
     z, many, values, S = _of(estimator, z)
-    unit, _ = _at_unit_covariance(values, S)
-    result = np.where(np.isnan(z).all(axis=1), np.nan, np.square(unit).sum(axis=0))
+    squares, _ = _squares(values, S)
+    result = np.where(np.isnan(z).all(axis=1), np.nan, squares)
     return result if many else result[:, 0]
 
 
@@ -106,9 +115,9 @@ def log_likelihood(estimator, z):
     -4.6228
     """
     z, many, values, S = _of(estimator, z)
-    unit, log_det = _at_unit_covariance(values, S)
+    squares, log_det = _squares(values, S)
     count = np.isfinite(values).sum(axis=1)
-    result = -0.5 * (np.square(unit).sum(axis=0) + log_det + count * np.log(2 * np.pi)).sum(axis=0)
+    result = -0.5 * (squares + log_det + count * np.log(2 * np.pi)).sum(axis=0)
     return result if many else result[0]
 
 
@@ -139,11 +148,10 @@ def nees(errors, P):
     sigma = np.sqrt(np.abs(np.einsum("kii...->ki...", P)))
     if (np.abs(P - P.swapaxes(1, 2)) > checks.SOLVED * sigma[:, :, None] * sigma[:, None]).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
-    unit, _ = _at_unit_covariance(errors if many else errors[..., None], P)
-    if not np.isfinite(unit).all():
+    squares, _ = _squares(errors if many else errors[..., None], P)
+    if not np.isfinite(squares).all():
         checks.refuse("P", "positive definite matrices", "one that is not")
-    result = np.square(unit).sum(axis=0)
-    return result if many else result[:, 0]
+    return squares if many else squares[:, 0]
 
 
 def chi_square_band(dof, runs, level=0.95):

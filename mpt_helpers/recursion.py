@@ -19,6 +19,8 @@ import numpy as np
 TILE = 16_384
 # Tracks per tile where each track has a covariance of its own, which takes more room.
 TILE_OF_COVARIANCES = 4_096
+# Numbers of an array of which some ten are made and used at once: they stay in the cache together. Measured.
+IN_CACHE = 16_384
 # (size, L): how many steps to take in one product when the states of a tile hold at least `size` numbers. Small
 # products cost calls, large ones leave the cache. Measured.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
@@ -118,6 +120,15 @@ def steps_per_product(size):
     [32, 16, 8, 4, 2]
     """
     return next(L for least, L in STEPS_PER_PRODUCT if size >= least)
+
+
+def epochs_at_a_time(N, numbers):
+    """Return slices that cover N epochs, each with so many numbers, so many at a time that they stay in the cache.
+
+    >>> epochs_at_a_time(5, numbers=8_000)
+    [slice(0, 1, None), slice(1, 3, None), slice(3, 5, None)]
+    """
+    return tiles(N, max(1, IN_CACHE // numbers))
 
 
 def tiles(M, width):

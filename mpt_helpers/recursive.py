@@ -7,6 +7,7 @@ There are two ways through, and no third:
 - All others have conditions of their own, and are columns (`columns`); a long track is cut into pieces (`partition`).
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from . import checks
 from .columns import Motion, Rows, product_for_covariances
 from .model import Immutable, LinearModel
 from .partition import through
-from .recursion import TILE, TILE_OF_COVARIANCES, Step, lifted, run, tiles
+from .recursion import TILE, TILE_OF_COVARIANCES, Step, epochs_at_a_time, lifted, run, tiles
 from .smoothing import smoothed
 
 # A filter keeps the products of its steps for its next call if it has no more steps than this, or converges within
@@ -156,16 +157,15 @@ class RecursiveFilter(Filter):
         NaN stands for a missing measurement. The start is `model.x0` and `P0`. Raises ValueError or TypeError for other
         shapes, and for states and covariances that are not finite.
         """
-        n = self.model.n
-        x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
+        x, P = one_state(x, P, self.model.n)
         z_k, seen = one_measurement(z_k, self.model.m)
         A, B, P = self.next_step(P, seen)
         return A @ x + B @ np.where(seen, z_k, 0), P
 
     def epochs(self, z):
         """Yield x(k/k) and P(k/k) as in Filter, for tracks of any length in little memory."""
-        shared = _alike(z, *self._conditions())
-        columns, rows, x, P = self._in_columns(_rows(z, *self._conditions(), shared))
+        shared = _alike(z, *self._conditions)
+        columns, rows, x, P = self._in_columns(_rows(z, *self._conditions, shared))
         n = self.model.n
         for row in rows:
             x, P, _ = columns.advance(row, x, P)
@@ -194,8 +194,9 @@ class RecursiveFilter(Filter):
     def _motion(self):
         return Motion(self.model.F, self.model.Q)
 
+    @property
     def _conditions(self):
-        """Return the lengths of the steps (N, M or 1) and the variances (N, m, M or 1), or None where all are alike."""
+        """The lengths of the steps (N, M or 1) and the variances (N, m, M or 1), or None where all are alike."""
         return None, None
 
     def _of_tracks(self, part):
@@ -233,7 +234,7 @@ class RecursiveFilter(Filter):
             if not np.isfinite(P[-1]).all():
                 _refuse_overflow()
         else:
-            P = np.empty((N, n, n, 1 if _alike(z, *self._conditions()) else M))
+            P = np.empty((N, n, n, 1 if _alike(z, *self._conditions) else M))
             self._fill_from_columns(x, P, z)
         return x, P
 
@@ -255,28 +256,34 @@ class RecursiveFilter(Filter):
         return values, covariances
 
     def _innovations_of_tile(self, z):
+        (N, m, M), n, H = z.shape, self.model.n, self.model.H
         x, P = self._estimates(z)
-        steps, variances = self._conditions()
-        H, motion = self.model.H, self._motion
-        # Axes: states, epochs, tracks. The epochs before each measurement are 0 to N - 1.
-        x = np.moveaxis(np.concatenate([_repeated(self.model.x0, x.shape[2]), x[:-1]]), 1, 0)
-        P = np.moveaxis(np.concatenate([_repeated(self.P0, P.shape[3]), P[:-1]]), 0, 2)
-        expected = np.tensordot(H, motion.state(x, steps), axes=1)
-        P = motion.covariance(P, steps)
-        S = (product_for_covariances(H) @ P.reshape(len(P) ** 2, -1)).reshape(*H.shape[:1] * 2, *P.shape[2:])
-        R = self.model.R[..., None] if variances is None else variances[:, :, None] * np.eye(len(H))[..., None]
-        return z - np.moveaxis(expected, 0, 1), np.moveaxis(S, 2, 0) + R
+        steps, variances = self._conditions
+        motion, W = self._motion, product_for_covariances(H)
+        values, S = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3]))
+        for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
+            # Axes: states, epochs, tracks. The states are those before the measurements.
+            x_part = np.moveaxis(_before(x, self.model.x0, part), 1, 0)
+            P_part = np.moveaxis(_before(P, self.P0, part), 0, 2)
+            steps_part = None if steps is None else steps[part]
+            expected = H @ motion.state(x_part, steps_part).reshape(n, -1)
+            P_part = motion.covariance(P_part, steps_part)
+            S_part = (W @ P_part.reshape(n * n, -1)).reshape(m, m, *P_part.shape[2:])
+            values[part] = z[part] - np.moveaxis(expected.reshape(m, *x_part.shape[1:]), 0, 1)
+            S[part] = np.moveaxis(S_part, 2, 0)
+        R = self.model.R[..., None] if variances is None else variances[:, :, None] * np.eye(m)[..., None]
+        return values, S + R
 
     def _smoothed_tile(self, z):
-        steps, _ = self._conditions()
+        steps, _ = self._conditions
         return smoothed(self._motion, steps, *self._estimates(z))
 
     def _fill_from_columns(self, x, P, z):
         """Write the estimates of z to x, and the covariances to P (N, n, n, M or 1) unless it is None."""
-        M = z.shape[2]
-        shared = _alike(z, *self._conditions())
-        for part in tiles(M, TILE if shared else TILE_OF_COVARIANCES):
-            rows = _rows(z[..., part], *self._of_tracks(part)._conditions(), shared)
+        steps, variances = self._conditions
+        shared = _alike(z, steps, variances)
+        for part in tiles(z.shape[2], TILE if shared else TILE_OF_COVARIANCES):
+            rows = _rows(z[..., part], _of(steps, part), _of(variances, part), shared)
             columns, rows, x_0, P_0 = self._in_columns(rows)
             x_part = np.expand_dims(x[..., part], 3 if shared else 2)
             P_part = P if P is None or shared else P[..., part]
@@ -326,9 +333,17 @@ def _rows(z, steps, variances, shared):
     return Rows(z[:, :, None], seen, steps, variances)
 
 
-def _repeated(array, M):
-    """Return an array (...) as (1, ..., M)."""
-    return np.broadcast_to(array[None, ..., None], (1, *array.shape, M))
+def _of(array, part):
+    """Return some of the tracks of conditions (..., M), or conditions (..., 1) and None as they are."""
+    return array if array is None or array.shape[-1] == 1 else array[..., part]
+
+
+def _before(array, start, part):
+    """Return the rows of an array (N, ..., M) before those of a slice; the one before the first is start (...)."""
+    if part.start > 0:
+        return array[part.start - 1 : part.stop - 1]
+    first = np.broadcast_to(start[None, ..., None], (1, *array.shape[1:]))
+    return np.concatenate([first, array[: part.stop - 1]])
 
 
 def _refuse_overflow():
@@ -350,6 +365,15 @@ def one_measurement(z_k, m):
     if not seen.all():
         checks.no_infinity(z_k)
     return z_k, seen
+
+
+def one_state(x, P, n):
+    """Return x (n,) and P (n, n) as arrays of finite floats, or raise."""
+    if np.shape(x) == (n,) and np.shape(P) == (n, n):
+        x_array, P_array = np.asarray(x), np.asarray(P)
+        if x_array.dtype == P_array.dtype == float and math.isfinite(x_array.sum() + P_array.sum()):
+            return x_array, P_array
+    return checks.array("x", x, (n,)), checks.array("P", P, (n, n))
 
 
 def neutralised(model, seen):

@@ -13,6 +13,7 @@ import numpy as np
 
 from .columns import product, solved, transposed
 from .partition import through
+from .recursion import epochs_at_a_time
 
 
 @dataclass(frozen=True)
@@ -50,37 +51,35 @@ def smoothed(motion, steps, x, P):
     motion is the Motion of the states, steps (N, M or 1) are the lengths of the steps before each epoch, or None. One
     covariance may be that of all tracks.
     """
+    (N, n, M), width = x.shape, P.shape[3]
+    C, d, D = np.empty((N - 1, n, n, width)), np.empty((N - 1, n, M)), np.empty((N - 1, n, n, width))
+    for part in epochs_at_a_time(N - 1, n * n * width) if N > 1 else ():
+        C[part], d[part], D[part] = _coefficients(motion, None if steps is None else steps[1:][part], x[part], P[part])
     x, P = x.copy(), P.copy()
-    if len(x) == 1:
-        return x, P
-    # The epochs 1 to N - 1 from the last to the first, each with the step after it; axes: states, epochs, tracks.
-    x_k, P_k = np.moveaxis(x[-2::-1], 1, 0), np.moveaxis(P[-2::-1], 0, 2)
-    steps = None if steps is None else np.broadcast_to(steps[:0:-1], (len(x) - 1, P.shape[3]))
-    C, D = _gains(motion, steps, P_k)
-    d = x_k - _states(C, motion.state(x_k, steps))
-    C, D = np.moveaxis(C, 2, 0), np.moveaxis(D, 2, 0)
-    # One covariance for all tracks is one column of many tracks; otherwise each track is a column.
-    axis = 3 if P.shape[3] == 1 else 2
-    d = np.expand_dims(np.moveaxis(d, 1, 0), axis)
-    x_N, P_N = np.expand_dims(x[-1], axis - 1), P[-1]
-    through(_advance, Backwards(C, d, D), x_N, P_N, np.expand_dims(x[-2::-1], axis), P[-2::-1])
+    if N > 1:
+        # One covariance for all tracks is one column of many tracks; otherwise each track is a column.
+        axis = 3 if width == 1 else 2
+        back = Backwards(C[::-1], np.expand_dims(d[::-1], axis), D[::-1])
+        x_N = np.expand_dims(x[-1], axis - 1)
+        through(_advance, back, x_N, P[-1], np.expand_dims(x[-2::-1], axis), P[-2::-1])
     return x, P
 
 
-def _gains(motion, steps, P):
-    """Return C and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ (n, n, ...) of each epoch, from P(k/k) (n, n, ...)."""
+def _coefficients(motion, steps, x, P):
+    """Return C, d = (I - C F) x and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ of some epochs: the step back to each of them.
+
+    x (N, n, M), P (N, n, n, M or 1) and the results have the axes of `Backwards`; steps are those after the epochs.
+    """
+    x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
+    steps = None if steps is None else np.broadcast_to(steps, P.shape[2:])
     FP = motion.state(P, steps)
     C = transposed(solved(motion.covariance(P, steps), FP))
+    d = x - np.einsum("ij...,j...->i...", C, motion.state(x, steps))
     Q = motion.covariance(np.zeros_like(P), steps)
     kept = P - product(C, FP)  # (I - C F) P
     D = kept - product(transposed(motion.state(transposed(kept), steps)), transposed(C))
-    D = D + product(product(C, Q), transposed(C))
-    return C, (D + transposed(D)) / 2
-
-
-def _states(C, x):
-    """Return C x (n, ...) of matrices C (n, n, ...) and vectors x (n, ...)."""
-    return product(C, x[:, None])[:, 0]
+    D += product(product(C, Q), transposed(C))
+    return np.moveaxis(C, 2, 0), np.moveaxis(d, 1, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
 
 
 def _advance(step, x, P):

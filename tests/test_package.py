@@ -25,7 +25,7 @@ CORE = ["checks", "recursion", "equations", "columns", "partition", "smoothing",
 CORE += ["filters", "steady", "predictor", "combined", "metrics", "fitting"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"recursion": set(), "equations": set(), "columns": set(), "partition": {"equations"}}
-OF_THE_CORE |= ARRAYS_ONLY | {"smoothing": {"columns", "partition"}, "monte_carlo": {"checks"}}
+OF_THE_CORE |= ARRAYS_ONLY | {"smoothing": {"columns", "partition", "recursion"}, "monte_carlo": {"checks"}}
 ROOMS = {
     "ledger": {"ledger", "checks"},
     "plots": {"plots", "checks", "files"},
