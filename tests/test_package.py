@@ -33,7 +33,8 @@ ROOMS = {
 }
 BESIDE = {  # modules of one paper
     "experiments_2007": {"positioning"},
-    "article_2007": {"positioning", "experiments_2007"},
+    "article_2007": {"positioning", "recorded_2007"},
+    "recorded_2007": {"positioning", "experiments_2007"},
     "article_2014": {"burden", "table4"},
     "article_2015": {"burden"},
     "article_2016": {"burden", "table1_2016"},

@@ -11,6 +11,11 @@ STYLES = ("-", "--")  # of the kinds of range
 COLOURS = ("C0", "C1", "C2", "C3")  # of the stations
 
 
+def cases(tables=None):
+    """Return the recorded cases, by "station, kind", of tables {name: file}, by default of both stations."""
+    return recorded.cases(recorded.recorded_days(tables))
+
+
 def looks(cases):
     """Return the colour and the style of each case, by its name: a colour for a station, a style for a kind."""
     stations = list(dict.fromkeys(case.station for case in cases.values()))
@@ -63,12 +68,15 @@ def draw_stated(cases, filtered):
 
 
 def remedies(cases):
-    """Return a row for each case: the error (m) of one fix, of a line through 100, carrier-smoothed, and both."""
+    """Return a row for each case: the error (m) of one fix, of a line through 100, carrier-smoothed, and both.
+
+    Behind that of the line stands, in brackets, its ratio to that of one fix.
+    """
     n, rows = recorded.WINDOW, []
     for name, case in cases.items():
-        fix, smooth = case.errors[n - 1 :], case.smooth[n - 1 :]
-        lines = [recorded.newest_points(errors, n) for errors in (case.errors, case.smooth)]
-        rows.append([name, *(f"{recorded.size(errors):.2f}" for errors in (fix, lines[0], smooth, lines[1]))])
+        line, both = (recorded.size(recorded.newest_points(errors, n)) for errors in (case.errors, case.smooth))
+        fix, smooth = recorded.size(case.errors[n - 1 :]), recorded.size(case.smooth[n - 1 :])
+        rows.append([name, f"{fix:.2f}", f"{line:.2f} ({line / fix:.2f})", f"{smooth:.2f}", f"{both:.2f}"])
     return rows
 
 

@@ -5,6 +5,8 @@ and the receiver's clock shift as a length.
 """
 
 from contextlib import suppress
+from itertools import combinations
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +38,7 @@ NEAREST, FARTHEST = 9e6, 1e8
 DEGENERATE = 1e-6  # smallest over largest singular value: with a DOP of 1e6, errors of a metre become 1,000 km
 CONVERGED = 1e-4  # m: a correction below this ends the iteration; the next one would be rounding
 STEPS = 50  # from 300 km the iteration takes 3 to 5
+MOST_SETS = 3000  # of satellites that are tried without: five of 14 make 2,002, and take a second
 
 
 def place(latitude, longitude, height=0.0):
@@ -162,11 +165,14 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
     below may pass all the same.
 
     With a false_alarm, such as 1e-3, the residuals are tested (chi-square). While their probability is lower, one more
-    satellite is left out: the one whose exclusion leaves the smallest residuals (receiver autonomous integrity
-    monitoring, RAIM). Of m satellites at most (m - 4) // 2 are left out: one of six, two of eight. Were there more
-    faulty ones, as many satellites could agree on a wrong position as on the right one. Where the test fails to the
-    end, the fix of all satellites is returned, and `trusted` is False: its P then says nothing about its error. The
-    test sees faults of some satellites, not errors that all ranges share with their neighbours, such as the ionosphere.
+    satellite is left out: of all sets of so many, the one without which the residuals are smallest (receiver autonomous
+    integrity monitoring, RAIM). Of m satellites at most (m - 4) // 2 are left out: one of six, two of eight. Were there
+    more faulty ones, as many satellites could agree on a wrong position as on the right one.
+
+    `trusted` is False, and P says nothing about the error, where the test fails to the end: then the fix of all
+    satellites is returned. It is False too where another set passes the test and gives another position, so that nobody
+    knows which one is right. The test sees faults of some satellites, not errors that all ranges share with their
+    neighbours, such as the ionosphere.
 
     Raises ValueError for fewer than four satellites, for ranges that are zero, missing or absurd, for a false_alarm
     that is no probability, and where the iteration does not converge or the satellites do not determine a position.
@@ -186,24 +192,31 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
     fix = _fix(satellites, ranges, sigma, checks.array("start", start, (4,)), everyone)
     if false_alarm is None:
         return fix
-    best = fix
-    for _ in range((len(ranges) - 4) // 2):
-        if best.probability < false_alarm:
-            best = _without_one(satellites, ranges, sigma, best)
-    if best.probability >= false_alarm:
-        return best._replace(trusted=True)
-    return fix  # NaN, with four satellites, is no passed test
+    if fix.probability >= false_alarm:
+        return fix._replace(trusted=True)
+    for count in range(1, (len(ranges) - 4) // 2 + 1):
+        passing = []
+        for used in _without(len(ranges), count):
+            with suppress(ValueError):  # these do not determine a position
+                passing.append(_fix(satellites, ranges, sigma, fix.X, used))
+        passing = [each for each in passing if each.probability >= false_alarm]
+        if passing:
+            best = min(passing, key=lambda each: each.chi_square)
+            return best._replace(trusted=all(_agree(best, each, false_alarm) for each in passing))
+    return fix
 
 
-def _without_one(satellites, ranges, sigma, fix):
-    """Return the `Fix` with the smallest residuals that uses one satellite less, or the same where there is none."""
-    fixes = []
-    for faulty in np.flatnonzero(fix.used):
-        used = fix.used.copy()
-        used[faulty] = False
-        with suppress(ValueError):  # the others do not determine a position
-            fixes.append(_fix(satellites, ranges, sigma, fix.X, used))
-    return min(fixes, key=lambda each: each.chi_square, default=fix)  # probabilities may all be zero
+def _without(m, count):
+    """Return masks (m,) of all sets without so many of m satellites; none where there are more than `MOST_SETS`."""
+    if comb(m, count) > MOST_SETS:
+        return []
+    return [~np.isin(np.arange(m), left_out) for left_out in combinations(range(m), count)]
+
+
+def _agree(one, other, false_alarm):
+    """Tell whether two fixes differ by no more than chance, of the probability false_alarm, makes of their P."""
+    gap = one.X - other.X
+    return bool(gammaincc(2, gap @ np.linalg.solve(one.P + other.P, gap) / 2) >= false_alarm)
 
 
 def _fix(satellites, ranges, sigma, X, used):
