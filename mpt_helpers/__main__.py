@@ -8,7 +8,10 @@ import json
 import os
 import re
 import shutil
+import signal
 import sys
+import threading
+import time
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -26,6 +29,10 @@ from .ledger.verdicts import CANNOT_BE_CHECKED, FAILS, FIELDS, HOLDS, WRONG
 NOTEBOOKS, FIGURES, LEDGER = Path("notebooks"), Path("figures"), Path("mpt_helpers") / "ledger"
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
 CELL_TIMEOUT = 600  # seconds; the slowest cell takes some ten
+STAGE = ".reproduce-"  # how the name of a folder begins in which notebooks run
+LEFT_OVER = 24 * 3600  # seconds after which such a folder is of no run: the slowest run takes some minutes
+# Where the results lie of a notebook that was edited while it ran: in a folder of its key.
+RESULTS = Path("reproduced")
 
 
 class CommandError(Exception):
@@ -51,8 +58,9 @@ def reproduce(some):
 
     As many notebooks run side by side as there are processors. A notebook that fails stops those still running; none of
     these changes any file. Raises CommandError for an unknown key, another project than that of the package that runs,
-    a folder that cannot be written to and a notebook that fails (naming the cell and the error), ValueError for
-    verdicts that do not cover the paper, ModuleNotFoundError without Jupyter.
+    a folder that cannot be written to, a notebook that fails (naming the cell and the error) and one that was edited
+    while it ran (its results are kept in reproduced/, the others are written), ValueError for verdicts that do not
+    cover the paper, ModuleNotFoundError without Jupyter.
     """
     root = project()
     paths = chosen_notebooks(root, some)
@@ -63,21 +71,33 @@ def reproduce(some):
         path = root / folder
         if path.exists() and not (path.is_dir() and os.access(path, os.W_OK)):
             raise CommandError(f"{folder}: needs a folder that can be written to")
-    notebooks = {key: _read(path) for key, path in paths.items()}
+    sources = {key: path.read_bytes() for key, path in paths.items()}
+    notebooks = {key: _parsed(key, source) for key, source in sources.items()}
+    remove_left_over(root)
     with asyncio.Runner(loop_factory=_Loop) as runner:
         try:
-            runner.run(_reproduce_all(root, notebooks))
+            edited = runner.run(_reproduce_all(root, notebooks, sources))
         except ExceptionGroup as failures:
             raise failures.exceptions[0] from None  # the others are ends that it caused
+    if edited:
+        raise CommandError("\n".join(edited))
 
 
-def _read(path):
+def _parsed(key, source):
+    """Return the notebook that the bytes of a file hold. Raises CommandError where they hold none."""
     import nbformat  # here, as nbclient below, so that verdicts are shown without Jupyter
 
     try:
-        return nbformat.read(path, as_version=4)
+        return nbformat.reads(source.decode("utf-8"), as_version=4)
     except Exception as error:  # nbformat's own, or what a file of another form leads to
-        raise CommandError(f"{path.stem}: needs a notebook ({error!r:.200})") from error
+        raise CommandError(f"{key}: needs a notebook ({error!r:.200})") from None
+
+
+def remove_left_over(root):
+    """Remove the folders of runs that ended without doing so, as when the machine went down."""
+    for folder in root.glob(f"{STAGE}*"):
+        if time.time() - folder.stat().st_mtime > LEFT_OVER:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 class _Loop(asyncio.SelectorEventLoop):
@@ -87,21 +107,49 @@ class _Loop(asyncio.SelectorEventLoop):
         raise RuntimeError  # nbclient goes on without a handler, as outside the main thread
 
 
-async def _reproduce_all(root, notebooks):
-    """Reproduce notebooks, given by key; those with the most cells, which take longest, start first."""
+@contextmanager
+def _ends_cancel(task):
+    """Let SIGTERM, and the end of the terminal, cancel a task as an interrupt does: it then leaves nothing behind."""
+    loop = task.get_loop()
+    ends = []
+    if threading.current_thread() is threading.main_thread():  # which alone may set what a signal does
+        known = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+        ends = [end for end in known if signal.getsignal(end) is signal.SIG_DFL]  # nohup ignores SIGHUP
+    for end in ends:
+        signal.signal(end, lambda *_: loop.call_soon_threadsafe(task.cancel))
+    try:
+        yield
+    finally:
+        for end in ends:
+            signal.signal(end, signal.SIG_DFL)
+
+
+async def _reproduce_all(root, notebooks, sources):
+    """Reproduce notebooks, given by key with the bytes of their files; return what is to be said of edited ones.
+
+    Those with the most cells, which take longest, start first.
+    """
     cells = {key: sum(cell.cell_type == "code" for cell in each.cells) for key, each in notebooks.items()}
     processors = asyncio.Semaphore(os.cpu_count() or 1)
     line = "cell {n} of {total}, {elapsed} so far, some {remaining} left"
     hidden = not sys.stdout.isatty()
     shown = {"file": sys.stdout, "disable": hidden, "leave": False}
-    with tqdm(total=sum(cells.values()), bar_format=line, smoothing=0, **shown) as bar:
+    tasks = []
+    bars = tqdm(total=sum(cells.values()), bar_format=line, smoothing=0, **shown)
+    with _ends_cancel(asyncio.current_task()), bars as bar:
         async with asyncio.TaskGroup() as group:
             for key in sorted(cells, key=cells.get, reverse=True):
-                group.create_task(_reproduce(root, key, notebooks[key], processors, bar))
+                work = _reproduce(root, key, notebooks[key], sources[key], processors, bar)
+                tasks.append(group.create_task(work))
+    return [task.result() for task in tasks if task.result()]
 
 
-async def _reproduce(root, key, notebook, processors, bar):
-    """When a processor is free, execute a notebook in a copy of the project's notebooks, and write what it makes."""
+async def _reproduce(root, key, notebook, source, processors, bar):
+    """When a processor is free, execute a notebook in a copy of the project's notebooks, and write what it makes.
+
+    Where its file is no longer `source`, somebody has edited it meanwhile: then the results are written elsewhere, and
+    what is to be said of that is returned.
+    """
     import nbformat
 
     async with processors:
@@ -114,19 +162,37 @@ async def _reproduce(root, key, notebook, processors, bar):
             if key in keys() and root.joinpath(LEDGER).is_dir():
                 verdicts = published(key).complete(stored_verdicts(executed))
                 made[LEDGER / f"{key}.json"] = f"{as_json(verdicts)}\n".encode()
-    root.joinpath(FIGURES).mkdir(exist_ok=True)
-    write_together({root / path: made[path] for path in sorted(made)})
+    path = NOTEBOOKS / executed.name
+    if not root.joinpath(path).is_file() or root.joinpath(path).read_bytes() != source:
+        kept = RESULTS / key
+        _write(root / kept, made)
+        return f"{path} was edited while it ran and is left as it is: what this run made lies in {kept}"
+    _write(root, made)
     with bar.external_write_mode():
         print(f"{key}: {count} cells executed", flush=True)
 
 
+def _write(root, made):
+    """Write files, {path from the root: bytes}, into folders that are made where they are missing."""
+    for folder in {path.parent for path in made}:
+        root.joinpath(folder).mkdir(parents=True, exist_ok=True)
+    write_together({root / path: made[path] for path in sorted(made)})
+
+
 @contextmanager
 def staged(root):
-    """Give a copy of the project's notebooks/ (with their data) and an empty figures/, in which notebooks run."""
-    with TemporaryDirectory(prefix=".reproduce-", dir=root) as place:
+    """Give a copy of the project's notebooks/ (with their data) and an empty figures/, in which notebooks run.
+
+    Raises CommandError where the copy fails, as on a full disk.
+    """
+    with TemporaryDirectory(prefix=STAGE, dir=root) as place:
         stage = Path(place)
         stage.joinpath(FIGURES).mkdir()
-        shutil.copytree(root / NOTEBOOKS, stage / NOTEBOOKS)
+        try:
+            shutil.copytree(root / NOTEBOOKS, stage / NOTEBOOKS)
+        except shutil.Error as error:  # holds (file, copy, reason) for each file that failed
+            file, _, reason = error.args[0][0]
+            raise CommandError(f"{file}: cannot be copied: {reason}") from None
         yield stage
 
 
@@ -151,12 +217,13 @@ async def _execute(key, notebook, folder, bar):
     )
     try:
         # The kernel imports the package that runs here.
-        await client.async_execute(cwd=str(folder), env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+        variables = {"PYTHONPATH": os.pathsep.join(sys.path)} | settings_of_nobody(folder.parent)
+        await client.async_execute(cwd=str(folder), env=os.environ | variables)
     except Exception as error:
         if asyncio.current_task().cancelling():  # this notebook is ended, and nbclient says that its kernel died
             raise asyncio.CancelledError from error
         what = f"{error.ename}: {error.evalue}" if isinstance(error, CellExecutionError) else error
-        raise CommandError(f"{key}: cell {started[-1]} failed: {what}") from error
+        raise CommandError(f"{key}: cell {started[-1]} failed: {what}") from None
     finally:
         # nbclient stops neither a kernel that was still starting nor the channels to it.
         if client.kc is not None:
@@ -165,6 +232,26 @@ async def _execute(key, notebook, folder, bar):
             await client.km.shutdown_kernel(now=True)
         atexit.unregister(client._cleanup_kernel)  # which would find no kernel
     return client.code_cells_executed
+
+
+def settings_of_nobody(folder):
+    """Return variables for a kernel, so that no result depends on the settings of whoever runs it.
+
+    With them IPython and matplotlib find no settings but those of `folder`, which has none; IPython runs no code of the
+    user's first and shows figures inline. matplotlib finds the list of fonts that it makes once for each user here: a
+    kernel would tell in a cell's output that it makes one.
+    """
+    import matplotlib.font_manager
+
+    style = folder / "matplotlibrc"
+    style.touch()
+    return {
+        "IPYTHONDIR": str(folder / ".ipython"),
+        "PYTHONSTARTUP": "",
+        "MATPLOTLIBRC": str(style),
+        "MPLBACKEND": "module://matplotlib_inline.backend_inline",
+        "MPLCONFIGDIR": matplotlib.get_cachedir(),
+    }
 
 
 def tidied(notebook):
@@ -183,8 +270,8 @@ def tidy(some):
     """Rewrite notebooks so that after `jupyter execute --inplace` or JupyterLab only outputs differ."""
     import nbformat
 
-    for path in chosen_notebooks(project(), some).values():
-        text = nbformat.writes(tidied(_read(path)))
+    for key, path in chosen_notebooks(project(), some).items():
+        text = nbformat.writes(tidied(_parsed(key, path.read_bytes())))
         write_whole(path, f"{text}\n".encode())
 
 
@@ -309,6 +396,9 @@ def main(arguments=None):
     except KeyboardInterrupt:
         print("error: interrupted", file=sys.stderr)
         return 130
+    except asyncio.CancelledError:
+        print("error: terminated", file=sys.stderr)
+        return 143
 
 
 if __name__ == "__main__":

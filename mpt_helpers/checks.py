@@ -3,11 +3,20 @@
 The checks run where a user passes something in. Everything behind that point trusts what it gets.
 """
 
+from __future__ import annotations
+
 import math
 import operator
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime, timedelta
 from numbers import Real
+from typing import NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]  # what a model holds and what a filter returns
 
 # A covariance scaled to unit variances has entries of order one and comes out of a few products of doubles: asymmetry
 # or negative eigenvalues below this are rounding, above it they are a mistake. A positive definite matrix must have all
@@ -17,18 +26,21 @@ ROUNDING = 1e-12
 SOLVED = 1e-6
 
 
-def refuse(name, need, got, error=ValueError):
-    """Raise `error` with a message that names the argument, what it needs and what it got."""
-    raise error(f"{name}: needs {need}, got {got}")
+def refuse(name: str, need: str, got: object, error: type[Exception] = ValueError) -> NoReturn:
+    """Raise `error` with a message that names the argument, what it needs and what it got.
+
+    The error that led here, if there is one, is not shown: the message says all that a user can do.
+    """
+    raise error(f"{name}: needs {need}, got {got}") from None
 
 
-def instance(name, value, kind):
+def instance(name: str, value: object, kind: type) -> None:
     """Raise a TypeError if `value` is not a `kind`."""
     if not isinstance(value, kind):
         refuse(name, f"a {kind.__name__}", f"{type(value).__name__} {value!r:.40}", TypeError)
 
 
-def number(name, value, need, accept):
+def number(name: str, value: object, need: str, accept: Callable[[float], bool]) -> float:
     """Return a finite real scalar as a float, or raise.
 
     `accept` says whether the argument can take a finite value, and `need` says the same in words.
@@ -38,6 +50,10 @@ def number(name, value, need, accept):
     ...
     ValueError: dt: needs a positive number, got 0
     """
+    if isinstance(value, timedelta):
+        refuse(name, need, f"{value!r} (its total_seconds() is a number)", TypeError)
+    if isinstance(value, np.timedelta64):  # which counts as Real
+        refuse(name, need, f"{value!r} (divided by np.timedelta64(1, 's') it is a number)", TypeError)
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         refuse(name, need, f"{value!r:.60}", TypeError)
     try:
@@ -49,17 +65,17 @@ def number(name, value, need, accept):
     return as_float
 
 
-def positive(name, value):
+def positive(name: str, value: object) -> float:
     """Return a positive number as a float, or raise."""
     return number(name, value, "a positive number", lambda value: value > 0)
 
 
-def not_negative(name, value):
+def not_negative(name: str, value: object) -> float:
     """Return a number that is not negative as a float, or raise."""
     return number(name, value, "a number that is not negative", lambda value: value >= 0)
 
 
-def count(name, value, least=1):
+def count(name: str, value: object, least: int = 1) -> int:
     """Return an integer of at least `least`, or raise."""
     need = f"an integer of at least {least}"
     if isinstance(value, bool | np.bool_):
@@ -73,7 +89,7 @@ def count(name, value, least=1):
     return whole
 
 
-def array(name, value, shape):
+def array(name: str, value: object, shape: tuple[int, ...]) -> Array:
     """Return a read-only copy of an array of finite real numbers of this shape, or raise."""
     need = f"a {shape} array of finite numbers"
     # In C order, since the rounding of a product depends on the memory layout.
@@ -86,22 +102,44 @@ def array(name, value, shape):
     return copy
 
 
-def real_numbers(name, value, need):
+def real_numbers(name: str, value: object, need: str) -> np.ndarray:
     """Return `value` as an array if it holds real numbers, or raise; the numbers are not looked at."""
+    if value is None:
+        refuse(name, need, "None", TypeError)
     if isinstance(value, np.ma.MaskedArray):
-        refuse(name, f"{need}, NaN where one is missing", "a masked array (z.filled(np.nan) makes one)", TypeError)
+        refuse(name, need, "a masked array (its filled(np.nan) has NaN where one is missing)", TypeError)
     try:
         values = np.asarray(value)
     except ValueError:
         refuse(name, need, "rows of different lengths")
     if values.dtype == object and hasattr(value, "to_numpy"):
-        values = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
+        with suppress(TypeError, ValueError):  # of a column of anything else
+            values = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
     if values.dtype.kind not in "iuf":
-        refuse(name, need, f"an array of {values.dtype} data", TypeError)
+        refuse(name, need, _other_data(values), TypeError)
     return values
 
 
-def rows(name, matrix):
+def _other_data(values: np.ndarray) -> str:
+    """Say what an array holds that has no real numbers, and what makes numbers of it."""
+    kinds = {"m": timedelta, "M": datetime}
+    others = [kinds[values.dtype.kind]] if values.dtype.kind in kinds else []
+    if values.dtype == object:
+        others = [type(each) for each in values.ravel() if isinstance(each, bool) or not isinstance(each, Real)]
+        if not others:
+            return "numbers as objects (.astype(float) makes an array of numbers)"
+        if type(None) in others:
+            return "None among its values"
+    if timedelta in others:
+        return "lengths of time (divided by np.timedelta64(1, 's'), or their total_seconds(), they are numbers)"
+    if datetime in others:
+        return "dates (their differences in seconds are numbers)"
+    if others:
+        return f"an array of objects of type {others[0].__name__}"
+    return f"an array of {values.dtype} data"
+
+
+def rows(name: str, matrix: object) -> int:
     """Return how many rows a matrix has, or raise."""
     values = real_numbers(name, matrix, "a matrix")
     if values.ndim != 2 or values.size == 0:
@@ -109,7 +147,7 @@ def rows(name, matrix):
     return len(values)
 
 
-def covariance(name, value, size, definite=False, rounding=ROUNDING):
+def covariance(name: str, value: object, size: int, definite: bool = False, rounding: float = ROUNDING) -> Array:
     """Return a symmetric positive semidefinite (or definite) matrix of this size, or raise.
 
     The eigenvalues examined are those of the correlation matrix, so that variances of very different size pass.
@@ -140,12 +178,12 @@ def covariance(name, value, size, definite=False, rounding=ROUNDING):
     return matrix
 
 
-def measurements(z, m):
+def measurements(z: object, m: int) -> Array:
     """Return measurements as a float array of shape (N, m) or (N, m, M), or raise. NaN stands for a missing one.
 
     Infinity is not looked for here: `no_infinity` does that where a result is not finite.
     """
-    need = f"an (N, {m}) or (N, {m}, M) array"
+    need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
     z = real_numbers("z", z, need)
     if z.ndim not in (2, 3) or z.shape[1] != m or 0 in z.shape:
         refuse("z", need, f"shape {z.shape}")
@@ -153,13 +191,13 @@ def measurements(z, m):
         return z.astype(float, copy=False)
 
 
-def no_infinity(z):
+def no_infinity(z: np.ndarray) -> None:
     """Raise a ValueError if one of the measurements is infinite."""
     if np.isinf(z).any():
         refuse("z", "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
 
-def times(name, value):
+def times(name: str, value: object) -> Array:
     """Return times (N,) or (N, M) that do not decrease as a read-only float array, or raise."""
     need = "an (N,) or (N, M) array of finite times that do not decrease"
     values = real_numbers(name, value, need)
@@ -173,7 +211,7 @@ def times(name, value):
     return values
 
 
-def variances(name, value, m):
+def variances(name: str, value: object, m: int) -> Array:
     """Return variances (N, m) or (N, m, M) as a read-only float array, or raise; the numbers are not looked at."""
     need = f"an (N, {m}) or (N, {m}, M) array of variances"
     values = real_numbers(name, value, need)

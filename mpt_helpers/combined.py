@@ -1,14 +1,19 @@
 """Filters made of filters: the mean of two, and one for each axis."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
+from .checks import Array
 from .filters import KalmanFilter, LainiotisFilter
-from .model import stack
+from .model import LinearModel, stack
 from .recursive import Estimates, Filter, one_measurement
 from .steady import SteadyStateFilter
 
@@ -41,21 +46,21 @@ class JoinFilter(Filter):
         _require_equally_far_ahead("second", self.first, self.second)
 
     @property
-    def model(self):
+    def model(self) -> LinearModel:
         """The model of both filters."""
         return self.first.model
 
     @property
-    def steps_ahead(self):
+    def steps_ahead(self) -> int:
         """The number of steps that both filters predict ahead."""
         return self.first.steps_ahead
 
     @property
-    def P0(self):
+    def P0(self) -> Array:
         """The mean of both P(0/0)."""
         return (self.first.P0 + self.second.P0) / 2
 
-    def step(self, x, P, z_k):
+    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
         Raises TypeError where the filters differ in their gains: then each would need a state of its own.
@@ -68,16 +73,16 @@ class JoinFilter(Filter):
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
     @property
-    def optimal(self):
+    def optimal(self) -> bool:
         """Whether both gains are those of the covariance."""
         return self.first.optimal and self.second.optimal
 
-    def epochs(self, z):
+    def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
         """Yield the means of what both filters' `epochs` yield."""
         for (x_1, P_1), (x_2, P_2) in zip(self.first.epochs(z), self.second.epochs(z), strict=True):
             yield (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
-    def smooth(self, z):
+    def smooth(self, z: ArrayLike) -> Estimates:
         """Return the means of what both filters' `smooth` return."""
         first, second = self.first.smooth(z), self.second.smooth(z)
         return Estimates((first.x + second.x) / 2, (first.P + second.P) / 2)
@@ -117,9 +122,9 @@ class Separate(Filter):
            [0.5557, 0.4681, 0.1164, 0.06  ]])
     """
 
-    filters: tuple
+    filters: tuple[Filter, ...]
 
-    def __init__(self, *filters):
+    def __init__(self, *filters: Filter):
         if not filters:
             checks.refuse("filters", "at least one filter", "none")
         for i, each in enumerate(filters):
@@ -131,28 +136,28 @@ class Separate(Filter):
         return type(self), self.filters
 
     @cached_property
-    def model(self):
+    def model(self) -> LinearModel:
         """The models of the filters, stacked."""
         return stack(*(each.model for each in self.filters))
 
     @property
-    def steps_ahead(self):
+    def steps_ahead(self) -> int:
         """The number of steps that all filters predict ahead."""
         return self.filters[0].steps_ahead
 
     @property
-    def P0(self):
+    def P0(self) -> Array:
         """The block diagonal P(0/0)."""
         return block_diag(*(each.P0 for each in self.filters))
 
-    def step(self, x, P, z_k):
+    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike) -> tuple[Array, Array]:
         """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its rows of z_k (m,)."""
         z_k, _ = one_measurement(z_k, self.model.m)
         x, P = np.asarray(x), np.asarray(P)
         after = [each.step(x[i], P[i, i], z_k[rows]) for each, i, rows in self._parts()]
         return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))
 
-    def epochs(self, z):
+    def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
         """Yield x (n, M) and P (n, n, 1 or M), block diagonal, of what the filters' `epochs` yield."""
         n = self.model.n
         parts = self._parts()
@@ -162,7 +167,7 @@ class Separate(Filter):
                 P[i, i] = P_i
             yield np.concatenate([x for x, _ in epoch]), P
 
-    def smooth(self, z):
+    def smooth(self, z: ArrayLike) -> Estimates:
         """Return what the filters' `smooth` return, as one state and a block diagonal covariance."""
         return self._as_given(z, self._smoothed)
 
@@ -207,7 +212,7 @@ def _require_equally_far_ahead(name, first, other):
         checks.refuse(name, f"{need}, as the first", got)
 
 
-def six_filters(model):
+def six_filters(model: LinearModel) -> dict[str, Filter]:
     """Return the six filters of the papers by their names (2014 Table 1, 2015 Table 1), in the papers' order.
 
     Raises ValueError when the model has no steady state.

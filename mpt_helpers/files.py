@@ -1,10 +1,12 @@
 """Where the project's files are; and files are written whole or not at all."""
 
+from __future__ import annotations
+
 import os
 from pathlib import Path
 
 
-def project():
+def project() -> Path:
     """Return the project's root, seen from there or from its notebooks/. Raises FileNotFoundError elsewhere."""
     here = Path.cwd()
     root = here.parent if here.name == "notebooks" else here
@@ -13,12 +15,12 @@ def project():
     return root
 
 
-def write_whole(path, data):
+def write_whole(path: Path, data: bytes) -> None:
     """Write bytes beside the file and move them into its place: an interrupt leaves the old file as it was."""
     write_together({path: data})
 
 
-def write_together(contents):
+def write_together(contents: dict[Path, bytes]) -> None:
     """Write bytes to several files, {path: bytes}: beside them first, then all into their places.
 
     A full disk or an interrupt during the writing leaves every file as it was. An interrupt during the moves
@@ -30,7 +32,11 @@ def write_together(contents):
             raise IsADirectoryError(f"a folder is in the place of the file {path}")
     try:
         for path, part in parts.items():
-            part.write_bytes(contents[path])
+            try:
+                part.write_bytes(contents[path])
+            except OSError as error:
+                # A full disk is reported without the file's name.
+                raise OSError(error.errno, error.strerror, str(path)) from None
         for path, part in parts.items():
             os.replace(part, path)
     finally:

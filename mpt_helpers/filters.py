@@ -5,24 +5,29 @@ in H, and in R a one on the diagonal and zeros elsewhere in its row and column: 
 also when all measurements of an epoch are missing.
 """
 
+from __future__ import annotations
+
 import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import filterpy.kalman
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
+from .checks import Array
 from .columns import KalmanColumns, Motion, whitened
 from .equations import lainiotis_matrices, lainiotis_step, unit_measurements
+from .model import LinearModel
 from .recursive import RecursiveFilter, neutralised, one_measurement, one_state
 
 # Patterns of missing measurements whose constants a Lainiotis filter keeps.
 MOST_PATTERNS = 64
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class KalmanFilter(RecursiveFilter):
     """The Kalman filter (2014 Eq. 4, 2015 Eq. 1). Tracks without gaps share filterpy's gains and covariances.
 
@@ -46,20 +51,20 @@ class KalmanFilter(RecursiveFilter):
            [4.5, 1. ]])
     """
 
-    t: np.ndarray = None
-    r: np.ndarray = None
+    t: Array | None
+    r: Array | None
 
-    def __post_init__(self):
-        super().__post_init__()
-        if self.t is not None:
-            if self.model.dt is None:
-                need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
-                checks.refuse("t", need, "one whose F and Q are for one length only")
-            object.__setattr__(self, "t", checks.times("t", self.t))
-        if self.r is not None:
-            object.__setattr__(self, "r", checks.variances("r", self.r, self.model.m))
+    def __init__(self, model: LinearModel, t: ArrayLike | None = None, r: ArrayLike | None = None):
+        super().__init__(model)
+        if t is not None and model.dt is None:
+            need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
+            checks.refuse("t", need, "one whose F and Q are for one length only")
+        object.__setattr__(self, "t", None if t is None else checks.times("t", t))
+        object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
 
-    def next_step(self, P, seen, steps=None, r=None):
+    def next_step(
+        self, P: Array, seen: np.ndarray, steps: float | None = None, r: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n), with the measurements seen (m,), by filterpy.
 
         steps is the length of the step in units of the model's dt, r (m,) the variances; the model's where None.
@@ -77,13 +82,15 @@ class KalmanFilter(RecursiveFilter):
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
         return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
 
-    def step(self, x, P, z_k, dt=None, r=None):
+    def step(
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter
-        with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances of
-        the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a negative
-        dt, and for states and covariances that are not finite.
+        with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances
+        of the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a
+        negative dt, and for states and covariances that are not finite.
         """
         n, m = self.model.n, self.model.m
         x, P = one_state(x, P, n)
@@ -197,7 +204,7 @@ class LainiotisFilter(RecursiveFilter):
            [0.5557, 0.4681]])
     """
 
-    def next_step(self, P, seen):
+    def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n), with the measurements seen (m,)."""
         return lainiotis_step(P, self._constants_of(seen))
 

@@ -1,10 +1,14 @@
 """The parameters of a model that make measurements most probable."""
 
+from __future__ import annotations
+
 import math
 import warnings
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from tqdm import tqdm
 
@@ -34,13 +38,13 @@ ANOTHER_PLACE, FAR = 1e6, 100.0
 class Fit(NamedTuple):
     """What `fit` found: the values and the standard errors of their natural logarithms, by name, the filter, log L."""
 
-    values: dict
-    log_errors: dict
+    values: dict[str, float]
+    log_errors: dict[str, float]
     filter: Filter
     log_likelihood: float
 
 
-def fit(make, z, **start):
+def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float) -> Fit:
     """Return the positive parameters that make measurements z most probable, jointly for all tracks.
 
     make(**values) returns a model, for a Kalman filter, or a filter; z is (N, m) or (N, m, M), NaN where missing; start

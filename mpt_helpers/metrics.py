@@ -1,11 +1,16 @@
 """How far estimates lie from each other and from the truth, and how far they should."""
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
 from . import checks
+from .bands import Ahead, LiveBand, ahead, coverage, following, interval_score, placebo  # noqa: F401
+from .checks import Array
 from .columns import whitened
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
@@ -14,7 +19,7 @@ from .recursive import Filter
 from .steady import SteadyStateFilter
 
 
-def relative_gap(a, b):
+def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
     """Return the largest difference between two arrays of one shape, relative to the largest entry of b.
 
     >>> relative_gap([1.0, 2.0], [1.0, 4.0])
@@ -26,7 +31,7 @@ def relative_gap(a, b):
     return float(np.abs(a - b).max() / np.abs(b).max())
 
 
-def rms(values, axis=None):
+def rms(values: ArrayLike, axis: int | tuple[int, ...] | None = None) -> Any:
     """Return the root mean square along an axis, or of all values.
 
     >>> float(rms([3.0, -3.0]))
@@ -38,11 +43,11 @@ def rms(values, axis=None):
 class Innovations(NamedTuple):
     """The innovations z(k) - H x(k/k-1), (N, m) or (N, m, M), and their covariance S, (N, m, m) or (N, m, m, M)."""
 
-    values: np.ndarray
-    S: np.ndarray
+    values: Array
+    S: Array
 
 
-def innovations(estimator, z):
+def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N of a filter over measurements z.
 
     `estimator` is a recursive filter, z is (N, m) or (N, m, M). `values` has the shape of z, with NaN where z has NaN.
@@ -87,7 +92,7 @@ def _squares(values, C):
     return squares, log_det
 
 
-def nis(estimator, z):
+def nis(estimator: Filter, z: ArrayLike) -> Array:
     """Return the normalised innovation squared of each epoch, (N,) or (N, M), NaN where nothing was measured.
 
     For a consistent filter its mean is the number of measurements in the epoch. Raises as `innovations`.
@@ -102,7 +107,7 @@ def nis(estimator, z):
     return result if many else result[:, 0]
 
 
-def log_likelihood(estimator, z):
+def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
     """Return the logarithm of the probability density of measurements z, a number or, for many tracks, (M,).
 
     It is the sum of the log densities of the innovations. For a filter with a constant gain it is a quasi-likelihood:
@@ -121,7 +126,7 @@ def log_likelihood(estimator, z):
     return result if many else result[0]
 
 
-def nees(errors, P):
+def nees(errors: ArrayLike, P: ArrayLike) -> Array:
     """Return the normalised estimation error squared eᵀ P⁻¹ e of each step, (N,) or (N, M).
 
     errors is (N, n) or (N, n, M). P is the covariance that the filter reports: (n, n), (N, n, n) or (N, n, n, M). The
@@ -133,7 +138,8 @@ def nees(errors, P):
     array([2.])
     """
     need = "an (N, n) or (N, n, M) array"
-    errors, P = checks.real_numbers("errors", errors, need), checks.real_numbers("P", P, "covariances")
+    errors = checks.real_numbers("errors", errors, need).astype(float)
+    P = checks.real_numbers("P", P, "covariances").astype(float)
     if errors.ndim not in (2, 3):
         checks.refuse("errors", need, f"shape {errors.shape}")
     N, n = errors.shape[:2]
@@ -154,7 +160,7 @@ def nees(errors, P):
     return squares if many else squares[:, 0]
 
 
-def chi_square_band(dof, runs, level=0.95):
+def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, float]:
     """Return the central band of the mean of `runs` independent chi-square variables of `dof` degrees of freedom.
 
     The mean NEES (dof n) or NIS (dof m) over so many runs of a consistent filter lies in it with probability `level`.
@@ -172,11 +178,11 @@ def chi_square_band(dof, runs, level=0.95):
 class ErrorMoments(NamedTuple):
     """The mean (N, n) and the covariance (N, n, n) of an error at the steps 1 to N."""
 
-    mean: np.ndarray
-    covariance: np.ndarray
+    mean: Array
+    covariance: Array
 
 
-def error_moments(steady, truth, N, steps=0):
+def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: int = 0) -> ErrorMoments:
     """Return the mean and the covariance of the error that a steady-state filter really makes.
 
     The filter runs on measurements of another model, `truth`, which differs in x0, P0, Q and R. Its error is
@@ -204,5 +210,5 @@ def error_moments(steady, truth, N, steps=0):
         C = corrected_covariance(predicted_covariance(truth, C), steady.B, truth.H, truth.R)
         mean.append(e)
         P.append(C)
-    ahead = np.linalg.matrix_power(truth.F, steps)
-    return ErrorMoments(np.array(mean) @ ahead.T, predicted_covariance(truth, np.array(P), steps))
+    F_steps = np.linalg.matrix_power(truth.F, steps)
+    return ErrorMoments(np.array(mean) @ F_steps.T, predicted_covariance(truth, np.array(P), steps))

@@ -3,25 +3,53 @@
 The papers, cited by year: Kluga & Kluga 2007, Assimakis & Adam 2014 and 2015, Assimakis et al. 2016.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
+from .checks import Array
 from .equations import square_root
 from .recursion import Step, lifted, run
 
 
 class Immutable:
-    """A dataclass whose copies and pickles go through the constructor: numpy does not keep the read-only flag."""
+    """A dataclass of numbers, arrays and others of its kind that nobody can write to.
+
+    Two are equal, and have the same hash, when they are of one class and all that they hold is equal; NaN equals NaN.
+    Copies and pickles go through the constructor: numpy does not keep the read-only flag.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(map(_same, self._held(), other._held()))
+
+    def __hash__(self) -> int:
+        # Of an array its numbers; + 0.0 makes 0 of -0, which is equal to it.
+        held = [(each + 0.0).tobytes() if isinstance(each, np.ndarray) else each for each in self._held()]
+        return hash((type(self), *held))
+
+    def _held(self):
+        return [getattr(self, field.name) for field in fields(self)]
 
     def __reduce__(self):
         return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+def _same(a, b):
+    """Tell whether two fields are equal: arrays where all their numbers are."""
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return np.array_equal(a, b, equal_nan=True)
+    return bool(type(a) is type(b) and a == b)
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class LinearModel(Immutable):
     """A linear time-invariant model (2014 Eq. 1, 2015 Section 2).
 
@@ -36,37 +64,47 @@ class LinearModel(Immutable):
     `constant_acceleration` give them. They are dropped where they do not fit F and Q, as when `replace` gives other
     ones: two steps of dt / 2 must be one of dt.
 
+    Two models are equal, and have the same hash, when all their numbers are equal. So are two filters: a model or a
+    filter can be the key of a dictionary.
+
     Raises ValueError for a wrong shape or value and TypeError for anything but real numbers, naming the argument.
 
     >>> LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.01]], R=[[0.1]]).P0
     array([[0.]])
     """
 
-    F: np.ndarray
-    H: np.ndarray
-    Q: np.ndarray
-    R: np.ndarray
-    x0: np.ndarray = None
-    P0: np.ndarray = None
-    dt: float = None
-    powers: np.ndarray = None
+    F: Array
+    H: Array
+    Q: Array
+    R: Array
+    x0: Array
+    P0: Array
+    dt: float | None
+    powers: Array | None
 
-    def __post_init__(self):
-        n, m = checks.rows("F", self.F), checks.rows("H", self.H)
-        x0 = np.zeros(n) if self.x0 is None else self.x0
-        P0 = np.zeros((n, n)) if self.P0 is None else self.P0
+    def __init__(
+        self,
+        *,
+        F: ArrayLike,
+        H: ArrayLike,
+        Q: ArrayLike,
+        R: ArrayLike,
+        x0: ArrayLike | None = None,
+        P0: ArrayLike | None = None,
+        dt: float | None = None,
+        powers: ArrayLike | None = None,
+    ):
+        n, m = checks.rows("F", F), checks.rows("H", H)
         checked = {
-            "F": checks.array("F", self.F, (n, n)),
-            "H": checks.array("H", self.H, (m, n)),
-            "Q": checks.covariance("Q", self.Q, n),
-            "R": checks.covariance("R", self.R, m, definite=True),
-            "x0": checks.array("x0", x0, (n,)),
-            "P0": checks.covariance("P0", P0, n),
+            "F": checks.array("F", F, (n, n)),
+            "H": checks.array("H", H, (m, n)),
+            "Q": checks.covariance("Q", Q, n),
+            "R": checks.covariance("R", R, m, definite=True),
+            "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
+            "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
+            "dt": None if dt is None else checks.positive("dt", dt),
+            "powers": None if powers is None else checks.array("powers", powers, (n,)),
         }
-        if self.dt is not None:
-            checked["dt"] = checks.positive("dt", self.dt)
-        if self.powers is not None:
-            checked["powers"] = checks.array("powers", self.powers, (n,))
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if self.dt is None or self.powers is None or not self._two_half_steps_are_one():
@@ -88,7 +126,7 @@ class LinearModel(Immutable):
         same_Q = np.abs(half @ noise @ half.T + noise - Q) <= rounding * size
         return bool(same_F.all() and same_Q.all())
 
-    def over(self, steps):
+    def over(self, steps: float) -> tuple[Array, Array]:
         """Return F and Q of a step of length `steps` in units of dt, a number that is not negative.
 
         >>> constant_velocity(dt=2.0, q=0.01, r=0.1).over(1.5)[0]
@@ -100,23 +138,17 @@ class LinearModel(Immutable):
         return F, self.Q * float(steps) ** sums
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Dimension of the state."""
         return len(self.F)
 
     @property
-    def m(self):
+    def m(self) -> int:
         """Dimension of the measurement."""
         return len(self.H)
 
-    def __eq__(self, other):
-        """Two models are equal when all their numbers are."""
-        if not isinstance(other, LinearModel):
-            return NotImplemented
-        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
-
-def gsm_axis(dt, q, r, x0=None, P0=None):
+def gsm_axis(dt: float, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
     """Return the model of one axis of a GSM phone: position and velocity (2014 Eq. 3, 2015 Section 2, model B).
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
@@ -135,7 +167,9 @@ def gsm_axis(dt, q, r, x0=None, P0=None):
     return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]], x0=x0, P0=P0)
 
 
-def constant_velocity(dt, q, r, x0=None, P0=None):
+def constant_velocity(
+    dt: float, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
+) -> LinearModel:
     """Return the model of one axis with nearly constant velocity: position and velocity (2016 Eq. 5).
 
         F = [1 dt; 0 1],   H = [1 0],   Q = [dt³/3 dt²/2; dt²/2 dt] q,   R = r
@@ -155,7 +189,9 @@ def constant_velocity(dt, q, r, x0=None, P0=None):
     return LinearModel(F=F, H=[[1, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0, dt=dt, powers=[1.5, 0.5])
 
 
-def constant_acceleration(dt, q, r, x0=None, P0=None):
+def constant_acceleration(
+    dt: float, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
+) -> LinearModel:
     """Return the model of one axis with nearly constant acceleration: position, velocity and acceleration.
 
     2016 Eq. 6 with the Q of Section 5.2, which is the right one: Eq. 6 prints dt³/3 for dt³/6 in its first row.
@@ -180,7 +216,7 @@ def constant_acceleration(dt, q, r, x0=None, P0=None):
     return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0, dt=dt, powers=powers)
 
 
-def gps_ins(dt, q, r, x0=None, P0=None):
+def gps_ins(dt: float, q: float, r: ArrayLike, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
     """Return the model of GPS and INS on one axis: position, velocity and the bias of the INS (2007 Eq. 11).
 
         F = [1 dt 0; 0 1 0; 0 0 1],   H = [1 0 0; 0 1 1; 1 -dt 0],   Q = diag(0, q, 0),   R = diag(r)
@@ -210,7 +246,7 @@ def _checked(dt, q, r):
     return checks.positive("dt", dt), checks.not_negative("q", q), checks.positive("r", r)
 
 
-def stack(*models):
+def stack(*models: LinearModel) -> LinearModel:
     """Return one model of several axes: model A of the papers (2014 Eq. 2, 2015 Section 2).
 
     Every matrix is block diagonal, and the states follow one another: [s_x v_x s_y v_y ...].
@@ -234,7 +270,7 @@ def stack(*models):
     return LinearModel(**blocks, x0=x0, dt=models[0].dt, powers=powers)
 
 
-def exact_motion(model, x0):
+def exact_motion(model: LinearModel, x0: ArrayLike) -> LinearModel:
     """Return the model of a track that starts at x0 exactly and has no process noise; measurements keep their noise.
 
     >>> exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]).Q
@@ -246,7 +282,7 @@ def exact_motion(model, x0):
     return replace(model, Q=zero, x0=x0, P0=zero)
 
 
-def mean_track(model, N):
+def mean_track(model: LinearModel, N: int) -> Array:
     """Return the track that a model takes without noise: x(1) ... x(N) = F x0 ... Fᴺ x0, (N, n).
 
     >>> mean_track(exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]), N=3)
@@ -262,7 +298,7 @@ def mean_track(model, N):
     return np.array(states)
 
 
-def simulate(model, N, rng, tracks=None):
+def simulate(model: LinearModel, N: int, rng: np.random.Generator, tracks: int | None = None) -> tuple[Array, Array]:
     """Draw true tracks and their measurements from a model (2014 Eq. 1).
 
     N is the number of steps, rng a numpy Generator, tracks the number of tracks M, or None for one track.

@@ -1,10 +1,15 @@
 """Monte Carlo studies: many runs from one seed, the same numbers whatever the number of workers."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from . import checks
@@ -14,7 +19,13 @@ BLOCK = 200
 RESULT = f"a result of M = {BLOCK} columns, (..., M)"
 
 
-def study(experiment, runs, seed, *, workers=1):
+def study(
+    experiment: Callable[[np.random.Generator, int], ArrayLike],
+    runs: int,
+    seed: int,
+    *,
+    workers: int | Callable[..., Iterable[Any]] = 1,
+) -> np.ndarray:
     """Return the statistics of many runs of an experiment, (..., runs).
 
     experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs. M is

@@ -4,6 +4,8 @@ nbval skips pictures. `save_figure` therefore shows, beside the PNG, what the fi
 that exactly, and it changes when the data change by one percent. The files are the same bytes on every processor.
 """
 
+from __future__ import annotations
+
 import copy
 import re
 import sys
@@ -16,9 +18,11 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from cycler import cycler
+from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
 from .files import project, write_together
 
@@ -46,12 +50,12 @@ STYLE = dict.fromkeys(SIZES, 11) | {
 }
 
 
-def use_style():
+def use_style() -> None:
     """Give all figures made from now on the style of this project."""
     matplotlib.rcParams.update(STYLE)
 
 
-def panels(layout, height=2.3, width=5.2):
+def panels(layout: list[list[str]], height: float = 2.3, width: float = 5.2) -> tuple[Figure, dict[str, Axes]]:
     """Return a figure and its axes by name.
 
     layout is a list of rows of names; a name that stands twice spans both places. height is that of a row and width
@@ -65,7 +69,7 @@ def panels(layout, height=2.3, width=5.2):
     return fig, fig.subplot_mosaic(layout)
 
 
-def finish(ax, xlabel, title):
+def finish(ax: Axes, xlabel: str, title: str) -> None:
     """Label the x axis, say above the axes what they show, and name the curves in a legend if they have labels."""
     ax.set_xlabel(xlabel)
     ax.set_title(title, loc="left")
@@ -75,7 +79,7 @@ def finish(ax, xlabel, title):
         ax.xaxis.get_major_locator().set_params(integer=True)
 
 
-def legend_below(ax, columns):
+def legend_below(ax: Axes, columns: int) -> None:
     """Replace the legends of all panels by one of these axes' curves, below the figure and in this many columns."""
     for panel in ax.figure.axes:
         if panel.get_legend():
@@ -83,7 +87,7 @@ def legend_below(ax, columns):
     ax.figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=columns)
 
 
-def visible_gap(gap):
+def visible_gap(gap: ArrayLike) -> np.ndarray:
     """Return gaps as they are drawn: clipped at 1e-12, with one significant digit below 1e-9 and three above.
 
     A gap is the difference of numbers of order 10, so its digits beyond some 1e-14 are rounding: drawn, they would move
@@ -113,7 +117,7 @@ class SavedFigure:
         return data, {"image/png": {"alt": self.alt}}
 
 
-def save_figure(fig, name, folder=None):
+def save_figure(fig: Figure, name: str, folder: str | Path | None = None) -> SavedFigure:
     """Save a figure as {folder}/{name}.png and .svg, the same bytes on every run, and return it for display.
 
     The folder is the project's figures/, found from the working directory: the project's root or its notebooks/. A
@@ -163,7 +167,7 @@ def _nine_digits(values, scale):
     return np.round(values / unit) * unit
 
 
-def round_svg(text):
+def round_svg(text: str) -> str:
     """Round the coordinates in an SVG to a hundredth of a point: their last digits differ between processors.
 
     >>> round_svg('<path d="M 1.23456 7 L 2.5 -0.000001" stroke-width="0.123456" transform="scale(0.015625)"/>')
@@ -179,7 +183,7 @@ def round_svg(text):
     return re.sub(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)', with_rounded, text)
 
 
-def alt_text(fig):
+def alt_text(fig: Figure) -> str:
     """Say in words what a figure plots, for readers who do not see it: its panels and their curves.
 
     >>> fig, ax = panels([["s", "v"]])
@@ -208,7 +212,7 @@ def alt_text(fig):
     return re.sub(r"[$\\{}]", "", in_one_line)
 
 
-def describe(fig):
+def describe(fig: Figure) -> str:
     """Return what a figure plots in words and numbers: texts and scales of all axes; points, extremes and mean of all
     that is drawn, with a checksum over the points at four significant digits (one below 1e-9, and zero below 1e-12).
 

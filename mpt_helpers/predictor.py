@@ -1,12 +1,17 @@
 """Predictions some steps ahead: of any filter, and of the steady-state filter as 2016 prints it."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import checks
+from .checks import Array
 from .columns import Motion
 from .equations import predicted_covariance
+from .model import LinearModel
 from .recursive import Filter
 from .steady import SteadyStateFilter
 
@@ -15,21 +20,21 @@ class _Ahead(Filter):
     """The states of an `estimator` so many `steps` ahead."""
 
     @property
-    def model(self):
+    def model(self) -> LinearModel:
         """The model of the filter."""
         return self.estimator.model
 
     @property
-    def steps_ahead(self):
+    def steps_ahead(self) -> int:
         """How far a prediction lies past its last measurement."""
         return self.estimator.steps_ahead + self.steps
 
     @property
-    def F_N(self):
+    def F_N(self) -> Array:
         """The transition over N steps, Fᴺ (n×n)."""
         return np.linalg.matrix_power(self.model.F, self.steps)
 
-    def epochs(self, z):
+    def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
         """Yield the predictions x(k+N/k) and the covariances of their errors, in the shapes of Filter."""
         motion = Motion(self.model.F, self.model.Q)
         for x, P in self.estimator.epochs(z):
@@ -103,23 +108,23 @@ class SteadyStatePredictor(_Ahead):
         checks.count("steps", self.steps, least=0)
 
     @property
-    def estimator(self):
+    def estimator(self) -> SteadyStateFilter:
         """The steady-state filter."""
         return self.steady
 
     @property
-    def A(self):
+    def A(self) -> Array:
         """A_N = Fᴺ A F⁻ᴺ (n×n), as precise as Fᴺ can be inverted; `filter` does not use it. Raises LinAlgError, a
         ValueError, where F has no inverse.
         """
         return np.linalg.solve(self.F_N.T, (self.F_N @ self.steady.A).T).T
 
     @property
-    def B(self):
+    def B(self) -> Array:
         """B_N = Fᴺ B (n×m)."""
         return self.F_N @ self.steady.B
 
     @property
-    def P(self):
+    def P(self) -> Array:
         """The covariance of the prediction's error in steady state (n×n)."""
         return predicted_covariance(self.model, self.steady.P, self.steps)

@@ -7,13 +7,18 @@ There are two ways through, and no third:
 - All others have conditions of their own, and are columns (`columns`); a long track is cut into pieces (`partition`).
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import checks
+from .checks import Array
 from .columns import Motion, Rows, product_for_covariances
 from .model import Immutable, LinearModel
 from .partition import through
@@ -32,8 +37,8 @@ MOST_NUMBERS = 4_000_000
 class Estimates(NamedTuple):
     """States x, (N, n) or (N, n, M), and their covariances P, (N, n, n) or (N, n, n, M)."""
 
-    x: np.ndarray
-    P: np.ndarray
+    x: Array
+    P: Array
 
 
 class Filter(Immutable):
@@ -43,15 +48,16 @@ class Filter(Immutable):
     `_innovations(z)`. There z is (N, m, M), and a P is (N, n, n, 1) where all tracks share it.
     """
 
+    model: LinearModel
     optimal = False  # whether its gain is that of the covariance P, so that P says all that is known
     steps_ahead = 0  # how far an estimate lies past its last measurement: 0, or N in a predictor
 
     @property
-    def P0(self):
+    def P0(self) -> Array:
         """P(0/0); raises TypeError for a filter that has none, a predictor or a FIR filter."""
         raise self._not_recursive()
 
-    def filter(self, z):
+    def filter(self, z: ArrayLike) -> Array:
         """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
 
         z[0] is z(1), NaN where a measurement is missing. Raises ValueError or TypeError for another shape, another kind
@@ -65,7 +71,7 @@ class Filter(Immutable):
             checks.no_infinity(z)
         return x if many else x[..., 0]
 
-    def estimates(self, z):
+    def estimates(self, z: ArrayLike) -> Estimates:
         """Return x(1/1) ... x(N/N) and their covariances P(1/1) ... P(N/N) in one pass: `.x` and `.P`.
 
         x is (N, n) and P (N, n, n) for z of shape (N, m); (N, n, M) and (N, n, n, M) for z of shape (N, m, M). Raises
@@ -73,7 +79,7 @@ class Filter(Immutable):
         """
         return self._as_given(z, self._estimates)
 
-    def covariances(self, z):
+    def covariances(self, z: ArrayLike) -> Array:
         """Return P(1/1) ... P(N/N) for the gaps that z has: (N, n, n) for z (N, m), (N, n, n, M) for z (N, m, M).
 
         With an integer N for z, nothing is missing. Raises as `estimates`.
@@ -82,18 +88,18 @@ class Filter(Immutable):
             z = np.zeros((checks.count("N", z), self.model.m))
         return self.estimates(z).P
 
-    def epochs(self, z):
+    def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
         """Yield x(k/k) (n, M) and P(k/k), (n, n, 1) or (n, n, M), for k = 1 ... N of tracks z (N, m, M).
 
         P is (n, n, 1) where all tracks share it. Raises TypeError for a filter that has no covariances.
         """
         raise self._not_recursive()
 
-    def smooth(self, z):
+    def smooth(self, z: ArrayLike) -> Estimates:
         """Return the states and covariances of all epochs given all of z; raises TypeError where there are none."""
         raise self._not_recursive()
 
-    def step(self, x, P, z_k):
+    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike) -> tuple[Array, Array]:
         """Return x(k+1/k+1) and P(k+1/k+1); raises TypeError for a filter that has no step."""
         raise self._not_recursive()
 
@@ -143,15 +149,15 @@ class RecursiveFilter(Filter):
         checks.instance("model", self.model, LinearModel)
 
     @property
-    def P0(self):
+    def P0(self) -> Array:
         """P(0/0), the covariance that the filter starts from: the model's."""
         return self.model.P0
 
-    def coefficients(self, N):
+    def coefficients(self, N: int) -> Step:
         """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing."""
         return Step(*map(np.array, zip(*self._steps(checks.count("N", N)), strict=True)))
 
-    def step(self, x, P, z_k):
+    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike) -> tuple[Array, Array]:
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`. Raises ValueError or TypeError for other
@@ -162,7 +168,7 @@ class RecursiveFilter(Filter):
         A, B, P = self.next_step(P, seen)
         return A @ x + B @ np.where(seen, z_k, 0), P
 
-    def epochs(self, z):
+    def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
         """Yield x(k/k) and P(k/k) as in Filter, for tracks of any length in little memory."""
         shared = _alike(z, *self._conditions)
         columns, rows, x, P = self._in_columns(_rows(z, *self._conditions, shared))
@@ -171,7 +177,7 @@ class RecursiveFilter(Filter):
             x, P, _ = columns.advance(row, x, P)
             yield (x[:n, :, 0] if shared else x[:n, 0]), P[:n, :n]
 
-    def smooth(self, z):
+    def smooth(self, z: ArrayLike) -> Estimates:
         """Return x(k/N) and P(k/N) of k = 1 ... N, the states given all measurements: `.x` and `.P`.
 
         The shapes are those of `estimates`. It is the papers' recursion run backwards (Rauch, Tung and Striebel 1965):
@@ -271,8 +277,11 @@ class RecursiveFilter(Filter):
             S_part = (W @ P_part.reshape(n * n, -1)).reshape(m, m, *P_part.shape[2:])
             values[part] = z[part] - np.moveaxis(expected.reshape(m, *x_part.shape[1:]), 0, 1)
             S[part] = np.moveaxis(S_part, 2, 0)
-        R = self.model.R[..., None] if variances is None else variances[:, :, None] * np.eye(m)[..., None]
-        return values, S + R
+        if variances is None:
+            return values, S + self.model.R[..., None]
+        # A measurement that is missing may have no variance of its own: then it has the model's.
+        variances = np.where(np.isfinite(variances), variances, np.diag(self.model.R)[:, None])
+        return values, S + variances[:, :, None] * np.eye(m)[..., None]
 
     def _smoothed_tile(self, z):
         steps, _ = self._conditions
@@ -325,12 +334,12 @@ def _rows(z, steps, variances, shared):
     """Return the Rows of z (N, m, M): one column of M tracks where they share their conditions, else M columns."""
     seen = ~np.isnan(z)
     z = np.where(seen, z, 0)
+    if variances is not None:  # of what is missing they may be anything
+        variances = np.where(seen[..., :1] if shared else seen, variances, 1)
     if shared:
         return Rows(z[..., None], seen[..., :1], steps, variances)
-    N, m, M = z.shape
-    steps = None if steps is None else np.broadcast_to(steps, (N, M))
-    variances = None if variances is None else np.broadcast_to(variances, (N, m, M))
-    return Rows(z[:, :, None], seen, steps, variances)
+    N, _, M = z.shape
+    return Rows(z[:, :, None], seen, None if steps is None else np.broadcast_to(steps, (N, M)), variances)
 
 
 def _of(array, part):

@@ -4,10 +4,13 @@ The two solvers share no algorithm, so their agreement is a real check. Each che
 equation and refuses a model that has no steady state.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from . import checks
+from .checks import Array
 from .equations import (
     corrected_covariance,
     gain,
@@ -29,11 +32,13 @@ NEAR = 1e-4
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
 # By how much a solution P may miss its equation, relative to the standard deviations: six digits hold.
 RESIDUAL = 1e-6
+# The rounding of a variance may not be more than this part of it: less than one digit would hold.
+RESOLVED = 0.1
 # Each round doubles the number of steps: 2^64 are more than any filter needs to converge.
 ROUNDS = 64
 
 
-def rekf(model):
+def rekf(model: LinearModel) -> Array:
     """Return P_p (n×n), the steady-state prediction error covariance (2014 Eq. 11, 2015 Eq. 9).
 
         P_p = Q + F P_p Fᵀ - F P_p Hᵀ [H P_p Hᵀ + R]⁻¹ H P_p Fᵀ
@@ -49,7 +54,7 @@ def rekf(model):
     return _verified(model, _solve_rekf)
 
 
-def relf(model):
+def relf(model: LinearModel) -> Array:
     """Return P_e (n×n), the steady-state estimation error covariance (2014 Eq. 14, 2015 Eq. 12), by doubling.
 
         P_e = P_n + F_n [I + P_e O_n]⁻¹ P_e F_nᵀ
@@ -107,7 +112,31 @@ def _solve_rekf(model):
     P = P + change
     sigma = np.sqrt(np.maximum(np.diag(P), 1))  # no less than 1, the noise of n steps in these units
     solved = (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all()
-    return (P + P.T) / 2 * unit[:, None] * unit, solved
+    # A state that nothing drives is known exactly in the end: what is left of its variance is the rounding of zero.
+    known = np.diag(P) <= np.finfo(float).eps ** 2
+    P = np.where(known[:, None] | known, 0.0, (P + P.T) / 2)
+    return P * unit[:, None] * unit, solved
+
+
+def require_resolved(model: LinearModel, P: Array) -> None:
+    """Raise a ValueError where P (n×n), a steady-state estimation error covariance, has no digit left in doubles.
+
+    A residual cannot see that, since it is rounded as P is. So P must stand a step of the other filter, the Kalman
+    filter's (I - K H) P_p (I - K H)ᵀ + K R Kᵀ with P_p = F P Fᵀ + Q, and the rounding of P_p and I - K H must not carry
+    farther than P.
+    """
+    P_p = predicted_covariance(model, P)
+    K = gain(P_p, model.H, model.R)
+    sigma = np.sqrt(np.maximum(np.diag(P_p), 0))
+    eps = model.n * np.finfo(float).eps
+    keep = np.eye(model.n) - K @ model.H
+    terms = np.eye(model.n) + np.abs(K) @ np.abs(model.H)
+    rounding = eps * (np.abs(keep) @ sigma) ** 2 + (eps * terms @ sigma) ** 2
+    variance = np.diag(P)
+    change = np.abs(corrected_covariance(P_p, K, model.H, model.R) - P)
+    allowed = RESOLVED * np.sqrt(np.outer(variance, variance)) + eps * np.outer(sigma, sigma)
+    if (change > allowed).any() or (rounding > RESOLVED * variance).any():
+        raise ValueError("model: needs a steady state that double precision can resolve; in a variance no digit holds")
 
 
 def _newton_step(P, F, H, Q):

@@ -1,10 +1,15 @@
 """Filters with constant coefficients: the steady-state filter and its FIR form."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import checks, riccati
+from .checks import Array
 from .columns import ConstantGainColumns
 from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
 from .model import LinearModel
@@ -17,7 +22,7 @@ SAME_A = 1e-6
 MOST_TAPS = 1_000_000
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class SteadyStateFilter(RecursiveFilter):
     """A filter with constant coefficients: A (n×n), B (n×m), and the error covariance P (n×n) of its steady state.
 
@@ -34,18 +39,18 @@ class SteadyStateFilter(RecursiveFilter):
            [0.2068]])
     """
 
-    A: np.ndarray
-    B: np.ndarray
-    P: np.ndarray
+    A: Array
+    B: Array
+    P: Array
 
     optimal = False
 
-    def __post_init__(self):
-        super().__post_init__()
-        n, m, F, H = self.model.n, self.model.m, self.model.F, self.model.H
-        object.__setattr__(self, "A", checks.array("A", self.A, (n, n)))
-        object.__setattr__(self, "B", checks.array("B", self.B, (n, m)))
-        object.__setattr__(self, "P", checks.covariance("P", self.P, n, rounding=checks.SOLVED))
+    def __init__(self, model: LinearModel, A: ArrayLike, B: ArrayLike, P: ArrayLike):
+        super().__init__(model)
+        n, m, F, H = model.n, model.m, model.F, model.H
+        object.__setattr__(self, "A", checks.array("A", A, (n, n)))
+        object.__setattr__(self, "B", checks.array("B", B, (n, m)))
+        object.__setattr__(self, "P", checks.covariance("P", P, n, rounding=checks.SOLVED))
         gap = np.abs(self.A - (F - self.B @ H @ F))
         size = np.abs(F) + np.abs(self.B) @ np.abs(H) @ np.abs(F)
         rounding = n * np.finfo(float).eps * size.max()  # where a term is zero
@@ -53,7 +58,7 @@ class SteadyStateFilter(RecursiveFilter):
             checks.refuse("A", "(I - B H) F, as in every filter of the papers", f"a gap of {gap.max():.6g}")
 
     @classmethod
-    def from_kalman(cls, model):
+    def from_kalman(cls, model: LinearModel) -> Self:
         """Solve the Riccati equation of the Kalman filter, then A = (I - K H) F and B = K (2014 Eqs. 10-11).
 
         Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
@@ -61,24 +66,27 @@ class SteadyStateFilter(RecursiveFilter):
         P = riccati.rekf(model)
         K = gain(P, model.H, model.R)
         A = (np.eye(model.n) - K @ model.H) @ model.F
-        return cls(model, A=A, B=K, P=corrected_covariance(P, K, model.H, model.R))
+        P = corrected_covariance(P, K, model.H, model.R)
+        riccati.require_resolved(model, P)
+        return cls(model, A=A, B=K, P=P)
 
     @classmethod
-    def from_lainiotis(cls, model):
+    def from_lainiotis(cls, model: LinearModel) -> Self:
         """Solve the Riccati equation of the Lainiotis filter, then A and B of 2014 Eqs. 13-14.
 
         Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
         """
         P = riccati.relf(model)
+        riccati.require_resolved(model, P)
         A, B, _ = lainiotis_step(P, lainiotis_matrices(model))
         return cls(model, A=A, B=B, P=P)
 
     @property
-    def P0(self):
+    def P0(self) -> Array:
         """P(0/0), the covariance of the steady state."""
         return self.P
 
-    def next_step(self, P, seen):
+    def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return the Step from P(k/k) (n, n). In a missed epoch A is F, B is zero and P is F P Fᵀ + Q."""
         P_predicted = predicted_covariance(self.model, P)
         if not seen.any():
@@ -102,7 +110,7 @@ def _require_whole_rows(seen):
         checks.refuse("z", need, "a row that is partly NaN")
 
 
-def fir_order(A, tol, norm=2):
+def fir_order(A: ArrayLike, tol: float, norm: float | str = 2) -> int:
     """Return the FIR order: the first power M with ‖Aᴹ‖ < tol (2014 Section 7).
 
     A is n×n, tol is the paper's ε, norm is 1, 2 (the spectral norm), inf, "fro" or "nuc", as in `numpy.linalg.norm`.
@@ -135,7 +143,7 @@ def fir_order(A, tol, norm=2):
     return order
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class FIRFilter(Filter):
     """The FIR form of a steady-state filter (2014 Section 7, Eqs. 20-22): a weighted sum of the last measurements.
 
@@ -154,15 +162,16 @@ class FIRFilter(Filter):
     """
 
     model: LinearModel
-    taps: np.ndarray
+    taps: Array
 
-    def __post_init__(self):
-        checks.instance("model", self.model, LinearModel)
-        order = len(np.atleast_1d(checks.real_numbers("taps", self.taps, "an (order, n, m) array")))
-        object.__setattr__(self, "taps", checks.array("taps", self.taps, (max(1, order), self.model.n, self.model.m)))
+    def __init__(self, model: LinearModel, taps: ArrayLike):
+        checks.instance("model", model, LinearModel)
+        order = len(np.atleast_1d(checks.real_numbers("taps", taps, "an (order, n, m) array")))
+        object.__setattr__(self, "model", model)
+        object.__setattr__(self, "taps", checks.array("taps", taps, (max(1, order), model.n, model.m)))
 
     @classmethod
-    def from_steady_state(cls, steady, tol=1e-3):
+    def from_steady_state(cls, steady: SteadyStateFilter, tol: float = 1e-3) -> Self:
         """Cut the impulse response Aʲ B of a steady-state filter where the spectral norm of Aʲ falls below tol."""
         checks.instance("steady", steady, SteadyStateFilter)
         taps = [steady.B]
@@ -171,7 +180,7 @@ class FIRFilter(Filter):
         return cls(steady.model, np.array(taps))
 
     @property
-    def order(self):
+    def order(self) -> int:
         """The paper's M: how many measurements an estimate takes."""
         return len(self.taps)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exact import talk_through_files
 from hypothesis import Phase, settings
 
 import mpt_helpers as mpt
@@ -13,6 +14,7 @@ COMMON = {"derandomize": True, "deadline": None, "database": None, "max_examples
 settings.register_profile("properties", **COMMON)
 settings.register_profile("mutants", **COMMON, phases=[Phase.generate])  # that an example fails is enough
 settings.load_profile("properties")
+talk_through_files()
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))

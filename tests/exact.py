@@ -7,7 +7,9 @@ percent. The kernel works at the project's root, where `make reproduce` works in
 
 import os
 import re
+import sys
 import tempfile
+import uuid
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,10 +24,29 @@ TOGETHER = (".ipynb", "test_fifth_paper.py")  # ends of files whose tests need o
 
 def pytest_configure(config):
     """Make the folder into which the kernels draw, and in it the code that each runs before its first cell."""
+    talk_through_files()
     drawn = tempfile.TemporaryDirectory(prefix="drawn-")
     config.add_cleanup(drawn.cleanup)
     os.environ[DRAWN] = drawn.name
-    Path(drawn.name, STARTUP).write_text('__import__("exact").watch()\n')  # leaves no name behind
+    Path(drawn.name, STARTUP).write_text('__import__("exact").watch()\n', encoding="utf-8")  # leaves no name behind
+
+
+def talk_through_files():
+    """Let kernels use sockets that are files, each with a name of its own, in place of ports.
+
+    jupyter_client finds ports that are free and leaves them to the kernel: another kernel, of tests that run beside
+    these, may take one before. Elsewhere than on Linux the path may be longer than a socket's may be.
+    """
+    from jupyter_client import KernelManager
+
+    made = KernelManager.__init__
+
+    def made_with_files(self, *args, **kwargs):
+        path = os.path.join(tempfile.gettempdir(), f"kernel-{uuid.uuid4().hex}")
+        made(self, *args, **{"transport": "ipc", "ip": path} | kwargs)
+
+    if sys.platform == "linux":
+        KernelManager.__init__ = made_with_files
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -49,8 +70,12 @@ def is_cell(item):
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item):
     """Let the kernel of a notebook, which its first cell starts, run `watch`; kernels of other tests must not."""
+    from mpt_helpers.__main__ import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
+
     with pytest.MonkeyPatch.context() as here:
         if is_cell(item):
+            for name, value in settings_of_nobody(Path(os.environ[DRAWN])).items():
+                here.setenv(name, value)
             here.setenv("PYTHONSTARTUP", os.path.join(os.environ[DRAWN], STARTUP))
             here.setenv("PYTHONPATH", str(TESTS), prepend=os.pathsep)
         return (yield)

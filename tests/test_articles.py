@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pytest
 from conftest import parts, source
 
-NOT_YET = {"2007_mms_kalman", "2014_gsm_2d", "2015_mpt_3d", "2016_prediction"}  # not yet written in this form
+NOT_YET = {"2007_mms_kalman"}
 
 
 class Limits(NamedTuple):

@@ -28,14 +28,20 @@ def test_the_tables_are_those_of_the_stored_results():
     assert report.filled(text, report.tables(RESULTS)) == text
 
 
+# The median of the ratios of all rounds and the ratio of the median times differ by up to 1.13 in the stored results.
+# In the wrong direction a ratio would be off by its square.
+SCATTER = 1.2
+
+
 def test_a_ratio_in_words_has_the_direction_of_the_median_times():
     import report
 
+    assert sum(max(each["ratio"], 1 / each["ratio"]) > SCATTER for each in RESULTS["rows"] if each.get("ratio")) > 10
     for each in RESULTS["rows"]:
         if each.get("against_ms"):
             ratio, direction = re.match(r"([\d.,]+)×\sas\s(\w+)", report.in_words(each)).groups()
             times = (each["ms"], each["against_ms"]) if direction == "long" else (each["against_ms"], each["ms"])
-            assert float(ratio.replace(",", "")) == pytest.approx(times[0] / times[1], rel=0.5), each
+            assert 1 / SCATTER < float(ratio.replace(",", "")) / (times[0] / times[1]) < SCATTER, each
 
 
 def test_the_page_says_which_everyday_command_reaches_half_the_time_of_0_1_0():

@@ -5,6 +5,8 @@ Each argument is refused by its name, with what it needs and what it got.
 
 import re
 from dataclasses import replace
+from datetime import timedelta
+from decimal import Decimal
 from functools import partial
 
 import numpy as np
@@ -244,3 +246,52 @@ def test_pandas_itself():
     column = pandas.DataFrame({"z": pandas.array([1.0, None, 2.0], dtype="Float64")})
     np.testing.assert_array_equal(KF.filter(column), KF.filter([[1.0], [NAN], [2.0]]))
     np.testing.assert_array_equal(KF.filter(column.astype(float)), KF.filter([[1.0], [NAN], [2.0]]))
+
+
+def chained(error):
+    return error.__context__ is not None and not error.__suppress_context__
+
+
+SECOND = np.timedelta64(1, "s")
+
+
+@pytest.mark.parametrize(
+    ("call", "got"),
+    [
+        (lambda: mpt.gsm_axis(timedelta(seconds=1), 0.01, 0.1), "dt: .*its total_seconds() is a number"),
+        (lambda: mpt.gsm_axis(SECOND, 0.01, 0.1), "dt: .*divided by np.timedelta64(1, 's') it is a number"),
+        (lambda: mpt.gsm_axis(1.0, 0.01, Decimal(1)), "r: needs a positive number, got Decimal('1')"),
+        (lambda: KF.filter(None), "z: needs .* of numbers, NaN where one is missing, got None"),
+        (lambda: KF.filter([[1.0], [None]]), "z: .* NaN where one is missing, got None among its values"),
+        (lambda: KF.filter(np.array([[1.0]], object)), "z: .*got numbers as objects (.astype(float) makes an array"),
+        (lambda: KF.filter([[Decimal(1)]]), "z: .*got an array of objects of type Decimal"),
+        (lambda: KF.filter([[timedelta(1)]]), "z: .*got lengths of time (divided by np.timedelta64(1, 's'),"),
+        (lambda: KF.filter([[SECOND]]), "z: .*got lengths of time (divided by np.timedelta64(1, 's'),"),
+        (lambda: KF.filter([[np.datetime64("2020-06-25")]]), "z: .*got dates (their differences in seconds"),
+        (lambda: KF.filter([["1"]]), "z: .*got an array of <U1 data"),
+        (lambda: KF.filter([[1.0], [1.0, 2.0]]), "z: .*got rows of different lengths"),
+        (lambda: KF.filter(np.ma.masked_equal([[1.0], [2.0]], 2)), "z: .*got a masked array (its filled(np.nan) has"),
+        (lambda: mpt.mean_track(CV, "3"), "N: needs an integer of at least 1, got '3'"),
+        (lambda: mpt.gsm_axis(10**400, 0.01, 0.1), "dt: needs a positive number, got 1000"),
+    ],
+)
+def test_what_was_got_is_said_with_the_cure_and_without_what_led_there(call, got):
+    with pytest.raises((TypeError, ValueError)) as raised:
+        call()
+    assert re.match(re.escape(got).replace(r"\.\*", ".*"), str(raised.value)), raised.value
+    assert not chained(raised.value)
+
+
+class Column:
+    """A column of texts, as pandas has them."""
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array([["a"]], object)
+
+    def to_numpy(self, dtype, na_value):
+        raise ValueError("could not convert string to float: 'a'")
+
+
+def test_a_column_of_texts_is_refused_by_the_name_of_the_argument():
+    with pytest.raises(TypeError, match=r"z: .*got an array of objects of type str"):
+        KF.filter(Column())

@@ -58,23 +58,32 @@ def executed(tmp_path, monkeypatch):
 
 def failures(project):
     """Return the names of the cells that fail, and what is printed."""
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "tests.exact",
-        "-p",
-        "no:cacheprovider",
-        "--rootdir",
-        project,
-    ]
-    command += ["--nbval", "--nbval-current-env", "notebooks"]
+    command = [sys.executable, "-m", "pytest", "-q", "--color=no", "-p", "tests.exact", "-p", "no:cacheprovider"]
+    command += ["--rootdir", project, "--nbval", "--nbval-current-env", "notebooks"]
     here = os.environ | {"PYTHONPATH": str(ROOT)}
     run = subprocess.run(command, cwd=project, env=here, capture_output=True, text=True)
     names = list(CELLS)
     return [names[int(number)] for number in re.findall(r"(?m)^FAILED .*::Cell (\d+)", run.stdout)], run.stdout
+
+
+def test_a_notebook_is_the_same_whoever_runs_it(executed, tmp_path_factory, monkeypatch):
+    """Settings of IPython and matplotlib, code that runs first, a backend, coloured output: none of them matters."""
+    monkeypatch.chdir(executed)
+    mine = tmp_path_factory.mktemp("mine")
+    (mine / "profile_default" / "startup").mkdir(parents=True)
+    (mine / "profile_default" / "startup" / "first.py").write_text("print('first')")
+    (mine / "profile_default" / "ipython_config.py").write_text("c.InteractiveShell.ast_node_interactivity = 'all'")
+    (mine / "python.py").write_text("print('started')")
+    (mine / "matplotlibrc").write_text("lines.linestyle: --\nfigure.facecolor: red\n")
+    variables = {"IPYTHONDIR": mine, "PYTHONSTARTUP": mine / "python.py", "MATPLOTLIBRC": mine / "matplotlibrc"}
+    variables |= {"MPLBACKEND": "svg", "FORCE_COLOR": "1", "TZ": "Pacific/Auckland", "LC_ALL": "C"}
+    for name, value in variables.items():
+        monkeypatch.setenv(name, str(value))
+    before = {path: path.read_bytes() for path in executed.rglob("*.*") if path.is_file()}
+    assert len(before) > 10
+    assert main(["reproduce"]) == 0
+    assert {path: path.read_bytes() for path in executed.rglob("*.*") if path.is_file()} == before
+    assert failures(executed)[0] == []
 
 
 def test_all_that_a_reader_sees_is_compared(executed):

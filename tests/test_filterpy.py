@@ -7,7 +7,7 @@ mended and what can go, the canary with it.
 import numpy as np
 import pytest
 from filterpy.common import Saver, kinematic_kf
-from filterpy.kalman import KalmanFilter
+from filterpy.kalman import KalmanFilter, rts_smoother
 
 ZS = np.ones((4, 2))
 COLUMN = np.zeros((2, 1))
@@ -95,6 +95,17 @@ def update_is_in_joseph_form():
     return np.allclose(kf.P, rest @ P @ rest.T + P / 2 @ kf.R @ P.T / 2, rtol=1e-14, atol=0)
 
 
+def free_smoother_takes_the_step_before():
+    """Of epochs with steps of their own, F[k] leads to epoch k in batch_filter and in the method, and from it here."""
+    kf = plain_filter(P=np.array([[2.0, 0.3], [0.3, 1.0]]))
+    F = [np.array([[1.0, dt], [0.0, 1.0]]) for dt in (1.0, 2.0, 3.0, 4.0)]
+    Q = [dt * np.eye(2) for dt in (1.0, 2.0, 3.0, 4.0)]
+    x, P, *_ = kf.batch_filter(ZS, Fs=F, Qs=Q)
+    right = kf.rts_smoother(x, P, F, Q)
+    shifted, one_later = rts_smoother(x, P, F, Q), rts_smoother(x, P, F[1:], Q[1:])
+    return np.array_equal(one_later[0], right[0]) and not np.allclose(shifted[0], right[0], rtol=1e-3)
+
+
 def asks_for_no_python():
     from importlib.metadata import metadata
 
@@ -142,6 +153,10 @@ CANARIES = {
     update_is_in_joseph_form: (
         "update is no longer in Joseph form",
         "burden may count and time filterpy; but covariances are semidefinite by this form: see docs/accuracy.md",
+    ),
+    free_smoother_takes_the_step_before: (
+        "rts_smoother as a function takes the same F and Q as batch_filter",
+        "nothing: the tests compare with the method; they may use either",
     ),
     asks_for_no_python: (
         "filterpy says which Python it needs",

@@ -75,9 +75,14 @@ def test_partly_missing_rows_are_conditioned_on_what_is_there(make, seed, n, m):
     z = with_gaps(model, seed, (0.2, 0.3), N=8)
     for i, track in enumerate(each_track(z)):
         x, P = gaussian_conditioning(*matrices(model), track)
-        # Unstable models grow by some powers of ten in eight steps.
-        for ours, exact in ((make(model).filter(z), x), (make(model).covariances(z), P)):
-            np.testing.assert_allclose(ours[..., i], exact, rtol=1e-8, atol=1e-8 * np.abs(exact).max())
+        unseen = textbook_kalman(*matrices(model), np.full_like(track, np.nan))[1]
+        variance = np.diagonal(P, axis1=1, axis2=2)
+        sigma = np.sqrt(variance)
+        # The oracle subtracts what the measurements tell from the covariance without any, and loses the digits by which
+        # that is larger than the result; each number is the sum of some hundred products.
+        allowed = 100 * EPS * (np.diagonal(unseen, axis1=1, axis2=2) / variance).max()
+        assert (np.abs(make(model).filter(z)[..., i] - x) / sigma).max() < allowed
+        assert (np.abs(make(model).covariances(z)[..., i] - P) / sigma[:, None] / sigma[..., None]).max() < allowed
 
 
 @given(cases())
@@ -224,6 +229,16 @@ def test_the_joint_filter_is_the_mean_of_both(case):
     join = mpt.JoinFilter(kf, lf)
     np.testing.assert_array_equal(join.filter(z), (kf.filter(z) + lf.filter(z)) / 2)
     np.testing.assert_array_equal(join.covariances(z), (kf.covariances(z) + lf.covariances(z)) / 2)
+
+
+def test_the_joint_filter_starts_from_the_mean_of_both_starts():
+    """One filter knows its start, the other one begins settled; in either order."""
+    kf, steady = mpt.KalmanFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS)
+    for join in (mpt.JoinFilter(kf, steady), mpt.JoinFilter(steady, kf)):
+        np.testing.assert_array_equal(join.P0, steady.P / 2)
+        P_p = AXIS.F @ join.P0 @ AXIS.F.T + AXIS.Q
+        S = metrics.innovations(join, np.ones((1, 1))).S[0]
+        np.testing.assert_allclose(S, AXIS.H @ P_p @ AXIS.H.T + AXIS.R, rtol=1e-14)  # some ten products
 
 
 def test_a_track_without_any_measurement_has_no_nis_and_likelihood_one():

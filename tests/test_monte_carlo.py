@@ -3,11 +3,12 @@
 import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import count
 
@@ -60,11 +61,22 @@ def dies_at_the_third_call(folder, rng, M):
     return errors(rng, M)
 
 
+@contextmanager
+def taken_port(port):
+    """A port that is taken: by this test, if nobody has it."""
+    with socket.socket() as own:
+        with suppress(OSError):
+            own.bind(("127.0.0.1", port))
+            own.listen()
+        yield
+
+
 def test_workers_may_be_a_dask_cluster_and_a_killed_worker_loses_nothing(expected, tmp_path):
     from dask.distributed import Client, LocalCluster
 
     dying = partial(dies_at_the_third_call, tmp_path)
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+    two = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}  # a free port
+    with taken_port(8787), LocalCluster(**two) as cluster, Client(cluster) as client:
         before = set(client.run(os.getpid).values())
         cluster_map = client.get_executor().map
         np.testing.assert_array_equal(mpt.study(errors, 1500, 4, workers=cluster_map), expected)

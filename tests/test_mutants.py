@@ -2,7 +2,7 @@
 
 import pytest
 from conftest import ROOT
-from mutants import NOT_RUN, mutants, mutated, seen_by
+from tools.mutants import NOT_RUN, mutants, mutated, seen_by
 
 
 @pytest.mark.parametrize("mutant", mutants(), ids=lambda each: each.what)

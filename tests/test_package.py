@@ -21,7 +21,18 @@ import mpt_helpers as mpt
 
 PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
-CORE = ["checks", "recursion", "equations", "columns", "partition", "smoothing", "model", "riccati", "recursive"]
+CORE = [
+    "checks",
+    "recursion",
+    "equations",
+    "columns",
+    "partition",
+    "smoothing",
+    "model",
+    "lasting",
+    "riccati",
+    "recursive",
+]
 CORE += ["filters", "steady", "predictor", "combined", "metrics", "fitting"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"recursion": set(), "equations": set(), "columns": set(), "partition": {"equations"}}
@@ -37,7 +48,8 @@ BESIDE = {  # modules of one paper
     "recorded_2007": {"positioning", "experiments_2007"},
     "article_2014": {"burden", "table4"},
     "article_2015": {"burden"},
-    "article_2016": {"burden", "table1_2016"},
+    "article_2016": {"readings_2016", "table1_2016"},
+    "readings_2016": {"table1_2016"},
 }
 STEADY = mpt.SteadyStateFilter.from_kalman(AXIS)
 EVERY_FILTER = {
@@ -188,3 +200,47 @@ def test_a_field_can_be_replaced():
     other = mpt.gsm_axis(1.0, 0.02, 0.1)
     assert replace(mpt.KalmanFilter(AXIS), model=other).model == other
     assert replace(AXIS, x0=[1.0, 2.0]).P0.shape == (2, 2)
+
+
+@pytest.mark.parametrize("name", EVERY_FILTER)
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+def test_models_and_filters_are_compared_by_value(copied, name):
+    each = EVERY_FILTER[name]
+    other = copied(each)
+    each.filter(np.ones((5, each.model.m)))  # what a filter keeps for its next run is no part of its value
+    assert other is not each
+    assert other == each
+    assert {each: name}[other] == name
+    assert {each.model: name}[other.model] == name
+    assert [key for key in EVERY_FILTER if EVERY_FILTER[key] == each] == [name]
+
+
+def test_another_number_anywhere_makes_another_model_or_filter():
+    model = mpt.constant_velocity(1.0, 0.01, 0.1, P0=np.eye(2))
+    t, r = [1.0, 2.0], [[0.1], [np.nan]]
+    each = mpt.KalmanFilter(model, t=t, r=r)
+    assert each == mpt.KalmanFilter(model, t=t, r=r)  # NaN stands for the variance of no measurement
+    assert hash(each) == hash(mpt.KalmanFilter(model, t=t, r=r))
+    others = [
+        *(replace(each, model=replace(model, **{name: 2 * getattr(model, name)})) for name in ("H", "Q", "R", "P0")),
+        replace(each, model=replace(model, x0=np.ones(2))),
+        replace(each, model=replace(model, dt=None), t=None),
+        replace(each, t=[1.0, 3.0]),
+        replace(each, t=None),
+        replace(each, r=[[0.2], [np.nan]]),
+        replace(each, r=None),
+        mpt.LainiotisFilter(model),
+        model,
+        "another",
+    ]
+    for other in others:
+        assert other != each
+    assert len({each, *others}) == 1 + len(others)
+    predictor = mpt.Predictor(each, 2)
+    assert predictor != replace(predictor, steps=3)
+
+
+def test_minus_zero_is_zero():
+    model = mpt.LinearModel(F=[[0.0]], H=[[1.0]], Q=[[1.0]], R=[[1.0]])
+    assert replace(model, F=np.array([[-0.0]])) == model
+    assert hash(replace(model, F=np.array([[-0.0]]))) == hash(model)

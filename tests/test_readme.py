@@ -1,11 +1,12 @@
 """The README says what the notebooks say, and its code prints what it says."""
 
+import json
 import re
 
 import numpy as np
 import pytest
-import shipped
-from conftest import NOTEBOOKS, ROOT, part_one
+from conftest import NOTEBOOKS, ROOT, part_one, parts, source
+from tools import shipped
 
 from mpt_helpers.__main__ import BLOCK, readme
 from mpt_helpers.ledger import shipped_verdicts
@@ -57,12 +58,14 @@ def test_the_counts_are_those_of_the_verdicts():
 
 
 def test_the_list_of_papers_is_that_of_the_notebooks():
-    """Each with no number that the notebook's Part I does not give."""
+    """Each with no number that neither Part I of the notebook gives nor the citation, which opens Part II."""
     listed = dict(re.findall(r"(?m)^- \[(\w+)\]\(notebooks/\w+\.ipynb\): (.*)", README))
     assert sorted(listed) == [path.stem for path in NOTEBOOKS]
     for path in NOTEBOOKS:
+        _, evidence = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
+        said = "\n".join([part_one(path), *map(source, evidence[:1])])
         for number in re.findall(r"\d{2,}", listed[path.stem]):
-            assert re.search(rf"(?<!\d){number}(?!\d)", part_one(path)), f"{path.stem}: {number}"
+            assert re.search(rf"(?<!\d){number}(?!\d)", said), f"{path.stem}: {number}"
 
 
 def test_the_numbers_of_the_opening_stand_in_the_articles():

@@ -22,6 +22,7 @@ from conftest import KERNEL, VERDICTS, write_notebook
 from nbformat.v4 import new_output
 
 import mpt_helpers as mpt
+from mpt_helpers import __main__ as command_line
 from mpt_helpers.__main__ import as_json, as_text, main, readme
 from mpt_helpers.ledger import Verdicts, keys, shipped_verdicts, stored_verdicts
 from mpt_helpers.ledger.verdicts import FIELDS, MIME
@@ -192,24 +193,29 @@ def test_a_kernel_that_dies_is_named_and_leaves_everything_as_it_was(project, ca
     assert files(project) == before
 
 
-def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, tmp_path_factory):
+@pytest.mark.parametrize(
+    ("end", "said", "code"),
+    [("SIGINT", "interrupted", 130), ("SIGTERM", "terminated", 143), ("SIGHUP", "terminated", 143)],
+)
+def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, tmp_path_factory, end, said, code):
     signs = tmp_path_factory.mktemp("signs")
     for key in ("small", "other"):
         sleeps = SLEEPS.format(sign=str(signs / key))
         write_notebook(project / f"notebooks/{key}.ipynb", MAKES_FIGURE, sleeps)
     shutil.rmtree(project / "mpt_helpers")  # which is not the package that the command runs
     before = files(project)
-    listens = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"  # a background job ignores it
-    code = f"{listens} import sys; from mpt_helpers.__main__ import main; sys.exit(main(['reproduce']))"
-    command = [sys.executable, "-c", code]
+    # Whatever started the tests may ignore these, as a job in the background ignores an interrupt.
+    listens = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    listens += "signal.signal(signal.SIGHUP, signal.SIG_DFL);"
+    runs = f"{listens} import sys; from mpt_helpers.__main__ import main; sys.exit(main(['reproduce']))"
+    command = [sys.executable, "-c", runs]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         while len(kernels := [path.read_text() for path in signs.iterdir()]) < min(2, os.cpu_count()):
             assert running.poll() is None
             time.sleep(0.05)
-        running.send_signal(signal.SIGINT)
-        _, err = running.communicate(timeout=30)
-    assert running.returncode == 130
-    assert err == "error: interrupted\n"
+        running.send_signal(getattr(signal, end))
+        _, err = running.communicate(timeout=60)
+    assert (running.returncode, err) == (code, f"error: {said}\n")
     assert files(project) == before
     assert not list(project.glob(".reproduce-*"))
     for kernel in kernels:
@@ -248,11 +254,44 @@ def test_what_a_notebook_makes_is_moved_into_place(finished):
     assert files(finished) == before | NEW
 
 
-FULL = OSError(errno.ENOSPC, "No space left on device")
+def test_a_folder_that_a_run_of_another_day_has_left_is_removed(finished):
+    """As when the machine went down. One of today may be at work."""
+    for name, hours in ((".reproduce-old", 25), (".reproduce-new", 23)):
+        (finished / name / "notebooks").mkdir(parents=True)
+        os.utime(finished / name, (time.time() - 3600 * hours,) * 2)
+    assert main(["reproduce"]) == 0
+    assert [path.name for path in finished.glob(".reproduce-*")] == [".reproduce-new"]
+
+
+@pytest.mark.parametrize("edit", [lambda path: path.write_text("mine"), Path.unlink], ids=["edited", "removed"])
+def test_a_notebook_that_is_edited_while_it_runs_is_left_as_it_is(finished, monkeypatch, capsys, edit):
+    """What the run made is kept elsewhere, and other notebooks are written."""
+    path = finished / "notebooks/plain.ipynb"
+    write_notebook(path.with_name("other.ipynb"), "1 + 1")
+    before, execute = files(finished), command_line._execute
+
+    async def edited_meanwhile(key, *args):
+        await execute(key, *args)
+        if key == "plain":
+            edit(path)
+
+    monkeypatch.setattr(command_line, "_execute", edited_meanwhile)
+    assert main(["reproduce"]) == 1
+    kept = "reproduced/plain"
+    assert capsys.readouterr().err == (
+        "error: notebooks/plain.ipynb was edited while it ran and is left as it is: "
+        f"what this run made lies in {kept}\n"
+    )
+    expected = before | NEW | {f"{kept}/{name}": content for name, content in NEW.items()}
+    expected["notebooks/other.ipynb"] = expected.pop("notebooks/plain.ipynb")
+    after = files(finished)
+    assert after.pop("notebooks/plain.ipynb", None) in (b"mine", None)
+    assert after == expected
 
 
 @pytest.mark.parametrize(
-    ("stop", "code", "message"), [(FULL, 1, "No space left"), (KeyboardInterrupt(), 130, "interr")]
+    ("stop", "code", "message"),
+    [(OSError(errno.ENOSPC, "No space left on device"), 1, "No space left"), (KeyboardInterrupt(), 130, "interr")],
 )
 @pytest.mark.parametrize("call", [(Path, "write_bytes"), (os, "replace")], ids=["write", "move"])
 @pytest.mark.parametrize("at", [1, 2, 3])
@@ -276,9 +315,25 @@ def test_a_full_disk_or_an_interrupt_leaves_every_file_whole(
     shown = capsys.readouterr().err
     assert shown.startswith("error: ")
     assert message in shown
+    if code == 1 and call[1] == "write_bytes":
+        assert list(NEW)[at - 1] in shown
     moved = 0 if call[1] == "write_bytes" else at - 1
     assert files(finished) == before | dict(list(NEW.items())[:moved])
     assert not list(finished.glob(".reproduce-*"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a limit of the size of files, which stands for a full disk")
+def test_a_copy_that_fails_is_named(project):
+    """Not as a list of all files."""
+    for name in ("a", "b"):
+        (project / "notebooks" / name).write_bytes(bytes(100_000))
+    shutil.rmtree(project / "mpt_helpers")  # which is not the package that the command runs
+    code = "import resource, sys; from mpt_helpers.__main__ import main;"
+    code += "resource.setrlimit(resource.RLIMIT_FSIZE, 2 * (50_000,)); sys.exit(main(['reproduce']))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 1
+    assert re.fullmatch(rf"error: {project}/notebooks/[ab]: cannot be copied: .*File too large.*\n", run.stderr)
+    assert not list(project.glob(".reproduce-*"))
 
 
 def test_a_folder_in_the_place_of_a_figure_is_refused_before_any_file_is_moved(finished, capsys):
@@ -441,7 +496,7 @@ def test_without_verdicts_the_header_stands_alone(project, capsys):
 
 LONG = """\
 import sys
-from mpt_helpers import __main__ as command
+from mpt_helpers import __main__ as command_line
 command.as_text = lambda *all: 'line\\n' * 100_000
 sys.exit(command.main(["verdicts"]))"""
 

@@ -3,8 +3,8 @@
 import json
 
 import pytest
-import seeds
 from conftest import NOTEBOOKS, ROOT, VERDICTS, write_notebook
+from tools import seeds
 
 from mpt_helpers.__main__ import main
 from mpt_helpers.ledger import shipped_verdicts
@@ -68,12 +68,12 @@ def test_a_verdict_that_moves_with_the_seed_is_counted(project, monkeypatch, cap
         toml.write_text(toml.read_text().replace("]\n", PART, 1))
     claim = next(line for line in VERDICTS.splitlines() if '"equal"' in line)
     write_notebook(project / "notebooks/small.ipynb", VERDICTS.replace(claim, MOVES), "assert SEED == 1")
-    (project / "tests").mkdir()
+    (project / "tests/tools").mkdir(parents=True)
     assert main(["reproduce"]) == 0
     before = {path: path.read_bytes() for path in project.rglob("*") if path.is_file()}
     monkeypatch.setattr(seeds, "SEEDS", 2)
     assert seeds.main([]) == 1
-    table = project / "tests/seeds.csv"
+    table = project / "tests/tools/seeds.csv"
     assert table.read_text().splitlines() == [
         "paper,id,verdict,agree", "small,ratio,within band,2", "small,equal,reproduced,0", "small,part,holds in part,0",
     ]  # fmt: skip

@@ -4,9 +4,9 @@ import re
 import zipfile
 
 import pytest
-import shipped
 import yaml
 from conftest import ROOT
+from tools import shipped
 
 import mpt_helpers
 from mpt_helpers.ledger import keys
@@ -24,7 +24,7 @@ def wheel(tmp_path_factory):
 def test_the_wheel_has_the_package_and_what_the_papers_print_and_nothing_else(wheel):
     names = {name for name in wheel.namelist() if not name.startswith(f"mpt_helpers-{mpt_helpers.__version__}.")}
     folder = ROOT / "mpt_helpers"
-    kinds = (".py", ".toml", ".json")
+    kinds = (".py", ".toml", ".json", ".typed")
     assert names == {str(path.relative_to(ROOT)) for path in folder.rglob("*") if path.suffix in kinds}
     assert {f"mpt_helpers/ledger/{key}.toml" for key in keys()} <= names
 

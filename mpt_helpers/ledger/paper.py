@@ -1,11 +1,13 @@
 """What a paper prints, read from its TOML file, and the verdict on each item: computed, never typed."""
 
+from __future__ import annotations
+
 import json
 import math
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, fields
 from difflib import get_close_matches
 from itertools import product
@@ -45,11 +47,11 @@ class Item:
     printed: str
 
     @property
-    def lost(self):
+    def lost(self) -> bool:
         """Whether our copy of the paper has lost what is printed; it stands as "?" then."""
         return self.printed == "?"
 
-    def agrees(self, value):
+    def agrees(self, value: float) -> bool:
         """Say whether a number rounds to the printed digits.
 
         A tie may have been rounded either way, and a tie in decimals may be a little off as a double.
@@ -80,14 +82,24 @@ class Cause:
 class Paper:
     """The items of one paper, the causes of what fails, and the verdicts given so far; made by `published`."""
 
-    def __init__(self, key, items, causes):
+    def __init__(self, key: str, items: Iterable[Item], causes: Iterable[Cause]):
         self.key = key
         self.items = {item.id: item for item in items}
         self.causes = {cause.id: cause for cause in causes}
         self._outcomes = {}  # the last verdict on each item, in a word
         self._to_report = []
 
-    def check(self, id, value, *, basis="arithmetic", band=None, cause=None, against=(), reason=""):
+    def check(
+        self,
+        id: str,
+        value: float,
+        *,
+        basis: str = "arithmetic",
+        band: tuple[float, float] | None = None,
+        cause: str | None = None,
+        against: Iterable[str] = (),
+        reason: str = "",
+    ) -> Verdict:
         """Compare a computed number with the printed one, and return the Verdict.
 
         Without a band it is `reproduced` when it rounds to the printed digits. With a band (low, high), the spread of
@@ -112,7 +124,17 @@ class Paper:
             computed += f" [{low:.6g}, {high:.6g}]"
         return self._give(item, computed, verdict, basis, reason, cause, against)
 
-    def claim(self, id, holds, evidence, *, basis, cause=None, against=(), reason=""):
+    def claim(
+        self,
+        id: str,
+        holds: bool | np.bool_ | Mapping[str, bool | np.bool_],
+        evidence: str,
+        *,
+        basis: str,
+        cause: str | None = None,
+        against: Iterable[str] = (),
+        reason: str = "",
+    ) -> Verdict:
         """Record whether a claim, a formula or what a figure shows holds, with the evidence, and return the Verdict.
 
         holds is a bool, or a mapping {condition in words: bool}. It is `reproduced` when all hold and `holds in part`
@@ -138,7 +160,7 @@ class Paper:
             prefix += f"Fails: {where_it_fails}. "
         return self._give(item, evidence, verdict, basis, reason, cause, against, prefix)
 
-    def cannot_check(self, id, missing, *, cause=None):
+    def cannot_check(self, id: str, missing: str, *, cause: str | None = None) -> Verdict:
         """Record that an item cannot be checked, and what is missing.
 
         A cause is given where our copy of the paper has lost the item, and only there: it is of kind "copy".
@@ -149,7 +171,7 @@ class Paper:
             raise self._error(id, f'needs a cause of kind "copy", or none if our copy has the item, got {cause!r}')
         return self._give(item, "-", CANNOT_BE_CHECKED, "reading", missing, cause)
 
-    def report(self):
+    def report(self) -> Verdicts:
         """Return the Verdicts given since the last report; as the last line of a cell, it shows and stores them."""
         if not self._to_report:
             raise ValueError(f"{self.key}: no verdict was given since the last report")
@@ -157,7 +179,7 @@ class Paper:
         self._to_report = []
         return given
 
-    def complete(self, verdicts):
+    def complete(self, verdicts: Verdicts) -> Verdicts:
         """Return these Verdicts if they cover the paper: each item once, as in the file, each failure with its cause.
 
         Raises ValueError otherwise, naming the entries.
@@ -179,7 +201,7 @@ class Paper:
             raise ValueError(f"{self.key}.toml and its notebook: {'; '.join(parts)}")
         return verdicts
 
-    def causes_by_paper(self):
+    def causes_by_paper(self) -> dict[tuple[str, str], Cause]:
         """Return the causes as {(key of the paper, id): Cause}, as Verdicts take them."""
         return {(self.key, id): cause for id, cause in self.causes.items()}
 
@@ -233,7 +255,7 @@ def _is_finite(value):
     return isinstance(value, Real) and math.isfinite(value)
 
 
-def read_paper(key, text):
+def read_paper(key: str, text: str) -> Paper:
     """Return the Paper in the text of a TOML file: `items`, `grids` of numbers and `causes`.
 
     A grid gives one item for each row and column, with id "{id}.{row}.{column}" and a `where` such as "Table 4, row
@@ -244,7 +266,7 @@ def read_paper(key, text):
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{file}: {error}") from error
+        raise ValueError(f"{file}: {error}") from None
     for name, entries in content.items():
         if name not in ("items", "grids", "causes") or not isinstance(entries, list):
             raise ValueError(f"{file}: needs lists of items, grids and causes, got {name} = {entries!r}")
@@ -273,7 +295,7 @@ def _cells(file, grid):
                     place = grid["where"].format(row=row, column=column)
                     yield {"id": f"{grid['id']}.{row}.{column}", "where": place, "kind": "number", "printed": printed}
     except (TypeError, LookupError, AttributeError, ValueError) as error:
-        raise ValueError(f"{file}, grid {grid!r:.40}: needs {need} ({error})") from error
+        raise ValueError(f"{file}, grid {grid!r:.40}: needs {need} ({error})") from None
 
 
 def _made(make, entry, kinds, file):
@@ -289,7 +311,7 @@ def _made(make, entry, kinds, file):
     return make(**entry)
 
 
-def keys():
+def keys() -> list[str]:
     """Return the keys of all papers.
 
     >>> "2014_gsm_2d" in keys()
@@ -298,7 +320,7 @@ def keys():
     return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
-def published(key):
+def published(key: str) -> Paper:
     """Return one Paper, to be checked item by item. Raises ValueError for an unknown key and for a malformed file.
 
     >>> paper = published("2014_gsm_2d")
@@ -310,7 +332,7 @@ def published(key):
     return read_paper(key, (FOLDER / f"{key}.toml").read_text(encoding="utf-8"))
 
 
-def stored_verdicts(notebook):
+def stored_verdicts(notebook: str | Path) -> Verdicts:
     """Return the Verdicts that the cells of an executed notebook store, in the paper's order, without running it.
 
     The paper is the one that the notebook is named for. Raises ValueError for a file that stores none, and for
@@ -324,7 +346,7 @@ def stored_verdicts(notebook):
             for output in cell.get("outputs", []):
                 records += [{**record, "cell": cell["id"]} for record in output.get("data", {}).get(MIME, [])]
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: needs an executed notebook ({error!r})") from error
+        raise ValueError(f"{path}: needs an executed notebook ({error!r})") from None
     if not records:
         raise ValueError(f"{path}: needs an executed notebook whose cells end with paper.report()")
     given = _read_verdicts(path, paper, records)
@@ -333,7 +355,7 @@ def stored_verdicts(notebook):
     return Verdicts(given, paper.causes_by_paper())
 
 
-def shipped_verdicts(*some):
+def shipped_verdicts(*some: str) -> Verdicts:
     """Return the Verdicts of some papers, or of all, that come with the package.
 
     Raises ValueError for a file whose verdicts do not fit this version of the package.
@@ -347,7 +369,7 @@ def shipped_verdicts(*some):
             try:
                 records = json.loads(path.read_text(encoding="utf-8"))
             except ValueError as error:
-                raise ValueError(f"{path}: {error}") from error
+                raise ValueError(f"{path}: {error}") from None
             given += _read_verdicts(path, paper, records)
         causes |= paper.causes_by_paper()
     return Verdicts(given, causes)
@@ -359,7 +381,7 @@ def _read_verdicts(path, paper, records):
     try:
         given = [Verdict(**record) for record in records]
     except TypeError as error:
-        raise ValueError(f"{path}: needs verdicts of this version ({error}): {cure}") from error
+        raise ValueError(f"{path}: needs verdicts of this version ({error}): {cure}") from None
     known = {"paper": [paper.key], "verdict": VERDICTS, "basis": BASES, "cause": ["", *paper.causes]}
     for each, (name, values) in product(given, known.items()):
         value = getattr(each, name)

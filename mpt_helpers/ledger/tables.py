@@ -1,11 +1,14 @@
 """A table that prints as text and displays as HTML, the same on every run and machine."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable
 from html import escape
 
 import numpy as np
 
 
-def cell_text(value):
+def cell_text(value: object) -> str:
     """Return a cell as text: at most six significant digits, so that processors agree on it.
 
     >>> cell_text(1 / 3), cell_text(509), cell_text(2.0), cell_text("KF"), cell_text(True)
@@ -18,7 +21,7 @@ def cell_text(value):
     return str(value)
 
 
-def gap_text(gap, floor=1e-12):
+def gap_text(gap: float, floor: float = 1e-12) -> str:
     """Return a gap as text; a gap at rounding level becomes "below 1e-12", since its digits differ between processors.
 
     >>> gap_text(3e-16), gap_text(0.0123)
@@ -36,7 +39,7 @@ class Table:
     LF      670
     """
 
-    def __init__(self, header, rows):
+    def __init__(self, header: Iterable[object], rows: Iterable[Iterable[object]]):
         self.header = [cell_text(cell) for cell in header]
         self.rows = [[cell_text(cell) for cell in row] for row in rows]
         for i, row in enumerate(self.rows):
@@ -49,7 +52,7 @@ class Table:
         padded = [map(str.ljust, line, widths) for line in lines]
         return "\n".join("  ".join(line).rstrip() for line in padded)
 
-    def markdown(self):
+    def markdown(self) -> str:
         r"""Return the table in Markdown.
 
         >>> print(Table(["filter", "burden"], [["a|b", 509]]).markdown())

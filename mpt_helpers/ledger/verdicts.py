@@ -1,5 +1,7 @@
 """Verdicts on what a paper prints: one record each, shown folded in a notebook, stored there for machines, counted."""
 
+from __future__ import annotations
+
 from collections import Counter
 from dataclasses import asdict, dataclass, fields
 from html import escape
@@ -32,7 +34,7 @@ OF_CLAIMS = {
 PLURALS = {each: each for each in VERDICTS} | {IN_PART: "hold in part", DIFFERS: "differ", ERRATUM: "errata"}
 
 
-def counted(number, word):
+def counted(number: int, word: str) -> str:
     """Return a number and its word, in the plural if need be.
 
     >>> counted(1, "erratum"), counted(2, "erratum"), counted(3, "reproduced"), counted(4, "slip")
@@ -80,37 +82,37 @@ class Tally:
     values: Counter
     causes: dict
 
-    def claims_text(self):
+    def claims_text(self) -> str:
         """Return how many claims hold, as in "107 of 130 claims hold"."""
         return f"{self.claims[REPRODUCED]} of {self.claims.total()} claims hold"
 
-    def values_text(self):
+    def values_text(self) -> str:
         """Return how many numbers, formulas and figures agree."""
         agree = self.values[REPRODUCED] + self.values[WITHIN_BAND]
         return f"{agree} of {self.values.total()} numbers, formulas and figures agree"
 
-    def claims_bar(self):
+    def claims_bar(self) -> list[tuple[str, int]]:
         """Return the claims by outcome, [("hold", 107), ...], without outcomes that no claim has."""
         return [(words, self.claims[verdict]) for verdict, words in OF_CLAIMS.items() if self.claims[verdict]]
 
-    def cause_text(self, kind):
+    def cause_text(self, kind: str) -> str:
         """Return the causes of one kind with their cells in brackets, as in "6 slips (85 cells)"."""
         cells = self.causes[kind]
         if not cells:
             return "none"
         return f"{counted(len(cells), kind)} ({counted(cells.total(), 'cell')})"
 
-    def wrong_text(self):
+    def wrong_text(self) -> str:
         """Return what is wrong in the paper: the causes of each kind with their cells."""
         return ", ".join(self.cause_text(kind) for kind in WRONG if self.causes[kind]) or "nothing wrong"
 
-    def causes_text(self):
+    def causes_text(self) -> str:
         """Return what is wrong in the paper, and how many cells our copy of it lacks."""
         text, lost = self.wrong_text(), self.causes["copy"].total()
         return f"{text}; {counted(lost, 'cell')} missing or illegible in our copy" if lost else text
 
 
-class Verdicts(list):
+class Verdicts(list[Verdict]):
     """A list of Verdicts with their causes; a notebook that displays it stores it for machines too.
 
     causes maps (paper, id of the cause) to a Cause.
@@ -128,15 +130,15 @@ class Verdicts(list):
         super().__init__(verdicts)
         self.causes = dict(causes)
 
-    def of(self, paper):
+    def of(self, paper: str) -> Verdicts:
         """Return the Verdicts on one paper."""
         return Verdicts([each for each in self if each.paper == paper], self.causes)
 
-    def records(self):
+    def records(self) -> list[dict[str, str]]:
         """Return the verdicts as a list of dictionaries of text."""
         return [asdict(each) for each in self]
 
-    def tally(self):
+    def tally(self) -> Tally:
         """Return the Tally: causes counted with their cells, claims apart from everything else."""
         causes = {kind: Counter() for kind in CAUSE_KINDS}
         for each in self:
@@ -147,7 +149,7 @@ class Verdicts(list):
         values = Counter(each.verdict for each in self if each.kind != "claim")
         return Tally(claims, values, causes)
 
-    def summary(self):
+    def summary(self) -> str:
         """Return the counts in one line."""
         given = Counter(each.verdict for each in self)
         verdicts = ", ".join(counted(given[verdict], verdict) for verdict in VERDICTS if given[verdict])

@@ -171,6 +171,7 @@ def draw_changing(durations, filters, window):
         ax[panel].plot(durations, window[panel], "k--", label="adaptive window")
         ax[panel].set_ylim(0, 1.2 * max(window[panel].max(), *(errors.max() for errors in families.values())))
         plots.finish(ax[panel], "change takes (s)", f"error (m), {panel}")
+    plots.legend_below(ax[panel], 2)
     return fig
 
 

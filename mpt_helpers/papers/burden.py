@@ -10,7 +10,13 @@ it gives exactly the printed totals: of a symmetric result only the upper triang
 
 import itertools
 import re
+from collections import deque
 from fractions import Fraction
+
+from .. import checks
+
+EXPONENTS = {"²": 2, "³": 3}
+END = "its end"  # stands after the last token of a formula
 
 
 def product(p, q, r):
@@ -154,13 +160,58 @@ def twelve(axes):
 def value(formula, **letters):
     """Return the exact value of a formula, written as the papers print it, for whole numbers in place of its letters.
 
+    Raises ValueError for what is no formula of these letters.
+
     >>> value("2n² + 2nm - n + (M - 1)n", n=4, m=2, M=17)
     Fraction(108, 1)
     """
-    text = formula.replace("²", "**2").replace("³", "**3")
-    text = re.sub(r"(?<=[\dA-Za-z)])(?=[A-Za-z(])", "*", text)
-    text = re.sub(r"\d+(\.\d+)?", r"number('\g<0>')", text)
-    return eval(text, {"__builtins__": {}, "number": Fraction, **letters})
+    tokens = deque(re.findall(r"\d+(?:\.\d+)?|\S", formula))
+    tokens.append(END)
+    result = _sum(tokens, letters)
+    if tokens[0] != END:
+        checks.refuse("formula", "an operator or its end", f"{tokens[0]!r} in {formula!r}")
+    return result
+
+
+def _sum(tokens, letters):
+    """Take the terms of a sum from the left of the tokens, and return the sum; a minus may stand before the first."""
+    sign = tokens.popleft() if tokens[0] == "-" else "+"
+    total = Fraction(0)
+    while True:
+        term = _product(tokens, letters)
+        total += term if sign == "+" else -term
+        if tokens[0] not in ("+", "-"):
+            return total
+        sign = tokens.popleft()
+
+
+def _product(tokens, letters):
+    """Take factors that follow one another, or are divided by one another, and return their product."""
+    result = _power(tokens, letters)
+    while tokens[0] in ("/", "(") or tokens[0] in letters:
+        if tokens[0] == "/":
+            tokens.popleft()
+            result /= _power(tokens, letters)
+        else:
+            result *= _power(tokens, letters)
+    return result
+
+
+def _power(tokens, letters):
+    """Take a number, a letter or a sum in brackets, with its exponent, and return its value."""
+    token = tokens.popleft()
+    if token == "(":
+        base = _sum(tokens, letters)
+        token = tokens.popleft()
+        if token != ")":
+            checks.refuse("formula", "a bracket that is closed", token)
+    elif token[0].isdecimal():
+        base = Fraction(token)
+    elif token in letters:
+        base = Fraction(letters[token])
+    else:
+        checks.refuse("formula", f"a number, a bracket or one of the letters {', '.join(letters)}", token)
+    return base ** EXPONENTS[tokens.popleft()] if tokens[0] in EXPONENTS else base
 
 
 def formula_holds(formula, operations, letters="nm"):
