@@ -33,11 +33,12 @@ CORE = [
     "riccati",
     "recursive",
 ]
-CORE += ["filters", "steady", "predictor", "combined", "metrics", "fitting"]
+CORE += ["lasting", "filters", "steady", "predictor", "combined", "bands", "metrics", "fitting"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"recursion": set(), "equations": set(), "columns": set(), "partition": {"equations"}}
 OF_THE_CORE |= ARRAYS_ONLY | {"smoothing": {"columns", "partition", "recursion"}, "monte_carlo": {"checks"}}
 ROOMS = {
+    "tracks": {"tracks", "checks"},
     "ledger": {"ledger", "checks"},
     "plots": {"plots", "checks", "files"},
     "papers": {*CORE, "monte_carlo", "plots", "papers"},
