@@ -1,7 +1,9 @@
 """How Sphinx builds the site from what pages.py has put together."""
 
+import json
 import re
 import sys
+from html import escape
 from pathlib import Path
 
 from docutils import nodes
@@ -15,7 +17,8 @@ project = "mpt_helpers"
 release = mpt_helpers.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 nb_execution_mode = "off"
-suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included"]  # verdicts for machines; the full notebooks
+# Verdicts for machines; the full notebooks; names such as P that several classes have.
+suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included", "ref.python"]
 myst_enable_extensions = ["dollarmath"]
 default_role = "py:obj"
 add_module_names = False
@@ -26,7 +29,7 @@ html_favicon = "_static/icon.svg"
 html_static_path = ["_static", "_build/static"]
 html_extra_path = ["_build/extra"]
 html_css_files = ["site.css"]
-html_js_files = [(name, {"defer": "defer"}) for name in ("values.js", "live.js", "article.js")]
+html_js_files = [(name, {"defer": "defer"}) for name in ("values.js", "live.js", "sensor.js", "article.js")]
 html_show_sphinx = html_show_copyright = False
 html_copy_source = html_show_search_summary = False  # summaries cannot be read from files
 html_use_index = html_domain_indices = False
@@ -52,6 +55,56 @@ def name_parts(app, doctree):
     for formula in doctree.findall(nodes.math):
         if len(formula.astext()) > 35:  # too wide for a phone
             formula["classes"].append("long")
+    for code in doctree.findall(nodes.literal):
+        if len(code.astext()) <= 28:  # fits a line of a phone
+            code["classes"].append("unbroken")
+    add_contents(app.env.docname, doctree)
+
+
+WITH_CONTENTS = re.compile(r"guide|rinex|accuracy|notebooks/.*(?<!-full)")
+
+
+def add_contents(name, doctree):
+    """Give a long page a list of its sections, and an article one more below the heading of Part II."""
+    if not WITH_CONTENTS.fullmatch(name):
+        return
+    (top,) = (each for each in doctree.children if isinstance(each, nodes.section))
+    parts = [each for each in top.children if isinstance(each, nodes.section)]
+    after_title = top.first_child_matching_class(nodes.title) + 1
+    starts = [i for i, part in enumerate(parts) if title_of(part).startswith("Part II")]
+    if starts:
+        evidence = parts[starts[0]]
+        inside = [each for each in evidence.children if isinstance(each, nodes.section)] + parts[starts[0] + 1 :]
+        evidence.insert(evidence.first_child_matching_class(nodes.title) + 1, contents("Its sections", inside))
+        parts = parts[: starts[0] + 1]
+    top.insert(after_title, contents("On this page", parts))
+
+
+def title_of(section):
+    """Return the heading of a section as text."""
+    return section.next_node(nodes.title).astext()
+
+
+def contents(summary, sections):
+    """Return a list of links to sections that opens."""
+    items = "".join(f'<li><a href="#{each["ids"][0]}">{escape(title_of(each))}</a></li>' for each in sections)
+    return raw(f'<details class="sections"><summary>{summary}</summary><ul>{items}</ul></details>')
+
+
+def describe(app, pagename, templatename, context, doctree):
+    """Give a page its description, from papers.toml."""
+    words = json.loads((pages.BUILD / "words.json").read_text(encoding="utf-8"))
+    place, _, key = pagename.rpartition("/")
+    key = key.removesuffix("-full")
+    said = words["descriptions"].get(pagename)
+    if key in words["papers"]:
+        paper = words["papers"][key]
+        first = {"corrections": "Corrections to ", "notebooks": "Checked: "}[place]
+        said = f"{first}{paper['authors']}. {paper['outcome']}"
+    context["metatags"] = (
+        context.get("metatags", "")
+        + f'<meta name="description" content="{escape(said or words["descriptions"]["index"])}">'
+    )
 
 
 def raw(html):
@@ -102,6 +155,7 @@ def as_tex(formula):
 
 
 def setup(app):
-    """Connect the two."""
+    """Connect them."""
     app.connect("doctree-read", name_parts)
+    app.connect("html-page-context", describe)
     app.connect("autodoc-process-docstring", plain_docstring)

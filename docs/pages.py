@@ -1,7 +1,8 @@
 """Put together what Sphinx builds the site from: run as `python docs/pages.py` in the project's folder.
 
 Everything that says what the papers print and what was computed comes from the verdicts in the executed notebooks. The
-few sentences per paper are in papers.toml, where each number is looked up in a verdict. The HTML is in templates/.
+few sentences per paper are in papers.toml, where each number is looked up in a verdict; home.py computes what the home
+page says, corrections.py writes the corrections, archive.py packs the source. The HTML is in templates/.
 """
 
 import contextlib
@@ -19,15 +20,22 @@ from textwrap import shorten
 from typing import NamedTuple
 from urllib.parse import urlencode
 
+import archive
+import corrections
+import home
 import matplotlib
 import numpy as np
+import speed
+import yaml
+from corrections import place
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 import mpt_helpers as mpt
 from mpt_helpers import plots
 from mpt_helpers.ledger import Verdicts, keys, stored_verdicts
-from mpt_helpers.ledger.verdicts import BASES, CAUSE_KINDS, FIELDS, OF_CLAIMS, VERDICTS
+from mpt_helpers.ledger.verdicts import BASES, CANNOT_BE_CHECKED, CAUSE_KINDS, FIELDS, OF_CLAIMS, VERDICTS
+from mpt_helpers.papers import break_sensor
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -38,6 +46,9 @@ MATHJAX_SHA256 = "d4295dc33744836935c1399feece5159577b34c5c8ffb9f1c6324cd82e03a8
 SAVED = re.compile(r'save_figure\(\w+, "(\w+)"\)')
 # More verdicts than this that share their table, outcome and cause become one row, or one chip, that opens.
 FOLD = 4
+PART_2 = re.compile(r"(?m)^## Part II\b")
+# What the filter of the values calls all that did not come out as printed.
+NOT_REPRODUCED = "not reproduced"
 # What a page holds for the site, hidden where Markdown is shown as it is: a template, and in the guide a drawing.
 INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
 CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  # for readers of a checkout only
@@ -59,12 +70,13 @@ class Group(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A figure of a notebook: its file's name, what it is called, its heading, its caption, its cell, its alt text."""
+    """A figure of a notebook: its file's name, what it is called, its heading, its caption and what that concludes."""
 
     name: str
     label: str
     heading: str
     caption: str
+    conclusion: str
     cell: str
     alt: str
     width: int
@@ -84,11 +96,6 @@ def source(cell):
 def title(cells):
     """Return the title of a notebook."""
     return re.match(r"# (.*)", source(cells[0]))[1]
-
-
-def place(verdict):
-    """Return the table, figure or section of an item, without its row and column."""
-    return re.split(r"[,;]", verdict.where)[0]
 
 
 def grouped(verdicts):
@@ -114,13 +121,14 @@ def claims(given, *outcomes):
     return [each for outcome in outcomes for each in listed if each.verdict == outcome]
 
 
-def reasons(given, chosen):
-    """Return the causes of some verdicts, each with those that name it; a cause that two papers share stands once."""
-    alike = {}
-    for each in chosen:
-        cause = given.causes[each.paper, each.cause]
-        alike.setdefault((cause.sentence, cause.meaning), (cause, []))[1].append(each)
-    return list(alike.values())
+def cause_options(given):
+    """Return (id, sentence) of the causes that verdicts name; of an id that papers share, the first sentence."""
+    named = {(each.paper, each.cause) for each in given if each.cause}
+    sentences = {}
+    for (paper, id), cause in given.causes.items():
+        if (paper, id) in named:
+            sentences.setdefault(id, cause.sentence)
+    return sorted(sentences.items(), key=lambda option: option[1])
 
 
 def common(members):
@@ -136,7 +144,7 @@ def figures_of(key, cells):
     drawn, section = [], "What we found"
     for cell in cells:
         if cell["cell_type"] == "markdown":
-            section = [section, *re.findall(r"(?m)^## (?:\d+\. )?(.*)", source(cell))][-1]
+            section = [section, *re.findall(r"(?m)^###? (?:\d+\. )?(.*)", source(cell))][-1]
         for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
@@ -144,9 +152,16 @@ def figures_of(key, cells):
             captions = [part for part in prose if label in names_of(part)]
             (alt,) = (out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out["data"])
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
-            caption = captions[0] if captions else alt
-            drawn.append(Drawn(name, label, heading, caption, cell["id"], alt, width, height))
+            caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else alt
+            said = conclusion(caption)
+            drawn.append(Drawn(name, label, heading, caption, said, cell["id"], alt, width, height))
     return drawn
+
+
+def conclusion(caption):
+    """Return the first sentence of a caption, behind the figure's name and without markup."""
+    found = re.match(r"\*\*Figure [^*]*\*\* *(?:\*\*(.+?)\*\*|([^*]+?[.](?=\s|$)))", caption.replace("\n", " "))
+    return (found[1] or found[2]).strip() if found else ""
 
 
 def names_of(paragraph):
@@ -161,72 +176,137 @@ def svg_size(path):
     return tuple(round(float(size)) for size in re.search(r'<svg [^>]*viewBox="0 0 ([\d.]+) ([\d.]+)"', head).groups())
 
 
-def said(text, pattern):
-    """Return what the group of a pattern matches in a text; raises ValueError unless that is one thing."""
-    found = re.findall(pattern, text)
-    if len(found) != 1:
-        raise ValueError(f"papers.toml: {pattern!r} is found {len(found)} times")
-    return found[0]
-
-
 def texts(given):
-    """Return papers.toml with its numbers looked up; raises ValueError for one that is not found.
-
-    They stand in a verdict, in a notebook or in the guide, all of which have tests of their own.
-    """
+    """Return papers.toml with what it looks up in verdicts; raises KeyError for an item that is not there."""
     by_id = {(each.paper, each.id): each for each in given}
-
-    def found(paper, id, text):
-        each = by_id[paper, id]
-        if text not in f"{each.printed} {each.computed} {each.reason}":
-            raise ValueError(f"papers.toml: {paper}, {id!r} does not say {text!r}, but {each!r}")
-        return text
-
     lookups = {
         "printed": lambda paper, id: by_id[paper, id].printed,
         "computed": lambda paper, id: by_id[paper, id].computed,
-        "found": found,
-        "guide": lambda pattern: said((DOCS / "guide.md").read_text(encoding="utf-8"), pattern),
-        "article": lambda paper, pattern: said("\n".join(map(source, stored_notebook(paper)["cells"])), pattern),
     }
     plain = Environment(undefined=StrictUndefined)
-    return tomllib.loads(plain.from_string((DOCS / "papers.toml").read_text(encoding="utf-8")).render(lookups))
+    said = plain.from_string((DOCS / "papers.toml").read_text(encoding="utf-8")).render(lookups)
+    return tomllib.loads(said)
+
+
+def unbroken(text):
+    """Return a text in which no line breaks between a number and its unit, or inside H = [1 0].
+
+    >>> unbroken("1.5 m at 3 km") == "1.5\N{NO-BREAK SPACE}m at 3\N{NO-BREAK SPACE}km"
+    True
+    """
+    return re.sub(
+        r"(?<=\d) (?=(?:m|km|σ|s|fixes)\b)|(?<=H) (?==)|(?<==) (?=\[)|(?<=\[1) (?=[Δ0])", "\N{NO-BREAK SPACE}", text
+    )
+
+
+def home_page(given, about):
+    """Return what the home page says: the words of papers.toml with the numbers of home.py in them."""
+    by_id = {(each.paper, each.id): each for each in given}
+
+    def said(mistake):
+        words = {name: unbroken(text.format(**mistake.words)) for name, text in about["mistakes"][mistake.name].items()}
+        return words | {"scene": mistake.scene, "proof": mistake.proof}
+
+    filters = home.choice()
+    metres, choices = home.in_metres(by_id), home.of_choice(by_id)
+    counts = home.outcomes(given)
+    numbers = {"late": next(each.words["metres"] for each in metres if each.name == "lag")}
+    for name in ("claims", "values"):
+        numbers |= {f"{name}_{part}": n for part, n in zip(("hold", "part", "all"), counts[name], strict=True)}
+    values = [each for each in given if each.kind != "claim"]
+    numbers["table4"] = next(each.words["wrong"] for each in choices if each.name == "table4")
+    return {
+        "short": {name: unbroken(about["home"][name].format(**numbers)) for name in ("hold", "cost", "take", "run")},
+        "choice": [{name: unbroken(text.format(**filters)) for name, text in row.items()} for row in about["choice"]],
+        "metres": [said(each) for each in metres],
+        "choices": [said(each) for each in choices],
+        "lost": sum(each.verdict == CANNOT_BE_CHECKED for each in values),
+        "table4": numbers["table4"],
+    }
+
+
+def draw_sensor(folder):
+    """Draw what the first figure shows first, as sensor.svg, and return what the page needs to know of it."""
+    fig = break_sensor.draw("gap")
+    alt = plots.save_figure(fig, "sensor", folder).alt
+    scene, track = break_sensor.SCENES["gap"], break_sensor.average()
+    return {
+        "data": break_sensor.for_the_page(),
+        "json": json.dumps(break_sensor.for_the_page(), ensure_ascii=False),
+        "size": svg_size(folder / "sensor.svg"),
+        "alt": f"{alt} {break_sensor.said('gap')}",
+        "numbers": break_sensor.numbers(scene, track),
+        "order": break_sensor.run(scene, track).order,
+        "said": break_sensor.said("gap"),
+        "candidates": break_sensor.CANDIDATES,
+    }
+
+
+def citations():
+    """Return CITATION.cff, how to cite this project, and the reference to each paper by its year."""
+    cff = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    (author,) = (each["name"] for each in cff["authors"])
+    year = cff["date-released"][:4]
+    own = f"{author[0].upper()}{author[1:]} ({year}). {cff['title']}. Version {cff['version']}."
+    papers = {}
+    for each in cff["references"]:
+        names = ", ".join(f"{author['given-names']} {author['family-names']}" for author in each["authors"])
+        volume = " ".join(str(each[name]) for name in ("volume", "issue") if name in each)
+        at = f"{each['start']}-{each['end']}" if "start" in each else each["number"]
+        papers[str(each["year"])] = f"{names}, {each['title']}, {each['journal']} {volume} ({each['year']}) {at}."
+    return cff, own, papers
 
 
 def prepared(key, notebook, page, whole):
     """Return a notebook as it is rendered, whole or as an article: there without cells of the ledger.
 
-    page maps what stands between the cells: "top" after the title, "live" (figure, HTML) after that figure, and
-    "verdicts", a function from a ledger cell to the HTML of its verdicts.
+    page maps what stands between the cells: "top" after the title, "live" (figure, HTML) after that figure or else
+    before Part II, and "verdicts", a function from a ledger cell to the HTML of its verdicts.
     """
     drawn = {each.cell: each for each in figures_of(key, notebook["cells"])}
-    cells = []
-    for cell in notebook["cells"]:
+    figure, live = page["live"]
+    last_of_part_1 = None
+    if not whole and figure.startswith(key):
+        last_of_part_1 = end_of_part_1(notebook["cells"], {each.cell for each in drawn.values() if each.name == figure})
+    cells, evidence = [], False
+    for i, cell in enumerate(notebook["cells"]):
         text = source(cell)
         if cell["cell_type"] == "markdown":
             # In a checkout, docs/ and benchmarks/ stand beside notebooks/; on the site, their pages stand above it.
             text = text.replace("](../docs/", "](../").replace("](../benchmarks/README.md", "](../speed.md")
-        cell = {**cell, "source": text, "metadata": {**cell["metadata"], "id": cell["id"]}}
+        made = {**cell, "source": text, "metadata": {**cell["metadata"], "id": cell["id"]}}
         ledger = "ledger" in cell["metadata"].get("tags", ())
-        cell["metadata"]["folded"] = not whole and not teaches(cell)
-        cell["metadata"]["tags"] = []  # code is folded here, not by myst-nb
+        evidence = evidence or PART_2.search(text) is not None
+        made["metadata"]["folded"] = not whole and not is_open(cell, evidence)
+        made["metadata"]["tags"] = []  # code is folded here, not by myst-nb
         if ledger and not whole:
             cells.append(raw_cell(page["verdicts"](cell["id"])))
-            continue
-        if each := drawn.get(cell["id"]):
-            cell["metadata"] |= {"figure": each._asdict()}
-        cells.append(cell)
-        if cell is cells[0]:
+        else:
+            if each := drawn.get(cell["id"]):
+                made["metadata"] |= {"figure": each._asdict()}
+            cells.append(made)
+        if i == 0:
             cells.append(raw_cell(page["top"]))
-        if not whole and each and each.name == page["live"][0]:
-            cells.append(raw_cell(page["live"][1]))
+        if i == last_of_part_1:
+            cells.append(raw_cell(live))
     return {**notebook, "cells": cells}
 
 
-def teaches(cell):
-    """Tell whether a cell defines a function that the text explains: its code stays open on the page."""
+def end_of_part_1(cells, figure):
+    """Return after which cell the figure with sliders stands: its figure's, else the last one before Part II."""
+    for i, cell in enumerate(cells):
+        if cell["id"] in figure:
+            return i
+    ends = [i for i, cell in enumerate(cells) if PART_2.search(source(cell))]
+    return ends[0] - 1 if ends else len(cells) - 1
+
+
+def is_open(cell, evidence):
+    """Tell whether the code of a cell stays open on the page: not that of a figure, and in Part II only functions."""
     hidden = "hide-input" in cell["metadata"].get("tags", ())
-    return not hidden and not SAVED.search(source(cell)) and re.search(r"(?m)^def ", source(cell)) is not None
+    if hidden or SAVED.search(source(cell)):
+        return False
+    return not evidence or re.search(r"(?m)^def ", source(cell)) is not None
 
 
 def raw_cell(html):
@@ -321,12 +401,21 @@ def mathjax():
     return data
 
 
+# The modules of the core in the order in which they are read; others come after them, with what runs the filters.
+FIRST = ["model", "filters", "steady", "predictor", "combined"]
+JUDGE = ["metrics", "fitting", "bands", "monte_carlo"]
+NOT_SHOWN = ["checks", "files", "plots"]
+
+
 def api():
     """Return the headings of the API page, each with its modules: those of the layout, and what is in papers/."""
     papers = sorted(path.stem for path in (ROOT / "mpt_helpers" / "papers").glob("[a-z]*.py"))
+    core = sorted(path.stem for path in (ROOT / "mpt_helpers").glob("[a-z]*.py"))
+    others = [name for name in core if name not in (*FIRST, *JUDGE, *NOT_SHOWN)]
     return {
-        "Models and filters": ["model", "filters", "steady", "combined", "riccati", "recursion"],
-        "Judging them": ["metrics", "monte_carlo"],
+        "Models and filters": [name for name in FIRST if name in core],
+        "Judging them": [name for name in JUDGE if name in core],
+        "What runs them": others,
         "What the papers need": [f"papers.{name}" for name in papers],
         "What the papers print, and whether it holds": ["ledger.paper", "ledger.verdicts", "ledger.tables"],
         "Figures": ["plots"],
@@ -364,11 +453,12 @@ def environment():
         "CAUSE_KINDS": CAUSE_KINDS,
         "OF_CLAIMS": OF_CLAIMS,
         "grouped": grouped,
-        "by_cause": by_cause,
         "claims": claims,
-        "reasons": reasons,
+        "cause_options": cause_options,
+        "outcomes": home.outcomes,
         "common": common,
         "shorten": shorten,
+        "NOT_REPRODUCED": NOT_REPRODUCED,
         "live_presets": live_presets,
     }
     env.filters |= {
@@ -392,7 +482,7 @@ def write_tables(given, folder):
 def main():
     """Write docs/_build afresh: source, static and extra."""
     shutil.rmtree(BUILD, ignore_errors=True)
-    for part in ("source/notebooks", "static", "extra/notebooks"):
+    for part in ("source/notebooks", "source/corrections", "static", "extra/notebooks"):
         (BUILD / part).mkdir(parents=True)
     notebooks = {key: stored_notebook(key) for key in keys()}
     stored = [stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb") for key in notebooks]
@@ -403,16 +493,47 @@ def main():
     plots.use_style()
     draw_still(about["live"]["presets"][about["live"]["shown"]], BUILD / "static")
     draw_accuracy((DOCS / "accuracy.md").read_text(encoding="utf-8").partition("<!-- digits -->")[2], BUILD / "static")
+    cff, own, references = citations()
+    name = f"mpt_helpers-{cff['version']}"
+    size = write_archive(BUILD / "extra" / f"{name}.tar.gz", name, cff["date-released"])
     env.globals |= {
         "given": given,
-        "tally": given.tally(),
         "texts": about,
+        "home": home_page(given, about),
+        "sensor": draw_sensor(BUILD / "static"),
+        "archive": name,
+        "archive_size": f"{size / 1e6:.1f} MB",
+        "citation": own,
+        "citation_of": lambda key: references.get(key[:4], about["papers"][key]["authors"]),
         "accuracy": svg_size(BUILD / "static" / "accuracy.svg"),
         "titles": {key: title(each["cells"]) for key, each in notebooks.items()},
         "figures": {key: figures_of(key, each["cells"]) for key, each in notebooks.items()},
         "api": api().items(),
-        "speed": (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8"),
+        "speed": speed,
     }
+    write_pages(env)
+    for key, notebook in notebooks.items():
+        write_article(env, key, notebook, given.of(key), about["live"]["after"])
+        write_corrections(env, key, given.of(key), about)
+    shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
+    shutil.copy(DOCS / "track.csv", BUILD / "extra")
+    (BUILD / "static" / "tex-svg.js").write_bytes(mathjax())
+    write_tables(given, BUILD / "extra")
+    words = {"descriptions": about["descriptions"], "papers": about["papers"]}
+    (BUILD / "words.json").write_text(json.dumps(words), encoding="utf-8")  # for conf.py
+    for png in (BUILD / "static").glob("*.png"):
+        png.unlink()
+
+
+def write_archive(path, name, day):
+    """Write the source of the project to a .tar.gz, and return its size in bytes."""
+    data = archive.source(ROOT, name, day)
+    path.write_bytes(data)
+    return len(data)
+
+
+def write_pages(env):
+    """Write the pages of docs/ as they are rendered."""
     for page in sorted(DOCS.glob("*.md")):
         # In a checkout, the notebooks' folder stands beside docs/; on the site, below its pages.
         text = page.read_text(encoding="utf-8").replace("](../notebooks/", "](notebooks/")
@@ -421,25 +542,35 @@ def main():
         if page.name == "guide.md":
             text = with_pictures(text, BUILD / "static")
         (BUILD / "source" / page.name).write_text(text, encoding="utf-8")
-    for key, notebook in notebooks.items():
-        shutil.copy(ROOT / "notebooks" / f"{key}.ipynb", BUILD / "extra" / "notebooks")
-        own, here = given.of(key), {"key": key, "root": "../"}
-        html = {
-            "live": (about["live"]["after"], env.get_template("live.html").render(here)),
-            "verdicts": lambda cell, own=own, here=here: env.get_template("chips.html").render(
-                here, cell=cell, verdicts=[each for each in own if each.cell == cell]
-            ),
-        }
-        for name, whole in ((key, False), (f"{key}-full", True)):
-            page = html | {"top": env.get_template("top.html").render(here, whole=whole)}
-            text = json.dumps(prepared(key, notebook, page, whole), ensure_ascii=False)
-            (BUILD / "source" / "notebooks" / f"{name}.ipynb").write_text(text, encoding="utf-8")
-    shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
-    shutil.copy(DOCS / "track.csv", BUILD / "extra")
-    (BUILD / "static" / "tex-svg.js").write_bytes(mathjax())
-    write_tables(given, BUILD / "extra")
-    for png in (BUILD / "static").glob("*.png"):
-        png.unlink()
+
+
+def write_article(env, key, notebook, own, live):
+    """Write the article and the full notebook of one paper."""
+    shutil.copy(ROOT / "notebooks" / f"{key}.ipynb", BUILD / "extra" / "notebooks")
+    here = {"key": key, "root": "../"}
+
+    def verdicts(cell):
+        chosen = [each for each in own if each.cell == cell]
+        return env.get_template("chips.html").render(here, cell=cell, verdicts=chosen)
+
+    html = {"live": (live, env.get_template("live.html").render(here)), "verdicts": verdicts}
+    for name, whole in ((key, False), (f"{key}-full", True)):
+        first = source(notebook["cells"][0])
+        page = html | {"top": env.get_template("top.html").render(here, whole=whole, first=first)}
+        text = json.dumps(prepared(key, notebook, page, whole), ensure_ascii=False)
+        (BUILD / "source" / "notebooks" / f"{name}.ipynb").write_text(text, encoding="utf-8")
+
+
+def write_corrections(env, key, own, about):
+    """Write the page of corrections to one paper."""
+    html = env.get_template("correction.html").render(
+        key=key,
+        rows=corrections.names_of_rows(own),
+        sections=corrections.sections(own, about["corrected"].get(key, {})),
+        questions=corrections.questions(own, about["questions"].get(key, {})),
+    )
+    text = f"---\nhide-toc: true\n---\n# Corrections to {about['papers'][key]['authors']}\n\n{raw_html(html)}\n"
+    (BUILD / "source" / "corrections" / f"{key}.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
 from . import checks
+from .bands import Ahead, LiveBand, ahead, coverage, following, interval_score, placebo  # noqa: F401
 from .checks import Array
 from .columns import whitened
 from .equations import corrected_covariance, predicted_covariance
@@ -209,5 +210,5 @@ def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: 
         C = corrected_covariance(predicted_covariance(truth, C), steady.B, truth.H, truth.R)
         mean.append(e)
         P.append(C)
-    ahead = np.linalg.matrix_power(truth.F, steps)
-    return ErrorMoments(np.array(mean) @ ahead.T, predicted_covariance(truth, np.array(P), steps))
+    F_steps = np.linalg.matrix_power(truth.F, steps)
+    return ErrorMoments(np.array(mean) @ F_steps.T, predicted_covariance(truth, np.array(P), steps))

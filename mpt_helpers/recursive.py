@@ -277,8 +277,11 @@ class RecursiveFilter(Filter):
             S_part = (W @ P_part.reshape(n * n, -1)).reshape(m, m, *P_part.shape[2:])
             values[part] = z[part] - np.moveaxis(expected.reshape(m, *x_part.shape[1:]), 0, 1)
             S[part] = np.moveaxis(S_part, 2, 0)
-        R = self.model.R[..., None] if variances is None else variances[:, :, None] * np.eye(m)[..., None]
-        return values, S + R
+        if variances is None:
+            return values, S + self.model.R[..., None]
+        # A measurement that is missing may have no variance of its own: then it has the model's.
+        variances = np.where(np.isfinite(variances), variances, np.diag(self.model.R)[:, None])
+        return values, S + variances[:, :, None] * np.eye(m)[..., None]
 
     def _smoothed_tile(self, z):
         steps, _ = self._conditions
@@ -331,12 +334,12 @@ def _rows(z, steps, variances, shared):
     """Return the Rows of z (N, m, M): one column of M tracks where they share their conditions, else M columns."""
     seen = ~np.isnan(z)
     z = np.where(seen, z, 0)
+    if variances is not None:  # of what is missing they may be anything
+        variances = np.where(seen[..., :1] if shared else seen, variances, 1)
     if shared:
         return Rows(z[..., None], seen[..., :1], steps, variances)
-    N, m, M = z.shape
-    steps = None if steps is None else np.broadcast_to(steps, (N, M))
-    variances = None if variances is None else np.broadcast_to(variances, (N, m, M))
-    return Rows(z[:, :, None], seen, steps, variances)
+    N, _, M = z.shape
+    return Rows(z[:, :, None], seen, None if steps is None else np.broadcast_to(steps, (N, M)), variances)
 
 
 def _of(array, part):

@@ -134,8 +134,8 @@ def require_resolved(model: LinearModel, P: Array) -> None:
     rounding = eps * (np.abs(keep) @ sigma) ** 2 + (eps * terms @ sigma) ** 2
     variance = np.diag(P)
     change = np.abs(corrected_covariance(P_p, K, model.H, model.R) - P)
-    moved = change > RESOLVED * np.sqrt(variance[:, None] * variance) + eps * np.sqrt(np.diag(P_p)[:, None] * np.diag(P_p))
-    if moved.any() or (rounding > RESOLVED * variance).any():
+    allowed = RESOLVED * np.sqrt(np.outer(variance, variance)) + eps * np.outer(sigma, sigma)
+    if (change > allowed).any() or (rounding > RESOLVED * variance).any():
         raise ValueError("model: needs a steady state that double precision can resolve; in a variance no digit holds")
 
 

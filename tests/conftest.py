@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,6 +51,25 @@ def model(axis_and_count):
 def z(model):
     """Measurements of one track of 60 steps."""
     return mpt.simulate(model, 60, np.random.default_rng(7))[1]
+
+
+def source(cell):
+    """The text of a notebook's cell."""
+    return "".join(cell["source"])
+
+
+def parts(cells):
+    """The cells of Part I, the article, and of Part II, its evidence: none if the notebook has one part."""
+    for i, cell in enumerate(cells):
+        if cell["cell_type"] == "markdown" and re.match(r"##? Part II\b", source(cell)):
+            return cells[:i], cells[i:]
+    return cells, []
+
+
+def part_one(path):
+    """The text of Part I of a notebook in a file."""
+    article, _ = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
+    return "\n\n".join(source(cell) for cell in article if cell["cell_type"] == "markdown")
 
 
 @pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)

@@ -1,5 +1,7 @@
 """Oracles that share no code with the package: the textbook's filter, dense Gaussian conditioning, exact errors."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 
@@ -93,3 +95,51 @@ def error_covariances(F, H, Q, R, x0, P0, lost, linear_filter, ahead=0):
 def matrices(model):
     """The arguments of the oracles, of a model."""
     return model.F, model.H, model.Q, model.R, model.x0, model.P0
+
+
+def gaussian_conditioning_of_steps(Fs, Qs, H, Rs, x0, P0, z):
+    """All that measurements tell, by conditioning the joint Gaussian; each step has its own F, Q and R.
+
+    Returns x(k/k), P(k/k), x(k/N), P(k/N), the innovations (NaN where missing), S of whole rows, the log density of
+    what is there, and the NIS of each row (NaN where nothing is).
+    """
+    (N, m), n = z.shape, len(x0)
+    x, P, mean, C = x0, P0, [], np.zeros((N * n, N * n))
+    for k in range(N):
+        x, P = Fs[k] @ x, Fs[k] @ P @ Fs[k].T + Qs[k]
+        mean.append(x)
+        C[n * k : n * (k + 1), n * k : n * (k + 1)] = P
+        for j in range(k):
+            C[n * k : n * (k + 1), n * j : n * (j + 1)] = Fs[k] @ C[n * (k - 1) : n * k, n * j : n * (j + 1)]
+            C[n * j : n * (j + 1), n * k : n * (k + 1)] = C[n * k : n * (k + 1), n * j : n * (j + 1)].T
+    H_all = np.kron(np.eye(N), H)
+    R_all = np.zeros((N * m, N * m))
+    for k in range(N):
+        R_all[m * k : m * (k + 1), m * k : m * (k + 1)] = Rs[k]
+    C_xz, C_zz, mean = C @ H_all.T, H_all @ C @ H_all.T + R_all, np.concatenate(mean)
+    expected, values = H_all @ mean, z.ravel()
+
+    def given(seen, a, b, C_a, C_ab):
+        gain = np.linalg.solve(C_zz[np.ix_(seen, seen)], C_ab[:, seen].T).T
+        return a + gain @ (values[seen] - expected[seen]), C_a - gain @ C_ab[:, seen].T
+
+    result = {name: [] for name in ("x", "P", "x_smooth", "P_smooth", "innovations", "S", "nis")}
+    there = ~np.isnan(values)
+    for k in range(N):
+        state, row = slice(n * k, n * (k + 1)), slice(m * k, m * (k + 1))
+        until, before = (np.flatnonzero(there & (np.arange(N * m) < m * end)) for end in (k + 1, k))
+        for names, seen in ((("x", "P"), until), (("x_smooth", "P_smooth"), np.flatnonzero(there))):
+            pair = given(seen, mean[state], None, C[state, state], C_xz[state])
+            for name, value in zip(names, pair, strict=True):
+                result[name].append(value)
+        z_k, S = given(before, expected[row], None, C_zz[row, row], C_zz[row])
+        new = values[row] - z_k
+        result["innovations"].append(new)
+        result["S"].append(S)
+        seen = there[row]
+        square = new[seen] @ np.linalg.solve(S[np.ix_(seen, seen)], new[seen]) if seen.any() else np.nan
+        result["nis"].append(square)
+    d, seen = (values - expected)[there], np.flatnonzero(there)
+    C_seen = C_zz[np.ix_(seen, seen)]
+    log_density = -0.5 * (d @ np.linalg.solve(C_seen, d) + np.linalg.slogdet(2 * np.pi * C_seen)[1])
+    return SimpleNamespace(**{name: np.array(value) for name, value in result.items()}, log_density=log_density)

@@ -10,6 +10,8 @@ import sys
 import nbformat
 import pytest
 from conftest import NOTEBOOKS, ROOT
+from test_articles import FIRST_CELL, FIRST_PICTURE, PICTURES, USUAL
+from test_articles import LINES as TEACHES
 from test_notebooks import LINES
 
 from mpt_helpers.__main__ import main
@@ -37,6 +39,9 @@ def blocks(kind):
     return re.findall(rf"```{kind}\n(.*?)```", PAGE, re.DOTALL)
 
 
+MODULE = blocks("python")[0].rstrip("\n")  # the others are cells
+
+
 def run(folder, *arguments):
     """Run Python in a copy of the project, with the package of this copy; return what it prints."""
     environment = os.environ | {"PYTHONPATH": str(folder)}
@@ -52,6 +57,8 @@ def copy(tmp_path_factory):
     shutil.copytree(ROOT, copy, ignore=IGNORED)
     ledger, words = blocks("toml")
     (copy / "mpt_helpers" / "ledger" / f"{KEY}.toml").write_text(ledger, encoding="utf-8")
+    (name,) = re.findall(rf"`(mpt_helpers/papers/\w+_{KEY[:4]}\.py)`", PAGE)
+    (copy / name).write_text(f"{MODULE}\n", encoding="utf-8")
     path = copy / "docs" / "papers.toml"
     path.write_text(f"{path.read_text(encoding='utf-8')}\n{words}", encoding="utf-8")
     path = copy / "README.md"
@@ -66,11 +73,13 @@ def copy(tmp_path_factory):
 
 def write_the_notebook(path):
     """Write the page's cells, not yet executed."""
-    (title,) = blocks("markdown")
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_markdown_cell(title)], metadata=KERNEL)
-    for text in blocks("python"):
-        metadata = FOLDED if text.startswith("# Ledger") else {}
-        notebook.cells.append(nbformat.v4.new_code_cell(text.rstrip("\n"), metadata=metadata))
+    notebook = nbformat.v4.new_notebook(metadata=KERNEL)
+    for kind, text in re.findall(r"```(markdown|python)\n(.*?)\n```", PAGE, re.DOTALL):
+        if kind == "markdown":
+            notebook.cells.append(nbformat.v4.new_markdown_cell(text))
+        elif text != MODULE:
+            metadata = FOLDED if text.startswith("# Ledger") else {}
+            notebook.cells.append(nbformat.v4.new_code_cell(text, metadata=metadata))
     nbformat.write(notebook, path)
 
 
@@ -104,7 +113,8 @@ def test_the_new_paper_is_counted_beside_the_others(said):
 
 
 def test_the_projects_tests_of_papers_and_pages_pass_with_the_new_paper(copy):
-    files = [f"tests/test_{name}.py" for name in ("readme", "ledger", "notebooks")]
+    files = [f"tests/test_{name}.py" for name in ("readme", "ledger", "notebooks", "articles")]
+    files.append("tests/test_package.py::test_the_other_rooms_do_not_meet")
     said = run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files)
     assert " passed" in said
     assert f"| [{KEY}](notebooks/{KEY}.ipynb) | 1 (1) |" in (copy / "README.md").read_text(encoding="utf-8")
@@ -129,7 +139,15 @@ def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
     cells = [cell for path in NOTEBOOKS for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]]
     folded = [cell["metadata"] for cell in cells if "ledger" in cell["metadata"].get("tags", [])]
     assert [each for each in folded if each != FOLDED] == []
-    assert f"at most {LINES} lines" in PAGE
+    for what in (
+        f"at most {USUAL.cells} cells, {USUAL.words:,} words and {PICTURES} figures",
+        f"at most {FIRST_CELL} words",
+        f"at most {FIRST_PICTURE} lines of code",
+        f"A cell of code has at most {TEACHES} lines",
+        f"in at most {USUAL.evidence_cells} cells",
+        f"A cell has at most {LINES} lines",
+    ):
+        assert what in PAGE, what
 
 
 def test_the_page_names_every_kind_of_item_and_cause_and_every_basis():

@@ -7,7 +7,7 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
-from conftest import NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT, source
 from matplotlib.image import imread
 
 from mpt_helpers.__main__ import tidied
@@ -22,10 +22,6 @@ GIVES_A_VERDICT = re.compile(r"\bpaper\.(check|claim|cannot_check|report)\(")
 
 def code(cells):
     return [cell for cell in cells if cell["cell_type"] == "code"]
-
-
-def source(cell):
-    return "".join(cell["source"])
 
 
 def outputs(cells):

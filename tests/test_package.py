@@ -31,7 +31,14 @@ ROOMS = {
     "plots": {"plots", "checks", "files"},
     "papers": {*CORE, "monte_carlo", "plots", "papers"},
 }
-BESIDE = {"experiments_2007": {"positioning"}}  # two modules of one paper
+BESIDE = {  # modules of one paper
+    "experiments_2007": {"positioning"},
+    "article_2007": {"positioning", "experiments_2007"},
+    "article_2014": {"burden", "table4"},
+    "article_2015": {"burden"},
+    "article_2016": {"readings_2016", "table1_2016"},
+    "readings_2016": {"table1_2016"},
+}
 STEADY = mpt.SteadyStateFilter.from_kalman(AXIS)
 EVERY_FILTER = {
     **mpt.six_filters(AXIS),

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT, part_one, parts, source
 from tools import shipped
 
 from mpt_helpers.__main__ import BLOCK, readme
@@ -58,18 +58,19 @@ def test_the_counts_are_those_of_the_verdicts():
 
 
 def test_the_list_of_papers_is_that_of_the_notebooks():
-    """Each with the DOI of its notebook, and no number that the notebook's first cell does not give."""
+    """Each with no number that neither Part I of the notebook gives nor the citation, which opens Part II."""
     listed = dict(re.findall(r"(?m)^- \[(\w+)\]\(notebooks/\w+\.ipynb\): (.*)", README))
     assert sorted(listed) == [path.stem for path in NOTEBOOKS]
     for path in NOTEBOOKS:
-        first = "".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"])
+        _, evidence = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
+        said = "\n".join([part_one(path), *map(source, evidence[:1])])
         for number in re.findall(r"\d{2,}", listed[path.stem]):
-            assert re.search(rf"(?<!\d){number}(?!\d)", first), f"{path.stem}: {number}"
+            assert re.search(rf"(?<!\d){number}(?!\d)", said), f"{path.stem}: {number}"
 
 
-def test_the_numbers_of_the_opening_stand_in_the_first_cells():
+def test_the_numbers_of_the_opening_stand_in_the_articles():
     opening = README.partition("<!-- verdicts")[0].partition("\n![")[0]
-    said = " ".join("".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"]) for path in NOTEBOOKS)
+    said = " ".join(map(part_one, NOTEBOOKS))
     numbers = re.findall(r"\d{2,}", opening)
     assert len(numbers) >= 2
     for number in numbers:

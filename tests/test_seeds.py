@@ -33,12 +33,20 @@ def test_a_notebook_has_one_seed_if_and_only_if_it_simulates():
 
 @pytest.mark.parametrize(
     "sources",
-    [["x = 1"], ["SEED = 1\nSEED = 2"], ["x = 1", "SEED = 1"], ["SEED = 1", "SEED = 2"], ["OTHER_SEED = 1"]],
+    [["x = 1"], ["SEED = 1\nSEED = 2"], ["SEED = 1", "SEED = 2"], ["OTHER_SEED = 1"], ["f(SEED = 1)"]],
 )
-def test_another_place_of_the_seed_is_refused(tmp_path, sources):
+def test_no_seed_or_several_are_refused(tmp_path, sources):
     write_notebook(tmp_path / "n.ipynb", *sources)
-    with pytest.raises(ValueError, match="needs one line `SEED = <int>`, in its first code cell"):
+    with pytest.raises(ValueError, match=r"needs one line `SEED = <int>`, got [02]"):
         seeds.with_seed(json.loads((tmp_path / "n.ipynb").read_text()), 5)
+
+
+def test_the_seed_may_stand_in_any_cell(tmp_path):
+    """That of a notebook in two parts stands in the second, which uses nothing of the first."""
+    write_notebook(tmp_path / "n.ipynb", "x = 1", "SEED = 3\ny = SEED")
+    notebook, own = seeds.with_seed(json.loads((tmp_path / "n.ipynb").read_text()), 5)
+    assert own == 3
+    assert [cell["source"] for cell in notebook["cells"]] == ["x = 1", "SEED = 5\ny = SEED"]
 
 
 def test_the_other_seeds_are_25_and_not_the_own():

@@ -1,27 +1,29 @@
-"""Table 1 of 2016: expected and simulated averages, the lengths that they imply, and the probability of the print."""
+"""Table 1 of 2016: expected and simulated averages, and the probability of the print."""
 
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import MODELS_2016, ROOT
+from conftest import MODELS_2016, ROOT, parts, source
 from scipy.stats import multivariate_normal
 
 import mpt_helpers as mpt
 from mpt_helpers import ledger
 from mpt_helpers.papers import table1_2016 as table1
 
-STARTS = {"cv": ((0, 20), (0, 30)), "ca": ((0, 0, 2), (0, 0, 3))}
-PRINTED = {
-    "cv": np.array([0.0111, 0.0142, 0.0156, 0.0165, 0.0172, 0.0177]),
-    "ca": np.array([0.0077, 0.0146, 0.0173, 0.0189, 0.0200, 0.0209]),
-}
-COLUMNS = {
-    key: table1.Column(mpt.SteadyStateFilter.from_kalman(model), STARTS[key], PRINTED[key])
-    for key, model in MODELS_2016.items()
-}
+COLUMNS = table1.columns()
+PRINTED = {key: column.printed for key, column in COLUMNS.items()}
 both_models = pytest.mark.parametrize("column", COLUMNS.values(), ids=COLUMNS)
+
+
+def test_the_columns_are_the_papers_examples():
+    for key, model in MODELS_2016.items():
+        for name in "FHQR":
+            np.testing.assert_array_equal(getattr(COLUMNS[key].steady.model, name), getattr(model, name))
+    faster = table1.columns(dt=0.5, size=2.0)["ca"]
+    assert faster.starts == ((0, 0, 4), (0, 0, 6))
+    assert faster.steady.model.F[0, 1] == 0.5
 
 
 def better_start(column):
@@ -160,15 +162,6 @@ def test_the_steady_state_filter_is_the_default(column):
     np.testing.assert_allclose(given, table1.expected_averages(column, 0, 300), rtol=1e-9)
 
 
-@pytest.mark.parametrize(("scale", "noise", "L"), [(100, 0, 9000), (1, 1, 80)])
-def test_implied_lengths_of_the_mean_are_the_length_of_the_runs(scale, noise, L):
-    column = COLUMNS["cv"]
-    lengths = np.arange(L // 2, 2 * L, L // 40)
-    ratio = relative_errors(column, noise, 1, 500)["x"]
-    table = scale * table1.averages(column, ratio, [L])[0].mean(axis=1, keepdims=True)
-    np.testing.assert_allclose(table1.implied_lengths(column, ratio, scale, lengths, table), L, rtol=1e-9)
-
-
 @pytest.mark.parametrize("numbers", [6, 12])
 def test_the_likelihood_is_a_gaussian_density_times_the_last_digits(numbers):
     rng = np.random.default_rng(0)
@@ -210,36 +203,10 @@ def test_the_odds_point_to_the_reading_that_made_a_table():
         assert right.mean() > 0.9
 
 
-@pytest.fixture(scope="module")
-def first_screen():
-    return markdown()[0]
-
-
-def markdown():
-    """The notebook's cells of text."""
+def test_the_notebook_counts_what_the_verdicts_say():
     path = ROOT / "notebooks" / "2016_prediction.ipynb"
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"]
-
-
-def test_the_first_screen_counts_what_the_verdicts_say(first_screen):
-    tally = ledger.stored_verdicts(ROOT / "notebooks" / "2016_prediction.ipynb").tally()
+    _, evidence = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
+    tally = ledger.stored_verdicts(path).tally()
     in_part = dict(tally.claims_bar())["hold in part"]
     causes = ", ".join(tally.cause_text(kind) for kind in ("slip", "wording", "finding"))
-    assert f"{causes}; {tally.claims_text()}, {in_part} in part." in first_screen
-
-
-def test_the_notebook_says_what_the_start_is_worth(first_screen):
-    shares, gains = [], {}
-    for key, column in COLUMNS.items():
-        average = {}
-        for name, start in {"paper": column.steady, "better": better_start(column)}.items():
-            average[name] = np.mean([table1.expected_averages(column, axis, 10_000, start) for axis in (0, 1)], axis=0)
-        gains[key] = (average["paper"] / average["better"])[:, -1]
-        for axis in (0, 1):
-            each = table1.expected_averages(column, axis, 10_000)
-            shares.append(10 * each[:, 9] / (10_000 * each[:, -1]))
-    cv, ca = gains["cv"], gains["ca"]
-    assert f"make {100 * np.min(shares):.0f} to {100 * np.max(shares):.0f} %" in first_screen
-    smaller = f"{cv.min():.0f} to {cv.max():.0f} times smaller (constant velocity) or {ca.mean():.0f}"
-    assert any(f"{smaller} (constant acceleration)" in text for text in markdown())
+    assert f"{causes}; {tally.claims_text()}, {in_part} in part." in source(evidence[0])

@@ -151,12 +151,12 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
     const reach = 1.1 * Math.max(4 * Math.sqrt(P[0]), ...late);
     const wide = { x: [0.01, 100], logs: "xy" };
     figure.querySelector(".panels").innerHTML = [
+      panel("error of one track (m)", "step k", { x: [1, live.STEPS], y: [-reach, reach], logs: "", width: Math.min(Math.max(figure.clientWidth - 30, 360), 740),
+        band: k.map((each, i) => [each, 2 * t.sigma[i]]), curves: [{ name: "Kalman", points: errors[0] }, { name: "FIR", points: errors[1] }] }),
       panel("σ of the position (m)", "time step Δt (s)", { ...wide, y: spread(sigma.map(([, s]) => s)), mark: [[dt, Math.sqrt(P[0])]],
         curves: [{ name: "σ", points: sigma }] }),
       panel("the constant gain", "time step Δt (s)", { ...wide, y: spread(gain.flat().map(([, g]) => g)), mark: [[dt, K[0]], [dt, K[1]]],
         curves: [{ name: "position", points: gain[0] }, { name: "velocity", points: gain[1] }] }),
-      panel("error of one track (m)", "step k", { x: [1, live.STEPS], y: [-reach, reach], logs: "", width: Math.min(Math.max(figure.clientWidth - 30, 360), 740),
-        band: k.map((each, i) => [each, 2 * t.sigma[i]]), curves: [{ name: "Kalman", points: errors[0] }, { name: "FIR", points: errors[1] }] }),
     ].join("");
     const rule = live.firOrder(A), last = errors.map((each) => number(Math.abs(each.at(-1)[1]), 2));
     figure.querySelector(".said").textContent = `With Δt = ${number(dt)} s the constant gain is ${number(K[0])} for the position and `
@@ -187,9 +187,13 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
     state.M = Math.round(state.M);
   }
 
+  // After the drawing, and only when a slider is let go: some browsers allow a hundred of these in half a minute.
   function keep() {
-    history.replaceState(null, "", "#" + new URLSearchParams(state));
-    draw();
+    try {
+      history.replaceState(null, "", "#" + new URLSearchParams(state));
+    } catch {
+      // The figure works without its address.
+    }
   }
 
   const rows = Object.entries(SLIDERS).map(([name, { label, from, to, log, step }]) => `<div class="slider"><label for="live-${name}">${label}</label>`
@@ -203,12 +207,14 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
     input.addEventListener("input", () => {
       state[name] = log ? Number((10 ** Number(input.value)).toPrecision(3)) : Number(input.value);
       if (["dt", "q", "r"].includes(name)) state.M = ruled(state);
-      keep();
+      draw();
     });
+    input.addEventListener("change", keep);
   }
   for (const button of figure.querySelectorAll("[data-preset]")) {
     button.addEventListener("click", () => {
       take(presets[button.dataset.preset]);
+      draw();
       keep();
     });
   }

@@ -11,7 +11,8 @@ if (filter) {
   const show = () => {
     const { text, ...chosen } = Object.fromEntries(new FormData(form));
     const words = text.toLowerCase().split(/\s+/);
-    const fits = (row) => Object.entries(chosen).every(([name, value]) => !value || row.dataset[name] === value)
+    const is = (row, name, value) => value === "not reproduced" ? !["reproduced", "within band"].includes(row.dataset[name]) : row.dataset[name] === value;
+    const fits = (row) => Object.entries(chosen).every(([name, value]) => !value || is(row, name, value))
       && words.every((word) => texts.get(row).includes(word));
     let all = 0;
     for (const group of groups) {
@@ -32,10 +33,10 @@ if (filter) {
     const one = document.getElementById(decodeURIComponent(location.hash.slice(1)));
     if (location.hash && !location.hash.includes("=")) {
       const group = groups.find((each) => each.items.includes(one));
-      if (group) { fold(group, true); show(); one.scrollIntoView(); }
+      if (group) { form.reset(); fold(group, true); show(); one.scrollIntoView(); }
       return;
     }
-    const chosen = new URLSearchParams(location.hash.slice(1));
+    const chosen = new URLSearchParams(location.hash.slice(1) || "verdict=not reproduced"); // what a reader comes for
     for (const field of form.elements) if (field.name) field.value = chosen.get(field.name) ?? "";
     show();
   };
@@ -48,9 +49,12 @@ if (filter) {
   new ResizeObserver(() => table.style.setProperty("--above", `${filter.offsetHeight}px`)).observe(filter);
   form.addEventListener("submit", (event) => event.preventDefault());
   form.addEventListener("input", () => {
-    const chosen = [...new FormData(form)].filter(([, value]) => value);
-    history.replaceState(null, "", "#" + new URLSearchParams(chosen));
     show();
+    try {
+      history.replaceState(null, "", "#" + (new URLSearchParams([...new FormData(form)].filter(([, value]) => value)).toString() || "all="));
+    } catch {
+      // Some browsers limit how often; the filter works without its address.
+    }
   });
   addEventListener("hashchange", read);
   show();

@@ -12,7 +12,7 @@ from math import factorial
 import numpy as np
 from scipy.special import erf
 
-from ..model import simulate
+from ..model import constant_acceleration, constant_velocity, simulate
 from ..steady import SteadyStateFilter
 
 LARGEST_N = 5  # steps ahead in the table
@@ -20,6 +20,14 @@ LARGEST_N = 5  # steps ahead in the table
 TRANSIENT = 110
 AXES = ("x", "y", "both", "plane")
 LAST_DIGIT = 1e-4  # of a printed number
+DT, Q, R = 1.0, 0.01, 0.1  # the examples of Sections 5.1 and 5.2: time step, strength of the process noise, variance
+MODELS = {"cv": constant_velocity, "ca": constant_acceleration}
+NAMES = {"cv": "constant velocity", "ca": "constant acceleration"}
+STARTS = {"cv": ((0, 20), (0, 30)), "ca": ((0, 0, 2), (0, 0, 3))}  # x(0) on the axes x and y
+PRINTED = {
+    "cv": (0.0111, 0.0142, 0.0156, 0.0165, 0.0172, 0.0177),
+    "ca": (0.0077, 0.0146, 0.0173, 0.0189, 0.0200, 0.0209),
+}
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,21 @@ class Column:
         t = self.steady.model.F[0, 1] * np.arange(1, steps + LARGEST_N + 1)  # F[0, 1] is the time step
         s = sum(component * t**i / factorial(i) for i, component in enumerate(self.starts[axis]))
         return np.array([s[N : N + steps] for N in range(LARGEST_N + 1)])
+
+
+def columns(dt=DT, q=Q, r=R, size=1.0):
+    """Return both columns of the table, {"cv": Column, "ca": Column}, as the paper has them by default.
+
+    dt, q and r are those of `constant_velocity`; size multiplies the velocity and the acceleration of the mobile.
+
+    >>> columns()["ca"].steady.B.round(3).ravel()
+    array([0.744, 0.488, 0.16 ])
+    """
+    result = {}
+    for key, make in MODELS.items():
+        starts = tuple(tuple(size * component for component in start) for start in STARTS[key])
+        result[key] = Column(SteadyStateFilter.from_kalman(make(dt, q, r)), starts, np.array(PRINTED[key]))
+    return result
 
 
 def expected_absolute(mean, variance):
@@ -104,6 +127,35 @@ def expected_averages(column, axis, L, estimator=None):
     return ratio.cumsum(axis=1) / np.arange(1, L + 1)
 
 
+def of_both_axes(column, L, estimator=None):
+    """Return the expected averages over L steps, (6,), as the mean of both axes.
+
+    >>> (100 * of_both_axes(columns()["cv"], L=10_000)).round(4)
+    array([0.0111, 0.0141, 0.0155, 0.0164, 0.0171, 0.0176])
+    """
+    return np.mean([expected_averages(column, axis, L, estimator)[:, -1] for axis in (0, 1)], axis=0)
+
+
+def settled_averages(column, L):
+    """Return the averages of both axes over L steps, (6,), of the same filter if it had settled before the first.
+
+    >>> (100 * settled_averages(columns()["cv"], L=10_000)).round(4)
+    array([0.0007, 0.0008, 0.001 , 0.0011, 0.0013, 0.0014])
+    """
+    _, variance = mean_and_variance(column, 0, 2 * TRANSIENT)
+    error = expected_absolute(0.0, variance[:, -1:])
+    return np.mean([(error / column.positions(axis, L)).mean(axis=1) for axis in (0, 1)], axis=0)
+
+
+def share_of_the_start(ratio, steps=10):
+    """Return the share of the first steps in the sum of |e| / |s| over all, from |e| / |s| (..., L).
+
+    >>> float(share_of_the_start(1 / columns()["cv"].positions(0, 10_000)[0]).round(2))  # an error that never changes
+    0.3
+    """
+    return ratio[..., :steps].sum(axis=-1) / ratio.sum(axis=-1)
+
+
 def errors(column, axis, noise, rng, runs, v=None):
     """Return e and s(k+N) of simulated runs on one axis, each (6, 110, runs).
 
@@ -150,16 +202,6 @@ def averages(column, ratio, lengths):
     return np.array(result)
 
 
-def implied_lengths(column, ratio, scale, lengths, tables):
-    """Return for each number of some tables (6, tables) the length at which the mean of the runs is that number.
-
-    ratio is |e| / |s| of simulated runs, (6, 110, runs). scale is 100 for tables in percent, 1 for fractions. lengths
-    are those tried, in increasing order. The result is (6, tables).
-    """
-    mean = scale * averages(column, ratio, lengths).mean(axis=2)  # falls as the length grows
-    return np.array([np.interp(-tables[N], -mean[:, N], lengths) for N in range(LARGEST_N + 1)])
-
-
 def log_likelihood(samples, tables):
     """Return the log of the probability of printing each table, (lengths, tables).
 
@@ -177,24 +219,3 @@ def log_likelihood(samples, tables):
     distance = (off * np.linalg.solve(C, off)).sum(axis=1)
     log_det = np.linalg.slogdet(2 * np.pi * C).logabsdet
     return numbers * np.log(LAST_DIGIT) - (distance + log_det[:, None]) / 2
-
-
-def draw_lengths(ax, column, ratio, scale, lengths, L):
-    """Draw the lengths that the printed numbers imply (dots), over N, and those of thirty simulated runs of L steps."""
-    of_runs = scale * averages(column, ratio, [L])[0, :, :30]
-    implied = implied_lengths(column, ratio, scale, lengths, np.column_stack([of_runs, column.printed]))
-    ax.plot(implied[:, 1:-1], color="0.8", lw=0.7)
-    ax.plot(implied[:, 0], color="0.8", lw=0.7, label="simulated runs")
-    ax.axhline(L, color="0.3", lw=0.8, label="one length")
-    ax.plot(implied[:, -1], "o", color="C1", ms=5, label="printed")
-
-
-def draw_errors(ax, column, e, N, some):
-    """Draw e of one run on both axes, (steps, 2), for some of the steps, with bands: the mean of e ± 2σ."""
-    k = np.arange(1, len(e) + 1)[some]
-    for axis, (name, style) in enumerate((("x axis", "-"), ("y axis", "--"))):
-        mean, variance = mean_and_variance(column, axis, len(e))
-        middle = mean[N, some]
-        sigma = np.sqrt(variance[N, some])
-        ax.fill_between(k, middle - 2 * sigma, middle + 2 * sigma, color=f"C{axis}", alpha=0.2, lw=0)
-        ax.plot(k, e[some, axis], style, color=f"C{axis}", label=name)

@@ -40,12 +40,15 @@ def simulated(notebook):
 
 def with_seed(notebook, seed):
     """Return a notebook with another seed, and the seed that it had; raises ValueError without exactly one."""
-    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    found = [SEED_LINE.findall("".join(cell["source"])) for cell in code]
-    if [len(seeds) for seeds in found] != [1] + [0] * (len(code) - 1):
-        raise ValueError("needs one line `SEED = <int>`, in its first code cell")
-    code[0]["source"] = SEED_LINE.sub(f"SEED = {seed}", "".join(code[0]["source"]))
-    return notebook, int(found[0][0])
+    found = []
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            text = "".join(cell["source"])
+            found += SEED_LINE.findall(text)
+            cell["source"] = SEED_LINE.sub(f"SEED = {seed}", text)
+    if len(found) != 1:
+        raise ValueError(f"needs one line `SEED = <int>`, got {len(found)}")
+    return notebook, int(found[0])
 
 
 def other_seeds(own):

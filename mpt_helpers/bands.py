@@ -1,0 +1,479 @@
+"""Bands around predictions that hold as often as they say, because they follow their own checked errors.
+
+The covariance of a filter is a claim about measurements that it has not seen. `ahead` puts the claim to the test: it
+sets every later fix against its prediction, made some seconds before. `following` makes a band of it that has learnt,
+at every moment, from the predictions that had come due by then. Nothing in it looks ahead, so that `LiveBand` gives the
+same band fix by fix.
+
+Two numbers for each axis make the band, a prediction's half-width being f · c · sigma:
+
+    sigma   what the filter states: the root of H P(k+h/k) Hᵀ + R
+    c       sqrt(0.2 + 0.8 a), with the recent average a of NIS / m: one where the filter's model is right. A fifth
+            stays, so that a mobile at rest does not make the band vanish before it starts.
+    f       a factor that follows the misses of its own axis: up by 0.95 gamma after a miss, down by 0.05 gamma after a
+            hit, on the logarithm, for a band of 95 %
+
+Both remember as many fixes as fall into one horizon, and at least five: what is learnt is that old when it is used.
+
+The rule for f is quantile tracking, the proportional part of conformal PID control (Angelopoulos, Candes and Tibshirani
+2023). Over T predictions its share of misses differs from 5 % by at most the range of log f over gamma T, whatever the
+mobile does. That holds for any sigma, even for random numbers (`placebo`), so that a right share proves little. What
+tells a good band from a bad one is its `interval_score`, and its `coverage` in states that are known beforehand.
+"""
+
+import math
+import warnings
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from . import checks
+
+# What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
+SHORTEST_MEMORY = 5
+# The part of a prediction's variance that the recent innovations scale.
+LOCAL = 0.8
+# A fix further off than this many variances counts as that: one jump does not widen the band for a whole memory.
+CAP = 50.0
+# A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
+LATEST = 1.5
+# Times that should be one horizon apart may differ by their rounding, in horizons.
+ROUNDING = 1e-6
+# A share of fewer independent predictions than this is too uncertain to judge a band by: that of 30 has a standard
+# deviation of 4 % where it should be 95 %.
+FEW = 30
+
+
+class Ahead(NamedTuple):
+    """Each later fix against its prediction, made some seconds before. All tracks follow one another along K.
+
+    made, due (K,): the times of a prediction and of the fix that checks it, in s
+    errors (K, m): measured minus predicted, NaN where nothing was measured
+    sigma (K, m): the standard deviation of the error that the filter states
+    recent (K,): c, the size of the recent innovations over the one stated, when the prediction was made
+    row, due_row (K,): the rows of z of both fixes
+    fixes (K,): how many fixes later the one is that checks it
+    track (K,): the track that they belong to, 0 where there is one
+    left_out: how many fixes had no later one between 1 and 1.5 horizons: before a gap, and at the end
+    seconds: the horizon
+    """
+
+    made: np.ndarray
+    due: np.ndarray
+    errors: np.ndarray
+    sigma: np.ndarray
+    recent: np.ndarray
+    row: np.ndarray
+    due_row: np.ndarray
+    fixes: np.ndarray
+    track: np.ndarray
+    left_out: int
+    seconds: float
+
+
+class Coverage(NamedTuple):
+    """The share of errors inside a band, (m,), and how many of the predictions it rests on are independent."""
+
+    share: np.ndarray
+    independent: int
+
+
+class Expected(NamedTuple):
+    """A measurement that is expected (m,), and the half-widths of the band around it (m,)."""
+
+    position: np.ndarray
+    half_width: np.ndarray
+
+
+def ahead(estimator, z, seconds):
+    """Return each fix against what was predicted of it `seconds` before, as an Ahead.
+
+    estimator is a filter with covariances, on a grid or with times of its own, whose model says what a step of any
+    length is (`constant_velocity`, `constant_acceleration` and stacks of them); z is (N, m) or (N, m, M). After every
+    fix the first one that is `seconds` later is predicted, if it is at most 1.5 times as much later. On a grid the
+    times count from the first row.
+
+    Raises ValueError for a model that does not know steps of any length, for a horizon that is not positive or that no
+    fix is later by, and as `estimator.estimates`.
+
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
+    >>> a = ahead(kf, [[1.1], [1.9], [np.nan], [4.0], [5.2]], seconds=2.0)
+    >>> a.made, a.due, a.errors.ravel().round(2), a.sigma.ravel().round(2), a.left_out
+    (array([0., 1.]), array([3., 3.]), array([-0.02,  0.04]), array([0.56, 0.53]), 2)
+    """
+    model = _model_of_any_step(estimator)
+    seconds = checks.positive("seconds", seconds)
+    z = checks.measurements(z, model.m)
+    x, P = estimator.estimates(z)
+    if z.ndim == 2:
+        z, x, P = z[..., None], x[..., None], P[..., None]
+    t, R = _times(estimator, len(z)), _noise(estimator, len(z))
+    parts = []
+    for c in range(z.shape[2]):
+        t_c, R_c = t[:, c % t.shape[1]], R[..., c % R.shape[3]]
+        x_c = np.vstack([model.x0, x[..., c]])
+        P_c = np.concatenate([estimator.P0[None], P[..., c]])
+        parts.append(_ahead_on_one_track(model, t_c, z[..., c], x_c, P_c, R_c, seconds, c))
+    if not any(len(part[0]) for part in parts):
+        steps = np.diff(t[np.isfinite(z[..., 0]).any(axis=1), 0])
+        got = f"{seconds:g} with steps of {np.median(steps):g} s" if len(steps) else "fewer than two fixes"
+        checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
+    joined = [np.concatenate(column) for column in zip(*[part[:-1] for part in parts], strict=True)]
+    return Ahead(*joined, left_out=sum(part[-1] for part in parts), seconds=seconds)
+
+
+def following(a, before=None, level=0.95):
+    """Return the half-widths (K, m) of a band that follows its own checked errors: f · c · sigma of this module.
+
+    The band of a prediction has learnt from those of its own track that were due when it was made, and from no other.
+    `before` is an Ahead of an earlier stretch with the same horizon: the factor starts from where it ends there, and
+    from the normal distribution without one. Each axis has a band, which holds a share `level` of that axis' errors.
+
+    Raises TypeError for anything but an Ahead, ValueError for a level outside (0, 1) and for another horizon or number
+    of axes before.
+
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> a = ahead(kf, [[0.0], [0.1], [5.0], [5.0], [5.0]], seconds=1.0)
+    >>> (following(a) / a.sigma / a.recent[:, None]).ravel().round(3)  # f after a hit, a miss and a hit
+    array([1.96 , 1.95 , 2.145, 2.134])
+    """
+    checks.instance("a", a, Ahead)
+    level = _level(level)
+    log_f = _start(a, before, level)
+    band = np.empty_like(a.sigma)
+    for rows in _each_track(a):
+        _follow(a, rows, log_f, level, band)
+    return band
+
+
+def coverage(a, band, where=None):
+    """Return the share of the errors inside the band, on each axis, and how many independent predictions it rests on.
+
+    a is an Ahead, band the half-widths (K, m), `where` (K,) says which predictions to look at: those made while fast,
+    for example. Predictions that overlap in time share most of their errors. Those that do not overlap are counted as
+    independent: the span over the horizon, less the gaps. Below 30 of them the function warns.
+
+    Raises ValueError for a band or a `where` of another shape, and where no prediction is left.
+
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> a = ahead(kf, np.where(np.arange(64) == 60, 9.0, 0.0)[:, None], seconds=1.0)
+    >>> coverage(a, following(a))  # one fix is 9 m off, and the filter with it for a while
+    Coverage(share=array([0.95238095]), independent=63)
+    """
+    band, where = _checked_band(a, band, where)
+    errors = np.abs(a.errors[where])
+    inside = np.where(np.isnan(errors), np.nan, errors <= band[where])
+    independent = _independent(a, where)
+    if independent < FEW:
+        text = f"coverage: {independent} independent predictions of {a.seconds:g} s are too few to judge a band by"
+        warnings.warn(f"{text}, which takes {FEW}", stacklevel=2)
+    return Coverage(np.nanmean(inside, axis=0), independent)
+
+
+def interval_score(a, band, level=0.95, where=None):
+    """Return the mean interval score of the band on each axis, (m,): its width, and what an error exceeds it by.
+
+        2 b + 2 / (1 - level) · max(|error| - b, 0),   b the half-width
+
+    It is smallest for the true quantiles (Gneiting and Raftery 2007, Eq. 43), in the units of the errors: a band that
+    is too wide pays by its width, one that is too narrow by 40 times what it misses (level 0.95). Raises as `coverage`.
+
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
+    >>> a.errors.ravel().round(2)
+    array([0.5 , 1.82])
+    >>> interval_score(a, np.ones((2, 1))).round(2)  # the second is missed by 0.82
+    array([18.38])
+    """
+    band, where = _checked_band(a, band, where)
+    missed_by = np.maximum(np.abs(a.errors[where]) - band[where], 0)
+    return np.nanmean(2 * band[where] + 2 / (1 - _level(level)) * missed_by, axis=0)
+
+
+def placebo(a, rng):
+    """Return an Ahead whose sigma are random numbers, lognormal with unit parameters, and tell nothing.
+
+    A band that follows its errors holds as many of them with these. Its interval score and its coverage in states that
+    are known beforehand are what a true sigma must beat. rng is a numpy Generator.
+
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
+    >>> placebo(a, np.random.default_rng(1)).sigma.ravel().round(2)
+    array([1.41, 2.27])
+    """
+    checks.instance("a", a, Ahead)
+    checks.instance("rng", rng, np.random.Generator)
+    return a._replace(sigma=np.exp(rng.standard_normal(a.sigma.shape)), recent=np.ones(len(a.recent)))
+
+
+class LiveBand:
+    """The band of `following`, fix by fix, beside the `step` of a filter.
+
+    estimator is a filter as in `ahead`; `before` and `level` are those of `following`. The band stands around the
+    measurement `seconds` after the fix. `factor` (m,) is f.
+
+    >>> from mpt_helpers import KalmanFilter, constant_velocity
+    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
+    >>> live = LiveBand(kf, seconds=2.0)
+    >>> x, P = kf.model.x0, kf.P0
+    >>> for t, z in enumerate([[1.1], [1.9], [3.2]]):
+    ...     x, P = kf.step(x, P, z)
+    ...     position, half_width = live.step(t, z, x, P)
+    ...     print(f"at {t + 2} s: {position.item():.2f} ± {half_width.item():.2f}")
+    at 2 s: 3.01 ± 0.79
+    at 3 s: 3.96 ± 0.89
+    at 4 s: 5.14 ± 0.92
+    """
+
+    def __init__(self, estimator, seconds, before=None, level=0.95):
+        self.model = _model_of_any_step(estimator)
+        self.seconds = checks.positive("seconds", seconds)
+        self.level = _level(level)
+        self.log_f = np.full(self.model.m, math.log(ndtri((1 + self.level) / 2)))
+        if before is not None:
+            checks.instance("before", before, Ahead)
+            if before.seconds != self.seconds or before.errors.shape[1] != self.model.m:
+                _refuse_before(f"{self.seconds:g} s and {self.model.m} axes", before)
+            self.log_f = _end(before, self.level)
+        self.recent = 1.0  # a: the recent average of NIS / m
+        self.last = None  # the estimate of the last call: time, x, P
+        self.first = self.model.x0, estimator.P0
+        self.times = deque()  # of the fixes within the last horizon
+        self.fixes = 0
+        self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, number of the fix
+
+    @property
+    def factor(self):
+        """The factor f of each axis, (m,): 1.96 where the filter's own band of 95 % was right."""
+        return np.exp(self.log_f)
+
+    def step(self, t, z, x, P, r=None):
+        """Return what is measured `seconds` after t (s), and the half-widths of its band, as an Expected.
+
+        z (m,) is the measurement at t, NaN where it is missing or was refused; x (n,) and P (n, n) are the estimate
+        after it; r (m,) are the variances of the measurement where it has some of its own. Raises ValueError for
+        another shape, and for a time before the last one.
+        """
+        n, m = self.model.n, self.model.m
+        t = checks.number("t", t, "a time in seconds", lambda _: True)
+        z = checks.measurements(np.reshape(z, (1, -1)), m)[0]
+        x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
+        R = self.model.R if r is None else np.diag(checks.variances("r", np.reshape(r, (1, -1)), m)[0])
+        if self.last is None:
+            self.last = t - self.model.dt, *self.first
+        if t < self.last[0]:
+            checks.refuse("t", f"a time that is not before the last one, {self.last[0]:g}", f"{t:g}")
+        if not np.isnan(z).all():
+            self._check(t, z, R)
+            self._learn(t, z, R)
+        self.last = t, x, P
+        scale = self.factor * _local(self.recent)
+        if not np.isnan(z).all():
+            self.fixes += 1
+            self.times.append(t)
+            self.pending.append((t, x, P, scale, self.fixes))
+        expected, sigma = self._predicted(x, P, self.seconds, R)
+        return Expected(expected, scale * sigma)
+
+    def _check(self, t, z, R):
+        """Let the factor learn from the predictions that have come due at the fix z."""
+        while self.pending and t - self.pending[0][0] >= self.seconds * (1 - ROUNDING):
+            made, x, P, scale, number = self.pending.popleft()
+            if t - made > self.seconds * (LATEST + ROUNDING):
+                continue
+            expected, sigma = self._predicted(x, P, t - made, R)
+            error = np.abs(z - expected)
+            moved = _gain(self.fixes + 1 - number) * ((error > scale * sigma) - (1 - self.level))
+            self.log_f = self.log_f + np.where(np.isnan(error), 0, moved)
+
+    def _learn(self, t, z, R):
+        """Let the average of the recent innovations learn from the fix z."""
+        while self.times and self.times[0] < t - self.seconds * (1 + ROUNDING):
+            self.times.popleft()
+        last, x, P = self.last
+        expected, S = _expected(self.model, x[None], P[None], np.array([t - last]), R[None])
+        squared = _nis_per_number(z[None] - expected, S)[0]
+        self.recent += (squared - self.recent) / _memory(len(self.times))
+
+    def _predicted(self, x, P, seconds, R):
+        expected, S = _expected(self.model, x[None], P[None], np.array([seconds]), R[None])
+        return expected[0], np.sqrt(np.diag(S[0]))
+
+
+def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
+    """Return the fields of an Ahead, but for seconds. x and P begin with those before the first row."""
+    fixes = np.flatnonzero(np.isfinite(z).any(axis=1))
+    t_fix = t[fixes]
+    due = np.searchsorted(t_fix, t_fix + seconds * (1 - ROUNDING))
+    checked = due < len(fixes)
+    checked[checked] = t_fix[due[checked]] - t_fix[checked] <= seconds * (LATEST + ROUNDING)
+    row, due_row = fixes[checked], fixes[due[checked]]
+    later = due[checked] - np.flatnonzero(checked)
+    expected, S = _expected(model, x[row + 1], P[row + 1], t[due_row] - t[row], R[due_row])
+    sigma = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
+    before = np.diff(t, prepend=t[0] - model.dt)[fixes]
+    innovation_of, S_of = _expected(model, x[fixes], P[fixes], before, R[fixes])
+    recent = _recent(t_fix, _nis_per_number(z[fixes] - innovation_of, S_of), seconds)[checked]
+    tracks = np.full(len(row), track)
+    left_out = len(fixes) - len(row)
+    return t[row], t[due_row], z[due_row] - expected, sigma, recent, row, due_row, later, tracks, left_out
+
+
+def _expected(model, x, P, seconds, R):
+    """Return the mean (K, m) and covariance (K, m, m) of measurements some seconds (K,) after x (K, n), P (K, n, n)."""
+    e = model.powers
+    s = (seconds / model.dt)[:, None, None]
+    # F_ij is zero where e_i < e_j, and Q_ij where e_i + e_j < 0: no step of length zero is divided by.
+    F = model.F * s ** np.maximum(e[:, None] - e, 0)
+    Q = model.Q * s ** np.maximum(e[:, None] + e, 0)
+    P = F @ P @ F.swapaxes(1, 2) + Q
+    x = (F @ x[..., None])[..., 0]
+    return x @ model.H.T, model.H @ P @ model.H.T + R
+
+
+def _nis_per_number(innovations, S):
+    """Return NIS / m of innovations (K, m), at most CAP, where m counts those that are there."""
+    seen = np.isfinite(innovations)
+    both = seen[:, :, None] & seen[:, None]
+    y = np.where(seen, innovations, 0)
+    nis = np.einsum("ki,ki->k", y, np.linalg.solve(np.where(both, S, np.eye(S.shape[1])), y[..., None])[..., 0])
+    return np.minimum(nis / seen.sum(axis=1), CAP)
+
+
+def _recent(t, squared, seconds):
+    """Return c after each fix, from NIS / m of all fixes."""
+    within = np.arange(len(t)) - np.searchsorted(t, t - seconds * (1 + ROUNDING))
+    a, averages = 1.0, []
+    for value, count in zip(squared.tolist(), within.tolist(), strict=True):
+        a += (value - a) / _memory(count)
+        averages.append(a)
+    return _local(np.array(averages))
+
+
+def _local(average):
+    """Return c from the recent average of NIS / m."""
+    return np.sqrt(1 - LOCAL + LOCAL * average)
+
+
+def _memory(fixes):
+    """Return over how many fixes the errors are remembered, from how many there are in one horizon."""
+    return max(SHORTEST_MEMORY, fixes)
+
+
+def _gain(fixes):
+    """Return gamma for a prediction that was checked so many fixes after it was made.
+
+    A half of the memory: the misses that come in while one prediction waits move the band by a factor of 1.6 at most.
+    """
+    return 0.5 / _memory(fixes)
+
+
+def _follow(a, rows, log_f, level, band):
+    """Write the half-widths of one track, a slice of rows, to band (K, m); return log f (m,) after the last fix."""
+    widths = a.sigma[rows] * a.recent[rows, None]
+    made, due, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
+    ends = []
+    for axis, log_factor in enumerate(log_f.tolist()):
+        errors, width = np.abs(a.errors[rows, axis]).tolist(), widths[:, axis].tolist()
+        half, checked = [], 0
+        for k, row in enumerate(made):
+            while checked < k and due[checked] <= row:
+                log_factor += _move(errors[checked], half[checked], fixes[checked], level)
+                checked += 1
+            half.append(math.exp(log_factor) * width[k])
+        for k in range(checked, len(made)):
+            log_factor += _move(errors[k], half[k], fixes[k], level)
+        ends.append(log_factor)
+        band[rows, axis] = half
+    return np.array(ends)
+
+
+def _move(error, half_width, fixes, level):
+    """Return by how much log f moves when a prediction comes due."""
+    if math.isnan(error):
+        return 0.0
+    return _gain(fixes) * ((error > half_width) - (1 - level))
+
+
+def _start(a, before, level):
+    """Return log f (m,) at the start of an Ahead."""
+    if before is None:
+        return np.full(a.errors.shape[1], math.log(ndtri((1 + level) / 2)))
+    checks.instance("before", before, Ahead)
+    if before.seconds != a.seconds or before.errors.shape[1] != a.errors.shape[1]:
+        _refuse_before(f"{a.seconds:g} s and {a.errors.shape[1]} axes, as a", before)
+    return _end(before, level)
+
+
+def _refuse_before(need, before):
+    checks.refuse("before", f"predictions of {need}", f"{before.seconds:g} s and {before.errors.shape[1]} axes")
+
+
+def _end(a, level):
+    """Return log f (m,) after the last fix of an Ahead, the mean over its tracks."""
+    band, start = np.empty_like(a.sigma), _start(a, None, level)
+    ends = [_follow(a, rows, start, level, band) for rows in _each_track(a)]
+    return np.mean(ends or [start], axis=0)
+
+
+def _each_track(a):
+    """Return the slice of each track along K."""
+    first = np.flatnonzero(np.diff(a.track, prepend=-1))
+    return [slice(*pair) for pair in zip(first, [*first[1:], len(a.track)], strict=True)]
+
+
+def _independent(a, where):
+    """Return how many of some predictions begin when the one counted before has ended."""
+    count, end, track = 0, -np.inf, -1
+    for made, due, of_track in zip(a.made[where].tolist(), a.due[where].tolist(), a.track[where].tolist(), strict=True):
+        if made >= end or of_track != track:
+            count, end, track = count + 1, due, of_track
+    return count
+
+
+def _model_of_any_step(estimator):
+    model = getattr(estimator, "model", None)
+    if model is None:
+        checks.refuse("estimator", "a filter", f"{estimator!r:.60}", TypeError)
+    if model.dt is None:
+        need = "a model that knows steps of any length, such as constant_velocity or constant_acceleration"
+        checks.refuse("estimator", need, "one whose dt and powers are not known")
+    return model
+
+
+def _times(estimator, N):
+    """Return the times of the rows, (N, 1) or (N, M)."""
+    t = getattr(estimator, "t", None)
+    t = estimator.model.dt * np.arange(N) if t is None else np.asarray(t)
+    return t.reshape(N, -1)
+
+
+def _noise(estimator, N):
+    """Return the covariances of the measurements, (N, m, m, 1) or (N, m, m, M)."""
+    r, m = getattr(estimator, "r", None), estimator.model.m
+    if r is None:
+        return np.broadcast_to(estimator.model.R[..., None], (N, m, m, 1))
+    r = np.asarray(r).reshape(N, m, -1)
+    return r[:, :, None] * np.eye(m)[..., None]
+
+
+def _checked_band(a, band, where):
+    checks.instance("a", a, Ahead)
+    band = checks.real_numbers("band", band, "half-widths")
+    if band.shape != a.errors.shape:
+        checks.refuse("band", f"half-widths of shape {a.errors.shape}", f"shape {band.shape}")
+    where = np.ones(len(band), bool) if where is None else np.asarray(where)
+    if where.shape != (len(band),) or where.dtype != bool:
+        checks.refuse("where", f"{len(band)} truth values", f"shape {where.shape} of {where.dtype}")
+    if not where.any():
+        checks.refuse("where", "at least one prediction", "none")
+    return band, where
+
+
+def _level(level):
+    return checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)

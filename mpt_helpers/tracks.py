@@ -1,0 +1,125 @@
+"""Recorded tracks: from a GPX file, or from latitudes and longitudes, to times in seconds and positions in metres.
+
+It needs two packages more, the extra `tracks`: pip install "mpt_helpers[tracks]".
+"""
+
+import re
+import warnings
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from . import checks
+
+
+class Track(NamedTuple):
+    """A segment of a recorded track.
+
+    t (N,): times in s since the first fix of the file
+    z (N, 2) or (N, 3): metres east and north of the first fix of the file, and above it; a height is NaN where the file
+    has none
+    origin: latitude and longitude (°) and height (m) of the first fix of the file
+    start: its time
+    """
+
+    t: np.ndarray
+    z: np.ndarray
+    origin: tuple
+    start: datetime
+
+
+def gpx(path, up=False, skip=False):
+    """Return the track segments of a GPX file as a list of Tracks; segments without a fix are left out.
+
+    Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
+    together: filter each for itself. With up=True a third column has the heights. Every fix needs a time, later than
+    that of the one before in its segment: an equal time is almost always one fix written twice or the rounding of
+    times, and would count as two independent measurements. skip=True leaves such fixes out and warns how many.
+
+    Raises ValueError for a file that is no GPX, holds no tracks (routes and waypoints have no times), or has a fix that
+    is not later than the one before or has no time, which is named; ImportError without gpxpy and pymap3d.
+    """
+    import gpxpy
+
+    data = Path(path).read_bytes()
+    declared = re.search(rb"""encoding=["']([\w-]+)""", data[:200])
+    encoding = declared[1].decode() if declared else "utf-8"
+    try:
+        document = gpxpy.parse(data.decode(encoding))
+    except (gpxpy.gpx.GPXException, UnicodeDecodeError, LookupError) as error:
+        raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from error
+    segments = [segment.points for track in document.tracks for segment in track.segments]
+    if not any(point.time for points in segments for point in points):
+        raise ValueError(f"{path}: needs a recorded track, got {len(segments)} track segments and no times")
+    kept, left_out = [], 0
+    for number, points in enumerate(segments, start=1):
+        rows, wrong = _in_order(points)
+        if wrong and not skip:
+            row, why = wrong[0]
+            got = f"{why} in fix {row + 1} of segment {number} ({len(wrong)} such of its {len(points)} fixes)"
+            raise ValueError(f"{path}: needs times that increase, got {got}; gpx(path, skip=True) leaves them out")
+        left_out += len(wrong)
+        if rows:
+            kept.append([points[row] for row in rows])
+    if left_out:
+        warnings.warn(f"{path}: {left_out} fixes left out whose times do not increase", stacklevel=2)
+    first = kept[0][0]
+    start, origin = _time(first), (first.latitude, first.longitude, first.elevation or 0.0)
+    return [_track(points, start, origin, up) for points in kept]
+
+
+def local(lat, lon, origin=None):
+    """Return positions in metres east and north of an origin, (N, 2), from latitudes and longitudes (N,) in degrees.
+
+    origin is a latitude, a longitude and, if they are given, a height (m); without one it is the first position. The
+    positions lie in the plane that touches the Earth at the origin: 100 km away lengths are 0.01 % too short. NaN
+    stays NaN. Raises ValueError for other shapes and for degrees that are none, ImportError without pymap3d.
+
+    >>> local([57.0, 57.0009], [9.9, 9.9]).round(1) + 0.0
+    array([[  0. ,   0. ],
+           [  0. , 100.2]])
+    """
+    lat, lon = checks.real_numbers("lat", lat, "latitudes"), checks.real_numbers("lon", lon, "longitudes")
+    if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
+        checks.refuse("lat, lon", "as many latitudes as longitudes, in one dimension", f"{lat.shape} and {lon.shape}")
+    (there,) = np.nonzero(np.isfinite(lat) & np.isfinite(lon))
+    if not there.size or np.abs(lat[there]).max() > 90 or np.abs(lon[there]).max() > 360:
+        checks.refuse("lat, lon", "degrees of at most 90 and 360", "others: none, metres, or the two exchanged")
+    if origin is None:
+        origin = lat[there[0]], lon[there[0]]
+    import pymap3d
+
+    height = origin[2] if len(origin) == 3 else 0.0
+    east, north, _ = pymap3d.geodetic2enu(lat, lon, height, origin[0], origin[1], height)
+    return np.column_stack([east, north])
+
+
+def _in_order(points):
+    """Return the rows of the fixes whose times increase, and the other rows, each with what is wrong."""
+    rows, wrong, last = [], [], None
+    for row, point in enumerate(points):
+        if point.time is None:
+            wrong.append((row, "no time"))
+        elif last is not None and _time(point) <= last:
+            how = "again" if _time(point) == last else "after a later time"
+            wrong.append((row, f"{_time(point):%Y-%m-%d %H:%M:%S} {how}"))
+        else:
+            rows.append(row)
+            last = _time(point)
+    return rows, wrong
+
+
+def _time(point):
+    """Return the time of a fix; where the file names no zone it is UTC, as GPX prescribes."""
+    return point.time.replace(tzinfo=UTC) if point.time.tzinfo is None else point.time
+
+
+def _track(points, start, origin, up):
+    t = np.array([(_time(point) - start).total_seconds() for point in points])
+    z = local([point.latitude for point in points], [point.longitude for point in points], origin)
+    if up:
+        heights = [np.nan if point.elevation is None else point.elevation for point in points]
+        z = np.column_stack([z, np.array(heights) - origin[2]])
+    return Track(t, z, origin, start)

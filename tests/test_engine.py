@@ -1,0 +1,436 @@
+"""Any track: gaps, times and precisions of its own, in one piece or in many; the smoother, predictions and fits."""
+
+import re
+import warnings
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import AXIS, dense_model
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import gaussian_conditioning_of_steps, gaussian_log_density, matrices
+from scipy.optimize import minimize
+from test_properties import EPS, condition, models, seeds
+
+import mpt_helpers as mpt
+from mpt_helpers import metrics, partition
+
+MAKERS = {"cv": mpt.constant_velocity, "ca": mpt.constant_acceleration}
+few = settings(max_examples=10)
+
+
+def start(make, **given):
+    """A model of one axis with a start that is not zero."""
+    model = make(dt=0.7, q=0.04, r=0.5)
+    return replace(model, x0=np.arange(1.0, model.n + 1), P0=np.eye(model.n) + 0.1, **given)
+
+
+def plane(make=mpt.constant_velocity):
+    return mpt.stack(start(make), replace(start(make), R=[[2.0]]))
+
+
+def gappy(model, rng, N, tracks=None, epochs=0.2, rows=0.2):
+    z = mpt.simulate(model, N, rng, tracks)[1]
+    shape = (N, 1, *z.shape[2:])
+    return np.where((rng.random(shape) < epochs) | (rng.random(z.shape) < rows), np.nan, z)
+
+
+def of_steps(model, t):
+    """F and Q of each step, by the papers' matrices for its length, and not by the package's scaling."""
+    lengths = np.concatenate([[model.dt], np.diff(t)])
+    make = {2: mpt.constant_velocity, 3: mpt.constant_acceleration}[model.n // model.m]
+    made = [mpt.stack(*[make(dt=dt, q=0.04, r=1.0)] * model.m) if dt else None for dt in lengths]
+    n = model.n
+    return [each.F if each else np.eye(n) for each in made], [each.Q if each else np.zeros((n, n)) for each in made]
+
+
+@pytest.mark.parametrize("P0", [0.0, 1.0], ids=["P0 = 0", "P0"])
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+@pytest.mark.parametrize("own", [None, 3], ids=["one track", "tracks of their own times"])
+def test_times_gaps_and_variances_are_dense_conditioning(make, P0, own):
+    """Estimates, smoothed states, innovations and likelihood; two fixes at one time, and partly missing rows."""
+    rng = np.random.default_rng(0)
+    model = replace(plane(make), P0=P0 * plane(make).P0)
+    N, shape = 16, () if own is None else (own,)
+    lengths = rng.choice([0.0, 0.1, 0.7, 3.0], (N, *shape))
+    t, z = np.cumsum(lengths, axis=0), gappy(model, rng, N, own)
+    r = rng.uniform(0.1, 3.0, z.shape)
+    kf = mpt.KalmanFilter(model, t=t, r=np.where(np.isnan(z), np.nan, r))
+    both, smooth, new, log_l = kf.estimates(z), kf.smooth(z), metrics.innovations(kf, z), metrics.log_likelihood(kf, z)
+    nis = metrics.nis(kf, z)
+    for i in range(own or 1):
+        one = (lambda array: array) if own is None else (lambda array, i=i: array[..., i])
+        exact = gaussian_conditioning_of_steps(
+            *of_steps(model, one(t)), model.H, [np.diag(row) for row in one(r)], model.x0, model.P0, one(z)
+        )
+        # Products of some hundred numbers of order 10; the dense solution itself rounds more.
+        near = partial(np.testing.assert_allclose, rtol=1e-8, atol=1e-9)
+        near(one(both.x), exact.x)
+        near(one(both.P), exact.P)
+        near(one(smooth.x), exact.x_smooth)
+        near(one(smooth.P), exact.P_smooth)
+        near(one(new.values), exact.innovations)
+        seen = ~np.isnan(one(z))
+        pairs = seen[:, :, None] & seen[:, None]
+        near(one(new.S)[pairs], exact.S[pairs])
+        near(np.atleast_1d(log_l)[i], exact.log_density)
+        near(one(nis), exact.nis)
+
+
+@pytest.mark.parametrize("tracks", [None, 4])
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+def test_a_row_of_nothing_at_any_time_changes_nothing(make, tracks):
+    """Refinement: between two rows, at the time of a row, and after the end."""
+    rng = np.random.default_rng(1)
+    model, N = plane(make), 60
+    shape = () if tracks is None else (tracks,)
+    t, z = np.cumsum(rng.uniform(0.1, 2.0, (N, *shape)), axis=0), gappy(model, rng, N, tracks)
+    put_in = np.sort(rng.integers(1, N + 1, 25))
+    share = rng.choice([0.0, 0.3, 1.0], (25, *shape))
+    after = np.concatenate([t, t[-1:] + 1.0])
+    between = after[put_in - 1] + share * (after[put_in] - after[put_in - 1])
+    order = np.argsort(np.concatenate([np.arange(N), put_in - 0.5]), kind="stable")
+    finer_t = np.sort(np.concatenate([t, between])[order], axis=0)
+    finer_z = np.concatenate([z, np.full((25, *z.shape[1:]), np.nan)])[order]
+    rows = np.flatnonzero(order < N)
+    # Rows at one time may have changed places with their neighbours of equal times by the sort: z stays with its time.
+    assert np.array_equal(finer_t[rows], t)
+    coarse, fine = mpt.KalmanFilter(model, t=t), mpt.KalmanFilter(model, t=finer_t)
+    # A few hundred products of numbers up to 100, relative to the largest.
+    near = partial(np.testing.assert_allclose, rtol=1e-10, atol=1e-12 * np.abs(coarse.filter(z)).max())
+    for function in ("estimates", "smooth"):
+        a, b = getattr(coarse, function)(z), getattr(fine, function)(finer_z)
+        near(b.x[rows], a.x)
+        near(b.P[rows], a.P)
+    near(metrics.log_likelihood(fine, finer_z), metrics.log_likelihood(coarse, z))
+
+
+def filters_of(model):
+    kf, lf, steady = mpt.KalmanFilter(model), mpt.LainiotisFilter(model), mpt.SteadyStateFilter.from_kalman(model)
+    return {
+        "KF": kf,
+        "LF": lf,
+        "SSKF": steady,
+        "join": mpt.JoinFilter(kf, lf),
+        "separate": mpt.Separate(lf, kf),
+        "predictor": mpt.Predictor(kf, 3),
+        "steady predictor": mpt.SteadyStatePredictor(steady, 3),
+    }
+
+
+@pytest.mark.parametrize("pieces", [2, 7, 59])
+@pytest.mark.parametrize("tracks", [None, 3], ids=["one track", "three tracks"])
+@pytest.mark.parametrize("gaps", ["none", "shared", "own"])
+@pytest.mark.parametrize("name", filters_of(dense_model(0)))
+def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces):
+    """Of any length of the pieces, the last of them shorter; estimates, innovations, likelihood and the smoother."""
+    model = dense_model(3)
+    model = replace(model, F=model.F / np.abs(np.linalg.eigvals(model.F)).max())
+    each = filters_of(model)[name]
+    rng = np.random.default_rng(2)
+    z = mpt.simulate(each.model, 60, rng, tracks)[1]
+    lost = rng.random((60, 1, *z.shape[2:])) < 0.2
+    lost = {"none": False, "shared": lost[:, :, :1] if tracks else lost, "own": lost}[gaps]
+    z[np.broadcast_to(lost, z.shape)] = np.nan
+
+    def results():
+        both = each.estimates(z)
+        found = [each.filter(z), both.x, both.P]
+        if "predictor" not in name:
+            found += [*metrics.innovations(each, z), metrics.nis(each, z), metrics.log_likelihood(each, z)]
+        if name in ("KF", "LF", "join", "separate"):
+            found += each.smooth(z)
+        return found
+
+    monkeypatch.setattr(partition, "rows_per_piece", lambda N, tracks: N)
+    whole = results()
+    monkeypatch.setattr(partition, "rows_per_piece", lambda N, tracks: min(N, pieces))
+    for ours, theirs in zip(results(), whole, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+@few
+@given(models(most=4), seeds, st.sampled_from([(0.0, 0.0), (0.2, 0.0), (0.1, 0.2)]))
+def test_all_ways_to_an_estimate_agree(model, seed, gaps):
+    """`filter`, `covariances`, `estimates`, `epochs` and `step`, alone and among others, to 1e-9 sigma; innovations."""
+    kf = mpt.KalmanFilter(model)
+    z = gappy(model, np.random.default_rng(seed), 80, 3, *gaps)
+    z[:, :, 0] = np.nan_to_num(z[:, :, 0])  # a track without gaps among those with
+    together, allowed = kf.estimates(z), 1e-9 + EPS * condition(model)
+    for i in range(3):
+        alone = kf.estimates(z[..., i])
+        sigma = np.sqrt(np.maximum(np.einsum("kii->ki", alone.P), np.finfo(float).tiny))
+        x, P, steps = model.x0, model.P0, []
+        for z_k in z[..., i]:
+            x, P = kf.step(x, P, z_k)
+            steps.append((x, P))
+        epochs = [(x[:, 0], P[..., 0]) for x, P in kf.epochs(z[:, :, i, None])]
+        ways = [[np.array(each) for each in zip(*way, strict=True)] for way in (steps, epochs)]
+        ways += [(together.x[..., i], together.P[..., i]), (kf.filter(z)[..., i], kf.covariances(z)[..., i])]
+        ways += [(kf.filter(z[..., i]), kf.covariances(z[..., i]))]
+        scale = np.maximum(sigma, np.abs(alone.x).max() * 1e-6)
+        for x, P in ways:
+            assert (np.abs(x - alone.x) <= allowed * scale).all()
+            assert (np.abs(P - alone.P) <= allowed * np.abs(alone.P).max()).all()
+        before = np.vstack([model.x0, alone.x[:-1]])
+        expected = z[..., i] - before @ (model.H @ model.F).T
+        np.testing.assert_allclose(metrics.innovations(kf, z).values[..., i], expected, rtol=1e-9, atol=1e-8)
+
+
+@pytest.mark.parametrize("P0", [0.0, 1.0])
+@pytest.mark.parametrize("name", ["gps_ins", "gsm", "dense"])
+def test_the_smoother_is_dense_conditioning(name, P0):
+    """Where P(k+1/k) is singular too: a start known exactly, a constant bias, noise of one direction."""
+    model = {"gps_ins": mpt.gps_ins(1.0, 0.01, (1.0, 0.1)), "gsm": AXIS, "dense": dense_model(2)}[name]
+    model = replace(model, P0=P0 * np.eye(model.n), x0=np.ones(model.n))
+    F, H, Q, R, x0, _ = matrices(model)
+    z = gappy(model, np.random.default_rng(3), 14, rows=0.1)
+    exact = gaussian_conditioning_of_steps([F] * 14, [Q] * 14, H, [R] * 14, x0, model.P0, z)
+    for make in (mpt.KalmanFilter, mpt.LainiotisFilter):
+        s = make(model).smooth(z)
+        np.testing.assert_allclose(s.x, exact.x_smooth, rtol=1e-7, atol=1e-8)
+        np.testing.assert_allclose(s.P, exact.P_smooth, rtol=1e-7, atol=1e-8)
+
+
+def test_the_smoother_of_many_tracks_is_that_of_each_and_of_separate_axes():
+    model = plane()
+    z = gappy(model, np.random.default_rng(4), 120, 5)
+    z[..., :2] = z[..., :1]
+    many = mpt.KalmanFilter(model).smooth(z)
+    for i in range(5):
+        one = mpt.KalmanFilter(model).smooth(z[..., i])
+        np.testing.assert_allclose(many.x[..., i], one.x, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(many.P[..., i], one.P, rtol=1e-10, atol=1e-10)
+    axes = [replace(start(mpt.constant_velocity), R=[[r]]) for r in (0.5, 2.0)]
+    apart = mpt.Separate(mpt.KalmanFilter(axes[0]), mpt.LainiotisFilter(axes[1])).smooth(z)
+    np.testing.assert_allclose(apart.x, many.x, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(apart.P, many.P, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["SSKF", "predictor", "FIR", "join"])
+def test_the_smoother_is_refused_where_the_gain_is_not_optimal(name):
+    steady = mpt.SteadyStateFilter.from_kalman(AXIS)
+    each = {
+        "SSKF": steady,
+        "predictor": mpt.Predictor(mpt.KalmanFilter(AXIS), 2),
+        "FIR": mpt.FIRFilter.from_steady_state(steady),
+        "join": mpt.JoinFilter(mpt.KalmanFilter(AXIS), steady),
+    }[name]
+    with pytest.raises(TypeError, match="needs a filter"):
+        each.smooth(np.zeros((5, 1)))
+
+
+def test_the_smoothed_error_is_the_one_that_is_stated():
+    """Its mean square over tracks that were simulated, inside a gap too, and smaller than the filter's."""
+    model = mpt.constant_velocity(1.0, 0.04, 0.5, P0=np.eye(2))
+    x, z = mpt.simulate(model, 60, np.random.default_rng(5), 4000)
+    z[20:28] = np.nan
+    s, e = mpt.KalmanFilter(model).smooth(z), mpt.KalmanFilter(model).estimates(z)
+    # 4,000 tracks know a mean square to 2.2 %; of sixty epochs none is off by five times that.
+    np.testing.assert_allclose(np.square(s.x - x).mean(axis=2), np.einsum("kiiM->ki", s.P) / 4000, rtol=0.12)
+    assert s.P[20:28, 0, 0].mean() < e.P[20:28, 0, 0].mean() / 4
+
+
+@pytest.mark.parametrize("name", ["KF", "LF", "SSKF", "join", "separate"])
+def test_a_predictor_is_the_propagated_estimate_over_gaps(name):
+    each = filters_of(AXIS)[name]
+    model = each.model
+    z = mpt.simulate(model, 40, np.random.default_rng(6), 3)[1]
+    z[5:9, :, 1] = np.nan
+    ahead, both = mpt.Predictor(each, 4), each.estimates(z)
+    F, P = np.linalg.matrix_power(model.F, 4), both.P
+    for _ in range(4):
+        P = np.einsum("ab,kbcM,dc->kadM", model.F, P, model.F) + model.Q[..., None]
+    np.testing.assert_allclose(ahead.filter(z), F @ both.x, rtol=1e-12)
+    np.testing.assert_allclose(ahead.covariances(z), P, rtol=1e-11, atol=1e-14)
+    np.testing.assert_allclose(ahead.estimates(z).x, F @ both.x, rtol=1e-12)
+
+
+def test_a_predictor_of_a_filter_with_times_looks_ahead_by_steps_of_the_model():
+    model, t = start(mpt.constant_velocity), [0.0, 0.0, 3.0]
+    kf, z = mpt.KalmanFilter(model, t=t), [[1.0], [2.0], [np.nan]]
+    np.testing.assert_allclose(mpt.Predictor(kf, 2).filter(z), kf.filter(z) @ (model.F @ model.F).T, rtol=1e-12)
+
+
+@pytest.mark.parametrize("tracks", [None, 2])
+def test_steps_of_any_length_are_the_filter_with_times(tracks):
+    model = plane()
+    rng = np.random.default_rng(7)
+    t, z = np.cumsum(rng.choice([0.0, 0.4, 2.0], 30)), gappy(model, rng, 30)
+    r = rng.uniform(0.1, 2.0, z.shape)
+    kf = mpt.KalmanFilter(model, t=t, r=r)
+    both, (x, P) = kf.estimates(z), (model.x0, model.P0)
+    for k, dt in enumerate([model.dt, *np.diff(t)]):
+        x, P = kf.step(x, P, z[k], dt=dt, r=r[k])
+        np.testing.assert_allclose(x, both.x[k], rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(P, both.P[k], rtol=1e-9, atol=1e-10)
+
+
+def test_equal_steps_of_the_models_length_are_no_times():
+    model = plane()
+    z = gappy(model, np.random.default_rng(8), 50, 3)
+    timed = mpt.KalmanFilter(model, t=7.0 + 0.7 * np.arange(50)).estimates(z)
+    plain = mpt.KalmanFilter(model).estimates(z)
+    np.testing.assert_allclose(timed.x, plain.x, rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(timed.P, plain.P, rtol=1e-10, atol=1e-12)
+
+
+T = np.arange(5.0)
+ZERO, ONE = np.zeros(4), np.eye(4)
+
+
+def timed(model=None, **conditions):
+    return mpt.KalmanFilter(plane() if model is None else model, **conditions)
+
+
+REFUSED_TIMES = {
+    "gsm": (lambda: timed(AXIS, t=T), "t: needs a model that says"),
+    "gps_ins": (lambda: timed(mpt.gps_ins(1.0, 0.1, (1.0, 1.0)), t=T), "t: needs a model that says"),
+    "a plain model": (lambda: timed(mpt.LinearModel(F=[[1]], H=[[1]], Q=[[1]], R=[[1]]), t=T), "t: needs a mod"),
+    "another F": (lambda: timed(replace(plane(), F=0.9 * np.eye(4)), t=T), "t: needs a model that says"),
+    "another Q": (lambda: timed(replace(plane(), Q=np.eye(4)), t=T), "t: needs a model that says"),
+    "axes of other dt": (
+        lambda: timed(mpt.stack(*(mpt.constant_velocity(dt, 1, 1) for dt in (1, 2))), t=T),
+        "t: needs a model that says",
+    ),
+    "backwards": (lambda: timed(t=[0, 2, 1]), "t: needs .* do not decrease, got 1 after 2, in row 2"),
+    "NaN": (lambda: timed(t=[0, np.nan]), "t: needs .* got NaN or infinity"),
+    "length": (lambda: timed(t=T).filter(np.zeros((4, 2))), r"t: needs the epochs and tracks of z, \(4"),
+    "tracks": (lambda: timed(t=np.zeros((4, 3))).filter(np.zeros((4, 2, 2))), "t: needs the epochs"),
+    "times of tracks": (lambda: timed(t=np.zeros((4, 1))).filter(np.zeros((4, 2))), "t: needs"),
+    "r of zero": (lambda: timed(r=np.zeros((4, 2))).filter(np.zeros((4, 2))), "r: needs a positive var"),
+    "r missing": (lambda: timed(r=[[1, np.nan]]).filter(np.zeros((1, 2))), "r: needs a positive var"),
+    "r of other axes": (lambda: timed(r=np.ones((4, 1))), r"r: needs an \(N, 2\) or"),
+    "step without dt": (lambda: timed(t=T).step(ZERO, ONE, [0, 0]), "dt: needs the time"),
+    "step without r": (lambda: timed(r=[[1, 1]]).step(ZERO, ONE, [0, 0]), "r: needs"),
+    "step backwards": (lambda: timed().step(ZERO, ONE, [0, 0], dt=-1), "dt: needs a number"),
+    "step of gsm": (lambda: timed(AXIS).step(np.zeros(2), np.eye(2), [0], dt=1), "dt: needs a model that says"),
+    "step, swapped": (lambda: timed().step(ONE, ZERO, [0, 0]), r"x: needs a \(4,\) array"),
+    "step, NaN in x": (lambda: timed().step(np.nan * ZERO, ONE, [0, 0]), "x: needs a .* NaN"),
+    "step, NaN in P": (lambda: mpt.LainiotisFilter(AXIS).step(np.zeros(2), np.nan * np.eye(2), [0]), "P: needs a .*"),
+}
+
+
+@pytest.mark.parametrize(("call", "words"), REFUSED_TIMES.values(), ids=REFUSED_TIMES)
+def test_times_variances_and_steps_are_refused_by_name(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
+
+
+def test_a_step_of_two_filters_of_different_gains_is_refused():
+    join = mpt.JoinFilter(mpt.KalmanFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS))
+    with pytest.raises(TypeError, match="step: needs two filters of the same gain"):
+        join.step(np.zeros(2), np.eye(2), [0.0])
+
+
+def test_a_model_keeps_its_times_where_F_and_Q_still_fit():
+    model = plane()
+    assert replace(model, x0=np.zeros(4), R=np.eye(2), Q=2 * model.Q).dt == 0.7
+    assert mpt.exact_motion(model, np.zeros(4)).dt == 0.7
+    assert replace(model, F=np.eye(4)).dt is None
+
+
+@pytest.mark.parametrize("driven", [0, 1])
+@pytest.mark.parametrize("seed", range(20))
+def test_stable_models_with_modes_that_nothing_drives_have_a_steady_state(seed, driven):
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(1 + driven, 5), rng.integers(1, 3)
+    V = rng.standard_normal((n, n))
+    noise = V[:, :driven] @ rng.standard_normal((driven, driven))
+    F = V @ np.diag(rng.uniform(-0.95, 0.95, n)) @ np.linalg.inv(V)
+    model = mpt.LinearModel(F=F, H=rng.standard_normal((m, n)), Q=noise @ noise.T, R=np.eye(m), P0=np.eye(n))
+    limit = mpt.KalmanFilter(model).coefficients(1000)  # 0.95^1000 is 1e-22
+    six = mpt.six_filters(model)
+    for name in ("SSKF", "SSLF"):
+        # The modes are as well conditioned as V: rounding of 1e-16 times some thousands.
+        np.testing.assert_allclose(six[name].P, limit.P[-1], rtol=1e-7, atol=1e-11)
+        np.testing.assert_allclose(six[name].B, limit.B[-1], rtol=1e-7, atol=1e-11)
+
+
+def make_axis(q, r):
+    return mpt.constant_velocity(1.0, q, r, P0=np.eye(2))
+
+
+def test_the_errors_of_a_fit_are_the_spread_of_its_values():
+    """Over 60 simulated tracks, whose spread is known to 9 %."""
+    z = mpt.simulate(make_axis(0.04, 0.5), 150, np.random.default_rng(9), 60)[1]
+    fits = [mpt.fit(make_axis, z[..., i], q=0.1, r=1.0) for i in range(60)]
+    for name, true in {"q": 0.04, "r": 0.5}.items():
+        logs = np.log([each.values[name] for each in fits])
+        stated = np.median([each.log_errors[name] for each in fits])
+        assert 0.7 < logs.std() / stated < 1.4  # four standard errors
+        assert abs(np.median(logs) - np.log(true)) < 4 * 1.25 * stated / np.sqrt(60)
+    together = mpt.fit(make_axis, z, q=0.1, r=1.0)
+    assert together.log_likelihood == pytest.approx(metrics.log_likelihood(together.filter, z).sum(), rel=1e-12)
+    for name, true in {"q": 0.04, "r": 0.5}.items():
+        assert abs(np.log(together.values[name] / true)) < 4 * together.log_errors[name]
+        assert together.log_errors[name] == pytest.approx(fits[0].log_errors[name] / np.sqrt(60), rel=0.5)
+
+
+def test_a_fit_takes_times_and_gaps():
+    rng = np.random.default_rng(10)
+    t = np.cumsum(rng.choice([1.0, 2.0, 5.0], 400))
+    grid = np.arange(t[-1] + 1)
+    whole = np.full((len(grid), 1), np.nan)
+    z = mpt.simulate(make_axis(0.04, 0.5), len(grid), rng)[1][t.astype(int)]
+    whole[t.astype(int)] = z
+    late = replace(make_axis(0.04, 0.5), P0=np.eye(2))
+    by_time = mpt.fit(lambda q, r: mpt.KalmanFilter(replace(make_axis(q, r), P0=late.P0), t=t), z, q=1.0, r=1.0)
+    by_grid = mpt.fit(make_axis, whole[int(t[0]) :], q=1.0, r=1.0)
+    for name in "qr":
+        assert by_time.values[name] == pytest.approx(by_grid.values[name], rel=1e-3)
+
+
+UNKNOWN = {
+    "a smooth track": (make_axis, lambda x, z: x[:, :1], "r: the likelihood does not fall as it goes to zero"),
+    "a product": (lambda q, r, a=1.0: make_axis(q * a, r), lambda x, z: z, "a: the likelihood is flat"),
+    "a far start": (make_axis, lambda x, z: z + 30, "the first measurements are .* standard deviations from"),
+}
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_a_fit_says_what_it_does_not_know(name):
+    make, taken, words = UNKNOWN[name]
+    track = taken(*mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11)))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        mpt.fit(make, track, q=1.0, r=1.0, **({"a": 1.0} if name == "a product" else {}))
+    assert [each for each in said if re.search(words, str(each.message))]
+
+
+def test_a_fit_of_what_is_known_says_nothing():
+    z = mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11))[1]
+    mpt.fit(make_axis, z, q=1.0, r=1.0)  # a warning is an error in these tests
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda z: mpt.fit(make_axis, z + 5e5, q=1.0, r=1.0), ValueError, "make: needs a model whose x0 and"),
+        (lambda z: mpt.fit(make_axis, z, q=0.0, r=1.0), ValueError, "q: needs a positive number"),
+        (lambda z: mpt.fit(make_axis, z), ValueError, "start: needs a first guess"),
+        (lambda z: mpt.fit(3, z, q=1.0), TypeError, "make: needs a function"),
+        (lambda z: mpt.fit(lambda q: q, z, q=1.0), TypeError, "make: needs a Filter"),
+    ],
+)
+def test_a_fit_refuses_by_name(call, error, words):
+    z = mpt.simulate(make_axis(0.04, 0.5), 20, np.random.default_rng(12))[1]
+    with pytest.raises(error, match=words):
+        call(z)
+
+
+def test_a_fit_is_the_maximum_of_the_joint_density():
+    """The density of all measurements, dense, maximised by another search."""
+    z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(13))[1]
+    z[7:10] = np.nan
+    found = mpt.fit(make_axis, z, q=1.0, r=1.0)
+
+    def surprise(logs):
+        return -gaussian_log_density(*matrices(make_axis(*np.exp(logs))), z)
+
+    best = minimize(surprise, [0.0, 0.0], method="Powell", options={"xtol": 1e-8, "ftol": 1e-12})
+    assert found.log_likelihood == pytest.approx(-best.fun, abs=1e-6)
+    # The search ends within 1e-4 in the logarithms, a hundredth of the error.
+    np.testing.assert_allclose(np.log([found.values[name] for name in "qr"]), best.x, atol=2e-3)

@@ -1,0 +1,156 @@
+"""Recorded tracks: from GPX files, and from degrees to metres."""
+
+from datetime import UTC, datetime
+from math import cos, hypot, radians, sin
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from mpt_helpers import tracks
+
+HEAD = '<gpx version="1.1" creator="test" xmlns="http://www.topografix.com/GPX/1/1"><trk>'
+
+
+def fix(time, lat=57.0, lon=9.9, ele=None):
+    """A fix of a GPX file; time may be an hour's seconds or text."""
+    time = f"2024-05-03T12:{time // 60:02.0f}:{time % 60:06.3f}Z" if isinstance(time, int | float) else time
+    inside = ("" if time is None else f"<time>{time}</time>") + ("" if ele is None else f"<ele>{ele}</ele>")
+    return f'<trkpt lat="{lat}" lon="{lon}">{inside}</trkpt>'
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a GPX file of segments, lists of fixes, and return its path."""
+
+    def write(*segments, encoding="utf-8", head='<?xml version="1.0" encoding="UTF-8"?>'):
+        body = "".join(f"<trkseg>{''.join(fixes)}</trkseg>" for fixes in segments)
+        path = tmp_path / "track.gpx"
+        path.write_bytes(f"{head}{HEAD}{body}</trk></gpx>".encode(encoding))
+        return path
+
+    return write
+
+
+def test_segments_stay_apart_in_seconds_and_metres_of_one_origin(written):
+    path = written([fix(10), fix(12.5, lat=57.001)], [], [fix(60, lon=9.91)])
+    first, second = tracks.gpx(path)
+    np.testing.assert_array_equal(first.t, [0, 2.5])
+    np.testing.assert_array_equal(second.t, [50])
+    np.testing.assert_allclose(first.z, [[0, 0], [0, 111.36]], atol=0.01)
+    np.testing.assert_allclose(second.z, [[607.72, 0.04]], atol=0.01)
+    assert first.origin == second.origin == (57.0, 9.9, 0.0)
+    assert first.start == datetime(2024, 5, 3, 12, 0, 10, tzinfo=UTC)
+
+
+def test_heights_are_a_column_where_they_are_wanted_and_nan_where_the_file_has_none(written):
+    path = written([fix(0, ele=30), fix(1), fix(2, ele=42.5)])
+    (track,) = tracks.gpx(path, up=True)
+    np.testing.assert_array_equal(track.z[:, 2], [0, np.nan, 12.5])
+    assert tracks.gpx(path)[0].z.shape == (3, 2)
+
+
+@pytest.mark.parametrize(
+    ("fixes", "said"),
+    [
+        ([fix(0), fix(1), fix(1)], r"got 2024-05-03 12:00:01 again in fix 3 of segment 2 \(1 such of its 3 fixes\)"),
+        ([fix(0), fix(9), fix(4)], r"got 2024-05-03 12:00:04 after a later time in fix 3 of segment 2"),
+        ([fix(0), fix(None), fix(None)], r"got no time in fix 2 of segment 2 \(2 such of its 3 fixes\)"),
+    ],
+)
+def test_a_time_that_repeats_runs_back_or_is_missing_is_refused_by_row_with_the_way_out(written, fixes, said):
+    path = written([fix(0)], fixes)
+    with pytest.raises(ValueError, match=rf"track.gpx: needs times that increase, {said}.*skip=True"):
+        tracks.gpx(path)
+    with pytest.warns(UserWarning, match=r"\d fixes left out whose times do not increase"):
+        segments = tracks.gpx(path, skip=True)
+    assert len(segments) == 2
+    assert (np.diff(segments[1].t) > 0).all()
+    assert len(segments[1].t) == 3 - said.count("1 such") - said.count("after") - 2 * said.count("2 such")
+
+
+def test_fractions_of_a_second_are_kept_and_a_time_without_a_zone_is_utc(written):
+    (track,) = tracks.gpx(written([fix("2024-05-03T12:00:00"), fix(0.25), fix("2024-05-03T14:00:01+02:00")]))
+    np.testing.assert_array_equal(track.t, [0, 0.25, 1])
+
+
+@pytest.mark.parametrize(
+    ("encoding", "name"), [("utf-8", "UTF-8"), ("utf-8-sig", "UTF-8"), ("latin-1", "ISO-8859-1"), ("utf-8", None)]
+)
+def test_files_of_other_encodings_are_read(written, encoding, name):
+    head = f'<?xml version="1.0" encoding="{name}"?><!-- Ålborg -->' if name else "<!-- Ålborg -->"
+    assert len(tracks.gpx(written([fix(0), fix(1)], encoding=encoding, head=head))[0].t) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t,x,y\n1,2,3\n", "needs a GPX file, got one that cannot be read"),
+        ("", "needs a GPX file, got one that cannot be read"),
+        (f"{HEAD}</trk></gpx>", "needs a recorded track, got 0 track segments and no times"),
+        (
+            f"{HEAD}<trkseg>{fix(None)}</trkseg></trk></gpx>",
+            "needs a recorded track, got 1 track segments and no times",
+        ),
+    ],
+)
+def test_what_is_no_recorded_track_is_refused_by_name(tmp_path, text, said):
+    path = tmp_path / "other.gpx"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"other.gpx: {said}"):
+        tracks.gpx(path)
+
+
+def test_a_file_that_is_not_there_is_missing(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        tracks.gpx(tmp_path / "none.gpx")
+
+
+def test_metres_are_those_of_the_ellipsoid():
+    """Against the radii of curvature of WGS 84 at 57°, some 100 m around the origin."""
+    a, e2, lat = 6378137.0, 0.00669437999014, radians(57.0)
+    w = np.sqrt(1 - e2 * sin(lat) ** 2)
+    north, east = radians(0.001) * a * (1 - e2) / w**3, radians(0.001) * a / w * cos(lat)
+    z = tracks.local([57.0, 57.001, 57.0], [9.9, 9.9, 9.901])
+    np.testing.assert_allclose(z, [[0, 0], [0, north], [east, 0]], atol=2e-3)
+
+
+def test_up_in_the_mountains_a_degree_is_longer():
+    low, high = (tracks.local([57.0, 57.001], [9.9, 9.9], origin=(57.0, 9.9, height))[1, 1] for height in (0, 3000))
+    assert high / low - 1 == pytest.approx(3000 / 6.37e6, rel=0.01)
+
+
+def test_lengths_100_km_away_are_too_short_by_what_the_docstring_says():
+    lat = 57.0 + 100.0 / 111.4
+    far, near = tracks.local([57.0, lat, lat + 0.001], [9.9] * 3), tracks.local([lat, lat + 0.001], [9.9, 9.9])
+    shorter = 1 - hypot(*(far[2] - far[1])) / hypot(*near[1])
+    assert 0.00005 < shorter < 0.00015
+
+
+def test_a_position_that_is_missing_stays_missing_and_is_no_origin():
+    z = tracks.local([np.nan, 57.0, 57.001], [9.9, 9.9, 9.9])
+    assert np.isnan(z[0]).all()
+    np.testing.assert_allclose(z[1], 0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "said"),
+    [
+        ([57.0, 57.1], [9.9], "as many latitudes as longitudes"),
+        ([[57.0]], [[9.9]], "as many latitudes as longitudes"),
+        ([], [], "as many latitudes as longitudes"),
+        ([6.3e6], [5e5], "degrees of at most 90 and 360"),
+        ([100.0], [57.0], "degrees of at most 90 and 360"),
+        ([np.nan], [np.nan], "degrees of at most 90 and 360"),
+        (["57"], ["9"], "latitudes"),
+    ],
+)
+def test_other_numbers_are_refused(lat, lon, said):
+    with pytest.raises((ValueError, TypeError), match=said):
+        tracks.local(lat, lon)
+
+
+def test_the_track_of_the_guide_is_read():
+    (ride,) = tracks.gpx(ROOT / "docs" / "tracks" / "ride.gpx")
+    assert ride.z.shape == (4559, 2)
+    np.testing.assert_array_equal(np.diff(ride.t), 1)
