@@ -7,6 +7,7 @@ F x0 and F P0 Fᵀ + Q.
 import filterpy.kalman
 import numpy as np
 import simdkalman
+from statsmodels.tsa.statespace.kalman_smoother import KalmanSmoother
 
 from mpt_helpers.equations import predicted_covariance
 
@@ -55,6 +56,33 @@ def filterpy_steps(model):
     return one
 
 
+def filterpy_estimates(model):
+    """Make the same loop, which keeps covariances too; a row of NaN is an epoch that is missed."""
+
+    def one(z):
+        kf = filterpy.kalman.KalmanFilter(dim_x=model.n, dim_z=model.m)
+        kf.F, kf.H, kf.Q, kf.R = (each.copy() for each in (model.F, model.H, model.Q, model.R))
+        kf.x, kf.P = model.x0.copy(), model.P0.copy()
+        x, P = np.empty((len(z), model.n)), np.empty((len(z), model.n, model.n))
+        for k, z_k in enumerate(z):
+            kf.predict()
+            kf.update(None if np.isnan(z_k[0]) else z_k)
+            x[k], P[k] = kf.x, kf.P
+        return x, P
+
+    return one
+
+
+def statsmodels_of(model, z):
+    """Make statsmodels' state space model of one track z (N, m), in C: it has `filter`, `loglike` and `smooth`."""
+    made = KalmanSmoother(k_endog=model.m, k_states=model.n, k_posdef=model.n)
+    made.bind(np.asfortranarray(z.T))
+    made["design"], made["transition"], made["selection"] = model.H, model.F, np.eye(model.n)
+    made["obs_cov"], made["state_cov"] = model.R, model.Q
+    made.initialize_known(*before_first(model))
+    return made
+
+
 def filterpy_loop(model):
     """Make the same of many tracks, one after the other."""
     one = filterpy_steps(model)
@@ -73,6 +101,22 @@ def simdkalman_all(model):
         tracks_first = np.ascontiguousarray(z.transpose(2, 0, 1))
         data = tracks_first[..., 0] if model.m == 1 else tracks_first
         states = kf.compute(data, 0, smoothed=False, filtered=True, **start).filtered.states
+        return np.moveaxis(states.mean, 0, 2), np.moveaxis(states.cov, 0, 3)
+
+    return many
+
+
+def simdkalman_smoother(model):
+    """Make the smoother of simdkalman, all tracks at once: states (N, n, M) and covariances (N, n, n, M)."""
+    mean, covariance = before_first(model)
+    kf = simdkalman.KalmanFilter(
+        state_transition=model.F, process_noise=model.Q, observation_model=model.H, observation_noise=model.R
+    )
+
+    def many(z):
+        start = {"initial_value": mean, "initial_covariance": covariance}
+        data = np.ascontiguousarray(z.transpose(2, 0, 1))
+        states = kf.compute(data[..., 0] if model.m == 1 else data, 0, smoothed=True, **start).smoothed.states
         return np.moveaxis(states.mean, 0, 2), np.moveaxis(states.cov, 0, 3)
 
     return many

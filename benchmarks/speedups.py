@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 import mpt_helpers as mpt
+from mpt_helpers.equations import lainiotis_matrices
 
 
 def product(*matrices):
@@ -71,7 +72,7 @@ def steps(model, tracks):
     steady = mpt.SteadyStateFilter.from_kalman(model)
     P, identity = same(steady.P), same(np.eye(model.n))
     kalman = [same(each) for each in (model.F, model.H, model.Q, model.R)]
-    lainiotis = [same(each) for each in mpt.riccati.lainiotis_matrices(model)]
+    lainiotis = [same(each) for each in lainiotis_matrices(model)[:5]]
     return {
         "KF": partial(kalman_step, *kalman, identity, x, P, z),
         "LF": partial(lainiotis_step, *lainiotis, identity, x, P, z),

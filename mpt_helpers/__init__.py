@@ -2,16 +2,20 @@
 
 To see how the filters work, read in this order:
 
+- `model`: x(k+1) = F x(k) + w(k), z(k) = H x(k) + v(k), and the papers' models;
+- `equations`: one Kalman step and one Lainiotis step, equation by equation;
+- `filters`: A_k, B_k and P of both filters in `next_step`; `steady`: their limits as constants, and the FIR form;
 - `recursion`: x(k+1) = A_k x(k) + B_k z(k+1) as a plain loop, and as `run`, which takes several steps in one product;
-- `filters`: A_k, B_k and P in `next_step`, and gaps; `riccati.lainiotis_matrices` has the constants of Lainiotis;
-- `steady`: filters with the limits of A_k and B_k as constants, the prediction of their state, and their FIR form;
-- `combined`: the mean of two filters, and one filter for each axis.
+- `recursive`: which of two ways a track takes, and what all filters can be asked for;
+- `columns`: the second way, for tracks with gaps, times and precisions of their own, each a column;
+- `partition`: a long track as many short columns; `smoothing`: the way back;
+- `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead.
 
-`model` has the models, `riccati` the limits, `columns` tracks whose gaps differ, `metrics` the judgement of results,
-`monte_carlo` studies of many runs, `checks` the refusal of bad input. The rest reproduces the papers.
+`riccati` solves for the limits, `metrics` judges results, `fitting` finds the parameters of a model, `monte_carlo` runs
+studies of many runs, `checks` refuses bad input. The rest reproduces the papers.
 """
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 from . import metrics, riccati
 from .combined import JoinFilter, Separate, six_filters

@@ -118,7 +118,7 @@ def _solve_rekf(model):
     return P * unit[:, None] * unit, solved
 
 
-def require_resolved(model, P):
+def require_resolved(model: LinearModel, P: Array) -> None:
     """Raise a ValueError where P (n×n), a steady-state estimation error covariance, has no digit left in doubles.
 
     A residual cannot see that, since it is rounded as P is. So P must stand a step of the other filter, the Kalman
