@@ -1,30 +1,17 @@
-"""The experiments of the paper of 2007, and the table of the recorded day."""
+"""What the notebook on the paper of 2007 simulates."""
 
-import gzip
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import ROOT
 
 import mpt_helpers as mpt
 from mpt_helpers.papers import experiments_2007 as runs
 from mpt_helpers.papers import positioning
-from mpt_helpers.papers.positioning import line_sigma
 
-sys.path.insert(0, str(ROOT / "notebooks" / "data"))
-import make_table
-
-TABLE = ROOT / "notebooks" / "data" / "esbc_2020_177.csv.gz"
 SIGMAS = np.array([1.0, 0.01])
 MODEL = replace(mpt.gps_ins(0.5, 0.01, (*SIGMAS**2, 2.0)), x0=[1.0, 2.0, 3.0], P0=np.diag([100.0, 1.0, 1.0]))
 TWO = replace(MODEL, H=MODEL.H[:2], R=MODEL.R[:2, :2])
-
-
-@pytest.fixture(scope="module")
-def day():
-    return runs.recorded_day(TABLE)
 
 
 def test_random_skies_are_of_all_places_and_times():
@@ -44,89 +31,6 @@ def test_rough_errors_are_those_of_the_iteration():
     np.testing.assert_allclose(errors[0], 3e5)
     assert (np.diff(errors[:3], axis=0) < 0).all()
     assert errors[4].max() < 1e-6
-
-
-def test_the_table_is_the_day_that_its_readme_states(day):
-    assert day.ranges.shape == (2880, 32)
-    assert np.isfinite(day.ranges).sum() == 25_801
-    np.testing.assert_array_equal(np.diff(day.seconds), 30)
-    assert TABLE.stat().st_size < 1e6
-    seen = np.isfinite(day.ranges)
-    assert (np.isfinite(day.satellites).all(axis=2) == seen).all()
-    assert (day.troposphere[seen] > 2.2).all()
-    height = [positioning.elevation(day.satellites[k, s], day.station) for k, s in enumerate(seen)]
-    assert np.concatenate(height).min() > 10
-    some = [(day.satellites[k, seen[k]], day.ranges[k, seen[k]]) for k in range(0, 2880, 60)]
-    X = np.array([positioning.position(*epoch).X for epoch in some])
-    assert np.linalg.norm(X[:, :3] - day.station, axis=1).max() < 5
-
-
-def test_the_columns_of_the_table_are_those_of_its_script():
-    with gzip.open(TABLE, "rt") as lines:
-        assert next(lines).startswith("# station,3582105.291,")
-        assert next(lines).strip() == make_table.COLUMNS
-        assert len(next(lines).split(",")) == len(make_table.FORMAT.split(",")) == len(make_table.COLUMNS.split(","))
-
-
-def test_turning_with_the_earth_keeps_lengths_and_is_to_the_west():
-    x = make_table.turned(np.array([[2e7, 0.0, 1e7]]), np.array([0.07]))
-    assert np.linalg.norm(x) == pytest.approx(np.hypot(2e7, 1e7))
-    # The axes have moved to the east under the satellite, by 7.29e-5 rad/s for 0.07 s.
-    np.testing.assert_allclose(x[0], [2e7, -2e7 * 7.2921151467e-5 * 0.07, 1e7], rtol=0, atol=1e-3)
-
-
-def test_the_troposphere_is_some_2_4_m_at_the_zenith_and_ten_times_that_near_the_horizon():
-    assert make_table.saastamoinen(0.0, 90.0) == pytest.approx(2.4, abs=0.05)
-    assert make_table.saastamoinen(0.0, 10.0) == pytest.approx(2.4 / np.sin(np.radians(10)), rel=0.03)
-    assert make_table.saastamoinen(3000.0, 90.0) < 1.8
-
-
-def test_the_ionosphere_is_least_at_night_and_most_at_two_in_the_afternoon():
-    coefficients = [4.6566e-9, 1.4901e-8, -5.9605e-8, -1.1921e-7, 8.1920e4, 9.8304e4, -6.5536e4, -5.2429e5]
-    t = 3600.0 * np.arange(24)
-    delay = make_table.klobuchar(coefficients, 40.0, 0.0, 0.0, 90.0, t)
-    assert delay.min() == pytest.approx(5e-9 * make_table.C, rel=0.01)  # 1.5 m, the constant night term
-    assert t[delay.argmax()] == 14 * 3600
-    low = make_table.klobuchar(coefficients, 40.0, 0.0, 0.0, 10.0, t)
-    assert 2.4 < low.min() / delay.min() < 3
-
-
-def test_autocorrelation_is_its_sums():
-    x = np.random.default_rng(1).standard_normal(50).cumsum()
-    e = x - x.mean()
-    sums = [e[: 50 - lag] @ e[lag:] for lag in range(50)]
-    np.testing.assert_allclose(runs.autocorrelation(x), np.array(sums) / sums[0], atol=1e-12)
-
-
-def test_line_errors_have_the_standard_error_of_the_closed_form():
-    errors = np.random.default_rng(2).standard_normal(200_000)
-    found = mpt.metrics.rms(runs.line_errors(errors, 20), axis=1)
-    # Overlapping windows count as some 200,000 / 20; their rms has a relative standard error of 0.7 %; four of it.
-    np.testing.assert_allclose(found, line_sigma(20, np.array([10.5, 20])), rtol=0.03)
-
-
-def test_a_line_is_compared_with_the_fixes_of_the_same_epochs():
-    """In the spread of the whole day, noisy first hours included, the later lines looked better than the fixes."""
-    errors = np.ones(1000)  # a line through equal errors is as wrong as each of them
-    errors[:25] = 10
-    for n in (50, 51):
-        middle, newest = runs.line_errors(errors, n)
-        at_middle = errors[[(k + k + n - 1) // 2 for k in range(len(middle))]]
-        expected = [mpt.metrics.rms(middle) / mpt.metrics.rms(at_middle), mpt.metrics.rms(newest)]
-        np.testing.assert_allclose(runs.line_ratios(errors, n), expected)
-
-
-def test_the_closed_form_with_a_measured_autocorrelation_is_what_the_line_makes(day):
-    seen = np.isfinite(day.ranges)
-    X = np.array([positioning.position(day.satellites[k, s], day.ranges[k, s]).X for k, s in enumerate(seen)])
-    up = X[:, :3] @ positioning.local_axes(day.station)[2]
-    up = up - up.mean()
-    measured = mpt.metrics.rms(runs.line_errors(up, 50), axis=1) / up.std()
-    rho = runs.autocorrelation(up)
-    assert rho[1] > 0.9
-    # Some 60 stretches of 25 minutes: 9 % for each of the two.
-    np.testing.assert_allclose(measured, line_sigma(50, np.array([25.5, 50]), rho), rtol=0.1)
-    assert measured[1] > 3 * line_sigma(50, 50)
 
 
 @pytest.mark.parametrize("seconds", [0, 0.5, 1, 3, 10])

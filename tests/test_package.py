@@ -21,8 +21,8 @@ import mpt_helpers as mpt
 
 PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
-CORE = ["checks", "recursion", "equations", "columns", "partition", "smoothing", "model", "riccati", "recursive"]
-CORE += ["filters", "steady", "predictor", "combined", "bands", "metrics", "fitting", "lasting"]
+CORE = ["checks", "recursion", "equations", "columns", "partition", "smoothing", "model", "lasting", "riccati"]
+CORE += ["recursive", "filters", "steady", "predictor", "combined", "bands", "metrics", "fitting"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"recursion": set(), "equations": set(), "columns": set(), "partition": {"equations"}}
 OF_THE_CORE |= ARRAYS_ONLY | {"smoothing": {"columns", "partition", "recursion"}, "monte_carlo": {"checks"}}
@@ -34,7 +34,8 @@ ROOMS = {
 }
 BESIDE = {  # modules of one paper
     "experiments_2007": {"positioning"},
-    "article_2007": {"positioning", "experiments_2007"},
+    "article_2007": {"positioning", "recorded_2007"},
+    "recorded_2007": {"positioning", "experiments_2007"},
     "article_2014": {"burden", "table4"},
     "article_2015": {"burden"},
     "article_2016": {"readings_2016", "table1_2016"},

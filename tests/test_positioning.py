@@ -170,6 +170,71 @@ def test_an_extended_kalman_filter_is_equation_11_over_the_satellites_that_are_s
         np.testing.assert_allclose(track.P[k], P, rtol=1e-6, atol=1e-9)
 
 
+def test_the_innovations_of_an_extended_kalman_filter_are_those_of_equation_11():
+    satellites, ranges, variance, X = changing_epochs(np.random.default_rng(7))
+    P0, Q = np.diag([1e4, 1e4, 1e4, 1e2]), np.diag([1.0, 2.0, 3.0, 4.0])
+    track = positioning.position_kalman(satellites, ranges, far_from(X, 100.0), P0, Q, variance)
+    seen = ~np.isnan(ranges)
+    np.testing.assert_array_equal(np.isnan(track.innovations), ~seen)
+    np.testing.assert_array_equal(np.isnan(track.S), ~(seen[:, :, None] & seen[:, None]))
+    x, P = far_from(X, 100.0), P0
+    for k, now in enumerate(seen):
+        H = positioning.linearised(satellites[k, now], x)
+        expected = positioning.pseudoranges(satellites[k, now], x)
+        np.testing.assert_allclose(track.innovations[k, now], ranges[k, now] - expected, rtol=0, atol=EXACT)
+        S = H @ (P + Q) @ H.T + np.diag(variance[k, now])
+        np.testing.assert_allclose(track.S[k][np.ix_(now, now)], S, rtol=1e-9)
+        x, P = track.X[k], track.P[k]
+
+
+def test_innovations_have_the_covariance_that_is_stated():
+    rng = np.random.default_rng(14)
+    satellites, X = positioning.sky(RIGA, 0.0), np.append(RIGA, 0.0)
+    P0, Q = np.diag([4.0, 9.0, 1.0, 16.0]), np.diag([0.5, 0.5, 0.5, 2.0])
+    nis = []
+    for _ in range(300):
+        true = X + np.sqrt(np.diag(P0)) * rng.standard_normal(4)
+        true = true + np.sqrt(np.diag(Q)) * rng.standard_normal((3, 4)).cumsum(axis=0)
+        ranges = np.array([positioning.pseudoranges(satellites, each) for each in true])
+        track = positioning.position_kalman(satellites, ranges + rng.standard_normal(ranges.shape), X, P0, Q, 1.0)
+        nis += [e @ np.linalg.solve(S, e) for e, S in zip(track.innovations, track.S, strict=True)]
+    low, high = mpt.metrics.chi_square_band(len(satellites), 900, level=0.9999)
+    assert low < np.mean(nis) < high
+
+
+def test_singular_covariances_leave_alone_what_is_known():
+    """They ended in a LinAlgError: the inverse of P does not exist."""
+    satellites, ranges, variance, X = changing_epochs(np.random.default_rng(15))
+    zero, begin = np.zeros((4, 4)), far_from(X, 5.0, 1.0)
+    track = positioning.position_kalman(satellites, ranges, begin, zero, zero, variance)
+    np.testing.assert_array_equal(track.X, np.tile(begin, (len(ranges), 1)))
+    np.testing.assert_array_equal(track.P, np.zeros((len(ranges), 4, 4)))
+    assert np.isfinite(track.S[~np.isnan(ranges)[:, :, None] & ~np.isnan(ranges)[:, None]]).all()
+    clock = np.diag([0, 0, 0, 100.0])  # the position is known, the clock is not
+    track = positioning.position_kalman(satellites, ranges, X, zero, clock, variance)
+    np.testing.assert_array_equal(track.X[:, :3], np.tile(X[:3], (len(ranges), 1)))
+    assert (track.P[:, 3, 3] > 0).all()
+    nearly = positioning.position_kalman(satellites, ranges, X, 1e-14 * np.eye(4), clock + 1e-14 * np.eye(4), variance)
+    np.testing.assert_allclose(track.X, nearly.X, rtol=0, atol=EXACT)
+    line = np.outer([3.0, 4.0, 0.0, 0.0], [3.0, 4.0, 0.0, 0.0])  # it moves on a line
+    track = positioning.position_kalman(satellites, ranges, X, line, 0.01 * line, variance)
+    np.testing.assert_allclose((track.X - X) @ [4.0, -3.0, 0.0, 0.0], 0, atol=EXACT)
+
+
+@pytest.mark.parametrize("hide", [np.nan, 0.0, 1e-3])
+def test_a_mask_hides_a_range(hide):
+    """The numbers under a mask counted as measured."""
+    satellites, ranges, variance, X = changing_epochs(np.random.default_rng(16))
+    missing = np.isnan(ranges)
+    masked = np.ma.masked_array(np.where(missing, hide, ranges), mask=missing)
+    whole = positioning.position_kalman(satellites, ranges, X, np.eye(4), np.eye(4), variance)
+    again = positioning.position_kalman(satellites, masked, X, np.eye(4), np.eye(4), variance)
+    for one, other in zip(whole, again, strict=True):
+        np.testing.assert_array_equal(one, other)
+    with pytest.raises(ValueError, match=r"ranges: needs pseudoranges of .* m, got nan"):
+        positioning.position(satellites[0], masked[0])
+
+
 def test_an_extended_kalman_filter_is_continued_from_where_it_ended():
     satellites, ranges, variance, X = changing_epochs(np.random.default_rng(8))
     P0, Q = np.diag([1e4, 1e4, 1e4, 1e2]), np.eye(4)
@@ -240,18 +305,47 @@ def test_good_ranges_are_all_used():
     assert positioning.position(satellites, ranges, false_alarm=1e-3).used.all()
 
 
-def test_what_cannot_be_excluded_is_told():
-    satellites, X = positioning.sky(RIGA, 0.0), np.append(RIGA, 0.0)
+@pytest.mark.parametrize("faults", [{0: 300, 3: -500}, {1: -40, 5: 60}, {2: 2e5, 4: -3e5}, {0: 90, 4: -50, 7: 70}])
+def test_faulty_satellites_are_left_out_while_enough_remain(faults):
+    """Only one could be: a fix of all satellites came back, 2 km off on a phone's ranges, with a sigma of 15 m.
+
+    In the third case every probability is zero until both are left out. Three take ten satellites.
+    """
+    satellites, X = positioning.sky(RIGA, 0.0, mask=10 if len(faults) == 2 else -5), np.append(RIGA, 0.0)
+    assert len(satellites) == {2: 8, 3: 10}[len(faults)]
     ranges = positioning.pseudoranges(satellites, X)
-    ranges[[0, 3]] += [300, -500]  # two faults
+    ranges[list(faults)] += list(faults.values())
+    assert not positioning.position(satellites, ranges).trusted  # nobody has asked for a test
     fix = positioning.position(satellites, ranges, false_alarm=1e-3)
-    assert fix.used.all()
+    assert list(np.flatnonzero(~fix.used)) == sorted(faults)
+    np.testing.assert_allclose(fix.X, X, rtol=0, atol=EXACT)
+    assert fix.trusted
+
+
+def test_what_cannot_be_excluded_is_not_trusted():
+    satellites, X = positioning.sky(RIGA, 0.0), np.append(RIGA, 0.0)
+    good = positioning.pseudoranges(satellites, X)
+    ranges = good + 500 * np.array([1, 0, -1, 2, 0, -2, 3, 0])  # more faults than can be left out
+    fix = positioning.position(satellites, ranges, false_alarm=1e-3)
+    assert (fix.used.all(), fix.trusted) == (True, False)
     assert fix.probability < 1e-9
-    ranges = positioning.pseudoranges(satellites, X)[:5] - [100, 0, 0, 0, 0]  # five satellites show it, not which one
+    assert np.linalg.norm((fix.X - X)[:3]) > 10 * np.sqrt(np.trace(fix.P[:3, :3]))
+    ranges = good[:5] - [100, 0, 0, 0, 0]  # five satellites show it, not which one
     fix = positioning.position(satellites[:5], ranges, false_alarm=1e-3)
-    assert fix.used.all()
+    assert (fix.used.all(), fix.trusted) == (True, False)
     assert fix.probability < 1e-3
-    assert np.isnan(positioning.position(satellites[:4], ranges[:4], false_alarm=1e-3).probability)
+    four = positioning.position(satellites[:4], ranges[:4], false_alarm=1e-3)  # four cannot show it
+    assert np.isnan(four.probability)
+    assert not four.trusted
+
+
+def test_good_ranges_are_trusted_but_for_false_alarms():
+    rng = np.random.default_rng(12)
+    satellites, X = positioning.sky(RIGA, 0.0), np.append(RIGA, 0.0)
+    ranges = positioning.pseudoranges(satellites, X) + rng.standard_normal((500, len(satellites)))
+    fixes = [positioning.position(satellites, each, X, false_alarm=0.1) for each in ranges]
+    # 10 % fail the test of all satellites; the standard error over 500 runs is 1.3 %; four of it.
+    assert np.mean([not fix.used.all() or not fix.trusted for fix in fixes]) == pytest.approx(0.1, abs=0.054)
 
 
 @pytest.mark.parametrize(("bad", "named"), [(0.0, "0"), (np.nan, "nan"), (-5.0, "-5"), (2e11, r"2e\+11")])
@@ -292,6 +386,15 @@ def test_what_is_no_epoch_is_refused(change, message):
         ({"linearisations": 0}, "linearisations: needs an integer of at least 1, got 0"),
         ({"variance": 0.0}, "variance: needs a positive number, or one for each range, got 0"),
         ({"start": RIGA}, r"start: needs a \(4,\) array of finite numbers, got shape \(3,\)"),
+        ({"P0": np.eye(3)}, r"P0: needs a \(4, 4\) array of finite numbers, got shape \(3, 3\)"),
+        ({"P0": np.ones(4)}, r"P0: needs a \(4, 4\) array of finite numbers, got shape \(4,\)"),
+        ({"P0": -np.eye(4)}, "P0: needs a symmetric positive semidefinite 4×4 matrix, got a variance of -1"),
+        ({"Q": 0.01}, r"Q: needs a \(4, 4\) array of finite numbers, got shape \(\)"),
+        ({"Q": np.diag([0.1, 0.1, 0.1])}, r"Q: needs a \(4, 4\) array of finite numbers, got shape \(3, 3\)"),
+        (
+            {"Q": np.triu(np.ones((4, 4)))},
+            "Q: needs a symmetric positive semidefinite 4×4 matrix, got a matrix that is",
+        ),
     ],
 )
 def test_a_filter_of_positions_refuses_by_name(change, message):
@@ -351,6 +454,23 @@ def test_a_line_through_many_points_is_exact():
     line = line_fit(3.0 + 0.5 * np.arange(1, 200_001), 2.0)
     assert line.velocity == pytest.approx(0.25, rel=1e-9)
     assert line.start == pytest.approx(3.0, rel=1e-6)
+
+
+def test_a_line_through_single_precision_sums_in_doubles():
+    """10,000 points of the size of an Earth-fixed coordinate: the line was 58 m off."""
+    x = (3_582_105 + 0.25 * np.arange(1, 10_001)).astype(np.float32)  # each is exact in single precision
+    line = line_fit(x, 1.0)
+    assert line.start == pytest.approx(3_582_105, abs=EXACT)
+    assert line.velocity == pytest.approx(0.25, abs=1e-9)
+
+
+def test_a_mask_hides_a_position():
+    z = np.arange(12.0)[:, None] ** 2
+    hidden = np.arange(12)[:, None] == 7
+    masked = np.ma.masked_array(np.where(hidden, 1e9, z), mask=hidden)
+    with_nan = adaptive_line(np.where(hidden, np.nan, z), 1.0, 5.0, 2, 9)
+    np.testing.assert_array_equal(adaptive_line(masked, 1.0, 5.0, 2, 9).x, with_nan.x)
+    assert np.isnan(line_fit(masked, 1.0).start).all()
 
 
 def test_a_line_needs_two_points():

@@ -74,19 +74,24 @@ class Recorded(dict):
         return self
 
 
+@pytest.mark.parametrize("phases", [{"L1C": [110078836.389], "L2W": [85775729.718]}, {"L1C": [0.0]}], ids=["L", "no L"])
 @pytest.mark.parametrize("second", [{"C2W": [20947300.413]}, {}], ids=["C2W", "no C2W"])
-def test_a_row_is_that_of_the_table_with_and_without_a_second_frequency(page, message, monkeypatch, second):
+def test_a_row_is_that_of_the_table_with_and_without_a_second_frequency(page, message, monkeypatch, second, phases):
     angles = np.array([page["azimuth"]]), np.array([page["elevation"]]), 0.0
     stub = SimpleNamespace(ecef2geodetic=lambda *_: (55.49, 8.46, 59.0), ecef2aer=lambda *_: angles)
     monkeypatch.setitem(sys.modules, "pymap3d", stub)
     time = np.array(["2020-06-25T00"], "datetime64[s]")
     messages = Recorded(time=time, health=[0.0], **{name: [value] for name, value in message.items()})
-    observations = Recorded(time=time, C1C=[page["C1C"]], **second)
+    observations = Recorded(time=time, C1C=[page["C1C"]], **second, **phases)
     (row,) = make_table.rows_of("G05", observations, messages, page["station"], page["header"])
     day = page["day"]
     np.testing.assert_allclose(row[2:5], day.satellites[0, 4], rtol=0, atol=0.006)
     np.testing.assert_allclose([row[5], row[7]], [day.ranges[0, 4], day.troposphere[0, 4]], rtol=0, atol=0.006)
     assert row[8] == pytest.approx(day.dual[0, 4] if second else np.nan, abs=0.006, nan_ok=True)
+    assert row[9] == pytest.approx(day.second[0, 4] if second else np.nan, abs=0.0006, nan_ok=True)
+    both = "L2W" in phases  # a phase that is zero or not there is missing
+    carriers = [day.phase1[0, 4], day.phase2[0, 4]] if both else [np.nan, np.nan]
+    np.testing.assert_allclose(row[10:12], carriers, rtol=0, atol=0.0006)
 
 
 def test_messages_of_the_evening_before_a_sunday_are_of_the_week_before():

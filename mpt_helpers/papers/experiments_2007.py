@@ -1,17 +1,14 @@
-"""What the notebook on the paper of 2007 runs: skies drawn at random, a recorded day, tracks of GPS and INS.
+"""What the notebook on the paper of 2007 simulates: skies drawn at random, tracks of GPS and INS.
 
 All trackers of this paper except the adaptive window are linear in the measurements. So the mean and the covariance of
 their errors are computed without a seed, from the effect of each measurement's error alone.
 """
 
-import gzip
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from ..filters import KalmanFilter
-from ..metrics import rms
 from . import positioning
 
 # The paper does not say which measurement belongs to the third row of H_k, [1 -dt 0]. Each reading computes it from the
@@ -56,68 +53,6 @@ def rough_errors(offset, sigma, steps, rng, M):
         path = positioning.position_steps(satellites, ranges, X + offset, steps)
         errors.append(np.linalg.norm((path - X)[:, :3], axis=1))
     return np.transpose(errors)
-
-
-class Day(NamedTuple):
-    """A table of recorded ranges: N epochs of 32 satellites, NaN where a satellite was not in view."""
-
-    station: np.ndarray  # (3,), as the header of the raw file has it
-    seconds: np.ndarray  # (N,)
-    satellites: np.ndarray  # (N, 32, 3)
-    ranges: np.ndarray  # (N, 32), corrected
-    troposphere: np.ndarray  # (N, 32), what was taken from them for it
-    dual: np.ndarray  # (N, 32), what to add for two frequencies
-
-
-def recorded_day(path):
-    """Read a table that `notebooks/data/make_table.py` made."""
-    rows = np.loadtxt(path, delimiter=",", skiprows=2)
-    seconds, k = np.unique(rows[:, 0], return_inverse=True)
-    full = np.full((len(seconds), 32, 6), np.nan)
-    full[k, rows[:, 1].astype(int) - 1] = rows[:, [2, 3, 4, 5, 7, 8]]
-    with gzip.open(path, "rt") as lines:
-        station = np.array(next(lines).split(",")[1:], dtype=float)
-    return Day(station, seconds, full[..., :3], full[..., 3], full[..., 4], full[..., 5])
-
-
-def autocorrelation(x):
-    """Return the autocorrelation (N,) of a series (N,) about its mean.
-
-    The sum of each lag is divided by that of lag 0, not by its own number of terms, which keeps the matrix R of the
-    entries ρ_|j-k| positive semidefinite.
-
-    >>> autocorrelation(np.array([1.0, -1.0, 1.0, -1.0]))
-    array([ 1.  , -0.75,  0.5 , -0.25])
-    """
-    x = x - x.mean()
-    sums = np.correlate(x, x, "full")[len(x) - 1 :]
-    return sums / sums[0]
-
-
-def line_errors(errors, n):
-    """Fit a line through each n successive errors of a receiver, (N,); return the errors of the lines, (2, N - n + 1).
-
-    The first row holds the errors in the middle of the lines, the second those at their newest points.
-
-    >>> line_errors(np.array([1.0, 2.0, 3.0, 4.0]), 3)
-    array([[2., 3.],
-           [3., 4.]])
-    """
-    line = positioning.line_fit(np.lib.stride_tricks.sliding_window_view(errors, n).T, 1.0)
-    return np.array([line.start + line.velocity * (n + 1) / 2, line.start + line.velocity * n])
-
-
-def line_ratios(errors, n):
-    """Return the rms of both rows of `line_errors`, (2,), each over the rms of the fixes at the same epochs.
-
-    The rms of the whole series would not do, since a receiver is worse in some hours. Where the middle lies between two
-    epochs, the fix is that of the first.
-
-    >>> line_ratios(np.array([1.0, -1.0, 1.0, 2.0]), 3).round(3)
-    array([0.527, 0.98 ])
-    """
-    fixes = errors[(n - 1) // 2 : len(errors) - n // 2], errors[n - 1 :]
-    return rms(line_errors(errors, n), axis=1) / [rms(each) for each in fixes]
 
 
 def change(before, after, seconds, N, dt=1.0, phase=0.0):

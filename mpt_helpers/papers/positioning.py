@@ -5,6 +5,8 @@ and the receiver's clock shift as a length.
 """
 
 from contextlib import suppress
+from itertools import combinations
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ from scipy.linalg import toeplitz
 from scipy.special import gammaincc
 
 from .. import checks
+from ..equations import square_root
 
 EARTH_RADIUS = 6_378_137.0  # m, at the equator
 FLATNESS = 6.69437999014e-3  # e² of the WGS 84 ellipsoid
@@ -35,6 +38,7 @@ NEAREST, FARTHEST = 9e6, 1e8
 DEGENERATE = 1e-6  # smallest over largest singular value: with a DOP of 1e6, errors of a metre become 1,000 km
 CONVERGED = 1e-4  # m: a correction below this ends the iteration; the next one would be rounding
 STEPS = 50  # from 300 km the iteration takes 3 to 5
+MOST_SETS = 3000  # of satellites that are tried without: five of 14 make 2,002, and take a second
 
 
 def place(latitude, longitude, height=0.0):
@@ -139,7 +143,8 @@ class Fix(NamedTuple):
     P (4, 4) holds for the variances that were stated. used (m,) says which satellites made the fix. residuals (m,) are
     measured minus computed ranges, of excluded satellites too. chi_square is the sum of the squared residuals of the
     satellites used, over their variances. probability is the probability that chance alone gives a sum at least this
-    large, NaN with four satellites.
+    large, NaN with four satellites. trusted is True where a test was asked for and the satellites used have passed it:
+    not without a false_alarm, nor with four satellites, which always agree.
     """
 
     X: np.ndarray
@@ -148,42 +153,70 @@ class Fix(NamedTuple):
     used: np.ndarray
     chi_square: float
     probability: float
+    trusted: bool = False
 
 
 def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, false_alarm=None):
     """Return the `Fix` to which the iteration of `position_steps` converges, by default from the Earth's centre.
 
     satellites is (m, 3), ranges (m,), start [x y z D'], in metres. variance is that of a range (m²), a number or (m,).
+    There is one clock shift D': the satellites must be of one system (GPS, or Galileo), or their ranges corrected for
+    the offsets between the clocks of the systems. Otherwise the position is wrong by some of that offset, and the test
+    below may pass all the same.
 
-    With a false_alarm, such as 1e-3, a fix of lower probability is tried again without each of its satellites in turn.
-    The most probable of these fixes is returned if its probability is not lower (receiver autonomous integrity
-    monitoring, RAIM), otherwise the fix of all satellites. To exclude one takes six satellites: four always agree.
+    With a false_alarm, such as 1e-3, the residuals are tested (chi-square). While their probability is lower, one more
+    satellite is left out: of all sets of so many, the one without which the residuals are smallest (receiver autonomous
+    integrity monitoring, RAIM). Of m satellites at most (m - 4) // 2 are left out: one of six, two of eight. Were there
+    more faulty ones, as many satellites could agree on a wrong position as on the right one.
 
-    Raises ValueError for fewer than four satellites, for ranges that are zero, NaN or absurd, for a false_alarm that is
-    no probability, and where the iteration does not converge or the satellites do not determine a position.
+    `trusted` is False, and P says nothing about the error, where the test fails to the end: then the fix of all
+    satellites is returned. It is False too where another set passes the test and gives another position, so that nobody
+    knows which one is right. The test sees faults of some satellites, not errors that all ranges share with their
+    neighbours, such as the ionosphere.
+
+    Raises ValueError for fewer than four satellites, for ranges that are zero, missing or absurd, for a false_alarm
+    that is no probability, and where the iteration does not converge or the satellites do not determine a position.
 
     >>> X = np.array([*place(56.95, 24.1), 5e3])
     >>> satellites = sky(X[:3], t=0.0)
     >>> ranges = pseudoranges(satellites, X)
-    >>> ranges[2] -= 100
+    >>> ranges[[2, 6]] -= [100, 250]
     >>> fix = position(satellites, ranges, false_alarm=1e-3)
-    >>> np.flatnonzero(~fix.used), bool(np.abs(fix.X - X).max() < 1e-6)
-    (array([2]), True)
+    >>> np.flatnonzero(~fix.used), bool(np.abs(fix.X - X).max() < 1e-6), fix.trusted
+    (array([2, 6]), True, True)
     """
     satellites, ranges, sigma = _checked_epoch(satellites, ranges, variance)
     if false_alarm is not None:
         checks.number("false_alarm", false_alarm, "a probability between 0 and 1", lambda value: 0 < value < 1)
     everyone = np.full(len(ranges), True)
     fix = _fix(satellites, ranges, sigma, checks.array("start", start, (4,)), everyone)
-    if false_alarm is None or not fix.probability < false_alarm:  # NaN, with four satellites, is not lower
+    if false_alarm is None:
         return fix
-    best = fix
-    for faulty in range(len(ranges)):
-        with suppress(ValueError):
-            without = _fix(satellites, ranges, sigma, fix.X, used=np.arange(len(ranges)) != faulty)
-            if without.probability > best.probability:
-                best = without
-    return best if best.probability >= false_alarm else fix
+    if fix.probability >= false_alarm:
+        return fix._replace(trusted=True)
+    for count in range(1, (len(ranges) - 4) // 2 + 1):
+        passing = []
+        for used in _without(len(ranges), count):
+            with suppress(ValueError):  # these do not determine a position
+                passing.append(_fix(satellites, ranges, sigma, fix.X, used))
+        passing = [each for each in passing if each.probability >= false_alarm]
+        if passing:
+            best = min(passing, key=lambda each: each.chi_square)
+            return best._replace(trusted=all(_agree(best, each, false_alarm) for each in passing))
+    return fix
+
+
+def _without(m, count):
+    """Return masks (m,) of all sets without so many of m satellites; none where there are more than `MOST_SETS`."""
+    if comb(m, count) > MOST_SETS:
+        return []
+    return [~np.isin(np.arange(m), left_out) for left_out in combinations(range(m), count)]
+
+
+def _agree(one, other, false_alarm):
+    """Tell whether two fixes differ by no more than chance, of the probability false_alarm, makes of their P."""
+    gap = one.X - other.X
+    return bool(gammaincc(2, gap @ np.linalg.solve(one.P + other.P, gap) / 2) >= false_alarm)
 
 
 def _fix(satellites, ranges, sigma, X, used):
@@ -205,8 +238,7 @@ def _fix(satellites, ranges, sigma, X, used):
 
 def _checked_epoch(satellites, ranges, variance):
     """Return the arrays of satellites (m, 3), ranges (m,) and standard deviations (m,) of one epoch, or raise."""
-    satellites = np.asarray(satellites, dtype=float)
-    ranges = np.asarray(ranges, dtype=float)
+    satellites, ranges = _filled(satellites), _filled(ranges)
     if satellites.ndim != 2 or satellites.shape[1] != 3 or len(satellites) < 4:
         raise ValueError(f"satellites: needs an (m, 3) array of at least 4, got shape {satellites.shape}")
     if ranges.shape != (len(satellites),):
@@ -214,6 +246,11 @@ def _checked_epoch(satellites, ranges, variance):
     _require_plausible("satellites", "positions", np.linalg.norm(satellites, axis=1))
     _require_plausible("ranges", "pseudoranges", ranges)
     return satellites, ranges, _checked_sigma(variance, np.full(ranges.shape, True))
+
+
+def _filled(values):
+    """Return an array of doubles, with NaN for what a masked array hides."""
+    return np.ma.filled(np.ma.asarray(values, dtype=float), np.nan)
 
 
 def _checked_sigma(variance, measured):
@@ -233,56 +270,85 @@ def _require_plausible(name, what, distances):
 
 
 class Track(NamedTuple):
-    """The estimates X (N, 4) of a filter over N epochs, and their covariances P (N, 4, 4)."""
+    """What a filter makes of N epochs of m satellites: estimates X (N, 4) and their covariances P (N, 4, 4).
+
+    innovations (N, m) are measured ranges minus those expected before the epoch, and S (N, m, m) is what the filter
+    states of their covariance. Both are NaN where a satellite was not measured.
+    """
 
     X: np.ndarray
     P: np.ndarray
+    innovations: np.ndarray
+    S: np.ndarray
 
 
 def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisations=1):
     """Return the `Track` of an extended Kalman filter over epochs of pseudoranges (2007 Eqs. 6, 11).
 
-    ranges is (N, m), with NaN where a satellite was not measured; satellites is (N, m, 3), or (m, 3) where they stand
-    still; variance is that of a range (m²): a number, (m,) or (N, m). start (4,) and P0 (4, 4) belong to the step
-    before the first epoch, and Q (4, 4) is added at each epoch, so that the last X and P of one track start the next.
+    ranges is (N, m), with NaN, or a mask, where a satellite was not measured; satellites is (N, m, 3), or (m, 3) where
+    they stand still; variance is that of a range (m²): a number, (m,) or (N, m). start (4,) and P0 (4, 4) belong to the
+    step before the first epoch, and Q (4, 4) is added at each epoch, so that the last X and P of one track start the
+    next. P0 and Q may be singular: what they leave without variance stays as it is. As in `position`, there is one
+    clock, for satellites of one system.
 
     H is linearised at the prediction. With more linearisations the next ones are at the estimate so far (the iterated
-    filter). No range is tested: set those that `position` leaves out to NaN. Raises ValueError for ranges that are zero
-    or absurd, a measured satellite without a position, a variance that is not positive, a start of another shape and
-    fewer than one linearisation.
+    filter). No range is tested: set those that `position` leaves out to NaN, or those whose innovation is too large for
+    its S. Raises ValueError for ranges that are zero or absurd, a measured satellite without a position, a variance
+    that is not positive, a start of another shape, a P0 or Q that is no 4×4 covariance and fewer than one
+    linearisation.
+
+    >>> X = np.array([*place(56.95, 24.1), 5e3])
+    >>> satellites = sky(X[:3], t=0.0)
+    >>> ranges = pseudoranges(satellites, X) + [[0], [0], [7]]
+    >>> track = position_kalman(satellites, ranges, X, P0=np.diag([0, 0, 0, 1]), Q=np.zeros((4, 4)), variance=1.0)
+    >>> track.innovations[2, :2].round(3), track.S[2, :2, :2].round(3)
+    (array([7., 7.]), array([[1.059, 0.059],
+           [0.059, 1.059]]))
     """
-    ranges = np.asarray(ranges, dtype=float)
+    ranges = _filled(ranges)
     measured = ~np.isnan(ranges)
     _require_plausible("ranges", "pseudoranges", np.where(measured, ranges, NEAREST))
-    sigma = _checked_sigma(variance, measured)
+    sigma = _checked_sigma(_filled(variance), measured)
     checks.count("linearisations", linearisations)
-    satellites = np.broadcast_to(satellites, (*ranges.shape, 3))
+    satellites = np.broadcast_to(_filled(satellites), (*ranges.shape, 3))
     distances = np.linalg.norm(satellites, axis=2)
     _require_plausible("satellites", "positions", np.where(measured, distances, NEAREST))
     X = checks.array("start", start, (4,))
-    P = np.asarray(P0, dtype=float)
-    estimates, covariances = [], []
+    P, Q = checks.covariance("P0", P0, 4), checks.covariance("Q", Q, 4)
+    N, m = ranges.shape
+    track = Track(np.empty((N, 4)), np.empty((N, 4, 4)), np.full((N, m), np.nan), np.full((N, m, m), np.nan))
     for k, seen in enumerate(measured):
         P = P + Q
         if seen.any():
-            X, P = _update(satellites[k, seen], ranges[k, seen], sigma[k, seen], X, P, linearisations)
-        estimates.append(X)
-        covariances.append(P)
-    return Track(np.array(estimates), np.array(covariances))
+            now = satellites[k, seen], ranges[k, seen], sigma[k, seen]
+            track.innovations[k, seen], track.S[k][np.ix_(seen, seen)] = _innovation(*now, X, P)
+            X, P = _update(*now, X, P, linearisations)
+        track.X[k], track.P[k] = X, P
+    return track
+
+
+def _innovation(satellites, ranges, sigma, predicted, P):
+    """Return measured minus expected ranges (m,) at a prediction, and their covariance (m, m)."""
+    H = linearised(satellites, predicted)
+    return ranges - pseudoranges(satellites, predicted), H @ P @ H.T + np.diag(sigma**2)
 
 
 def _update(satellites, ranges, sigma, predicted, P, linearisations):
     """Return X and P after one epoch, by least squares over prediction and measurements.
 
-    That is Eq. 11 in another form, which keeps its digits where P is 1e11 times R.
+    That is Eq. 11 in another form, which keeps its digits where P is 1e11 times R. The unknowns are u in X = predicted
+    + G u, with P = G Gᵀ and a variance of one each: so a P that is singular needs no inverse.
     """
-    prior = np.linalg.cholesky(np.linalg.inv(P)).T
+    G = square_root(P)
     X = predicted
     for _ in range(linearisations):
-        A = np.vstack([prior, linearised(satellites, X) / sigma[:, None]])
-        new = np.append(prior @ (predicted - X), (ranges - pseudoranges(satellites, X)) / sigma)
-        X = X + np.linalg.lstsq(A, new, rcond=None)[0]
-    return X, np.linalg.inv(A.T @ A)
+        H = linearised(satellites, X)
+        expected = pseudoranges(satellites, X) + H @ (predicted - X)
+        orthogonal, triangular = np.linalg.qr(np.vstack([np.eye(4), H @ G / sigma[:, None]]))
+        new = np.append(np.zeros(4), (ranges - expected) / sigma)
+        X = predicted + G @ np.linalg.solve(triangular, orthogonal.T @ new)
+    half = np.linalg.solve(triangular.T, G.T)
+    return X, half.T @ half
 
 
 class Line(NamedTuple):
@@ -295,12 +361,14 @@ class Line(NamedTuple):
 def line_fit(x, dt):
     """Return the least-squares line through n >= 2 positions, dt seconds apart (2007 Eqs. 8-10).
 
-    x is (n,) or (n, ...), in metres. Eq. 9 gives a displacement for each step; it is divided by dt. Raises ValueError
-    for fewer than two positions.
+    x is (n,) or (n, ...), in metres. Eq. 9 gives a displacement for each step; it is divided by dt. The sums are those
+    of doubles, whatever numbers x has; a line through a missing position is NaN. Raises ValueError for fewer than two
+    positions.
 
     >>> line_fit(np.array([1.0, 3.0, 5.0]), dt=0.5)
     Line(start=np.float64(-1.0), velocity=np.float64(4.0))
     """
+    x = _filled(x)
     n = len(x)
     if n < 2:
         raise ValueError(f"x: needs at least 2 positions, got {n}")
@@ -349,8 +417,9 @@ def adaptive_line(z, dt, threshold, smallest, largest):
     falls to `smallest` epochs (the paper's 2...5). Otherwise, and at a missed epoch, it grows by one, up to `largest`.
     x_n is the fitted position. With a threshold of infinity the window only grows.
 
-    z is (N, m) or (N, m, M): m coordinates, which share a window, of M tracks. A row with NaN is a missed epoch, at
-    which the line goes on. There is no line (NaN) before `smallest` epochs, and from fewer than two measured ones.
+    z is (N, m) or (N, m, M): m coordinates, which share a window, of M tracks. A row with NaN, or masked, is a missed
+    epoch, at which the line goes on. There is no line (NaN) before `smallest` epochs, and from fewer than two measured
+    ones.
 
     >>> z = np.array([[0.0], [1.0], [2.0], [3.0], [14.0], [15.0]])
     >>> adaptive_line(z, dt=1.0, threshold=3.0, smallest=2, largest=100).n
@@ -359,9 +428,9 @@ def adaptive_line(z, dt, threshold, smallest, largest):
     if not 2 <= smallest <= largest:
         raise ValueError(f"smallest: needs 2 or more, and at most largest, got {smallest} and {largest}")
     if np.ndim(z) == 2:
-        one = adaptive_line(np.asarray(z)[..., None], dt, threshold, smallest, largest)
+        one = adaptive_line(_filled(z)[..., None], dt, threshold, smallest, largest)
         return Tracked(one.x[..., 0], one.n[:, 0])
-    z = np.asarray(z, dtype=float)
+    z = _filled(z)
     N, m, M = z.shape
     measured = ~np.isnan(z).any(axis=1)
     z = np.where(measured[:, None], z, 0.0)

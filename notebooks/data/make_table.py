@@ -12,8 +12,12 @@ One row for each epoch and GPS satellite above 10 degrees:
     elevation     degrees above the ellipsoid's horizon
     troposphere   what was taken from `range` for it (m): add it for the range without that correction
     dual          what to add to `range` for the ionosphere-free combination of C1C and C2W (m); nan without C2W
+    second        C2W minus C1C, as measured (m)
+    phase1        the carrier phase L1C minus C1C, as measured (m)
+    phase2        the carrier phase L2W minus C1C, as measured (m)
 
-So `range` is the distance to (x, y, z) plus the receiver's clock, and errors. The formulas are those of IS-GPS-200
+So `range` is the distance to (x, y, z) plus the receiver's clock, and errors. A phase is a range that lacks a constant,
+another one after each loss of lock. What was not measured is nan. The formulas are those of IS-GPS-200
 (orbit 20.3.3.4.3, clock and group delay 20.3.3.3.3, ionosphere 20.3.3.5.2.5) and of Saastamoinen (1972).
 """
 
@@ -31,8 +35,9 @@ RELATIVITY = -4.442807633e-10  # s/√m
 L1, L2 = 1575.42e6, 1227.60e6  # Hz
 MASK = 10.0  # degrees
 WEEK = 604_800.0  # s
-COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual"
-FORMAT = "%.10g,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f"
+COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual,second,phase1,phase2"
+FORMAT = "%.10g,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f,%.3f,%.3f,%.3f"
+OBSERVED = ["C1C", "C2W", "L1C", "L2W"]
 
 
 def orbit(message, t):
@@ -128,14 +133,24 @@ def message_at(navigation, satellite, t, sunday):
     return {name: own[name].values[nearest] for name in own.data_vars if own[name].dims == ("time",)}
 
 
+def observed(own, name, seen):
+    """Return what a satellite's observations have of one kind at the epochs `seen`, NaN where there is nothing."""
+    if name not in own:
+        return np.full(seen.sum(), np.nan)
+    values = own[name].values[seen]
+    return np.where(values == 0, np.nan, values)  # a missing observation is zero or NaN
+
+
 def rows_of(satellite, observations, navigation, station, coefficients):
-    """Return the table's rows (N, 9) of one satellite."""
+    """Return the table's rows (N, 12) of one satellite."""
     from pymap3d import ecef2aer, ecef2geodetic
 
     own = observations.sel(sv=satellite)
-    seen = own["C1C"].values > 0  # a missing observation is zero or NaN
+    seen = own["C1C"].values > 0
     time, measured = own["time"].values[seen].astype("datetime64[ns]"), own["C1C"].values[seen]
-    second = own["C2W"].values[seen] if "C2W" in own else np.full(seen.sum(), np.nan)
+    second = observed(own, "C2W", seen)
+    phase1 = observed(own, "L1C", seen) * C / L1
+    phase2 = observed(own, "L2W", seen) * C / L2
     midnight = observations["time"].values[0].astype("datetime64[D]")
     epoch = (time - midnight) / np.timedelta64(1, "s")
     sunday = np.datetime64("1980-01-06") + (midnight - np.datetime64("1980-01-06")) // np.timedelta64(7, "D") * 7
@@ -150,10 +165,11 @@ def rows_of(satellite, observations, navigation, station, coefficients):
     ionosphere = klobuchar(coefficients, latitude, longitude, azimuth, elevation, epoch)
     troposphere = saastamoinen(height, elevation)
     corrected = measured + C * (clock - message["TGD"]) - ionosphere - troposphere
-    free = (L1**2 * measured - L2**2 * np.where(second > 0, second, np.nan)) / (L1**2 - L2**2)
+    free = (L1**2 * measured - L2**2 * second) / (L1**2 - L2**2)
     dual = free + C * clock - troposphere - corrected
     number = np.full(len(epoch), int(satellite[1:]))
-    rows = np.column_stack([epoch, number, position, corrected, elevation, troposphere, dual])
+    as_measured = np.column_stack([second, phase1, phase2]) - measured[:, None]
+    rows = np.column_stack([epoch, number, position, corrected, elevation, troposphere, dual, as_measured])
     return rows[(elevation > MASK) & (message["health"] == 0)]
 
 
@@ -169,7 +185,7 @@ def main():
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # georinex: one for each message
-        observations = georinex.load(names.observations, use="G", meas=["C1C", "C2W"])
+        observations = georinex.load(names.observations, use="G", meas=OBSERVED)
         navigation = georinex.load(names.navigation, use="G")
     station = station_of(observations.attrs)
     coefficients = navigation.attrs["ionospheric_corr_GPS"]
