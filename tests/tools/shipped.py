@@ -43,18 +43,6 @@ if __name__ == "__main__":
     with Client(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as client:
         spread = mpt.study(last_error, runs=5000, seed=1, workers=client.get_executor().map)
     assert np.array_equal(spread, mpt.study(last_error, runs=5000, seed=1))"""
-TRACKS = """\
-import mpt_helpers as mpt
-from mpt_helpers import tracks
-
-fix = '<trkpt lat="57.00{0}" lon="9.9"><time>2024-05-03T12:00:0{0}Z</time></trkpt>'
-with open("two.gpx", "w") as file:
-    file.write('<gpx version="1.1" creator="me" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>')
-    file.write(fix.format(1) + fix.format(2) + "</trkseg></trk></gpx>")
-(track,) = tracks.gpx("two.gpx")
-axis = mpt.constant_velocity(dt=1.0, q=1.0, r=1.0)
-x = mpt.KalmanFilter(mpt.stack(axis, axis), t=track.t).filter(track.z)
-assert 111 < track.z[1, 1] < 112 and 0 < x[1, 2] < 112, (track.z, x)"""
 GPS = """\
 import sys, hatanaka
 with open(sys.argv[1], "rb") as raw:
@@ -115,11 +103,6 @@ def use_notebooks(there):
 def use_dask(there):
     """Run a study on a cluster of two processes: the same numbers as in one."""
     there.script(DASK)
-
-
-def use_tracks(there):
-    """Read two fixes of a GPX file and filter them."""
-    there.script(TRACKS)
 
 
 def use_gps(there):
