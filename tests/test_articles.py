@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pytest
 from conftest import parts, source
 
-NOT_YET = {"2007_mms_kalman"}
+NOT_YET = set()
 
 
 class Limits(NamedTuple):

@@ -7,7 +7,7 @@ import pytest
 from conftest import AXIS
 
 import mpt_helpers as mpt
-from mpt_helpers.lasting import lasting_error
+from mpt_helpers import lasting_error
 
 CV = mpt.constant_velocity(dt=30.0, q=0.0, r=0.04, P0=np.diag([100.0, 1.0]))
 GPS_INS = mpt.gps_ins(30.0, 0.0, (1.0, 1e-4), P0=np.diag([100.0, 1.0, 1.0]))
