@@ -69,7 +69,7 @@ def gpx(path: str | PathLike[str], up: bool = False, skip: bool = False) -> list
         if rows:
             kept.append([points[row] for row in rows])
     if left_out:
-        warnings.warn(f"{path}: {left_out} fixes left out whose times do not increase", stacklevel=2)
+        warnings.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase", stacklevel=2)
     first = kept[0][0]
     start, origin = _time(first), (first.latitude, first.longitude, first.elevation or 0.0)
     return [_track(points, start, origin, up) for points in kept]
