@@ -146,7 +146,9 @@ def figures_of(key, cells):
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
             heading = label if label[-1].isdigit() else f"{section} ({label[0].lower()}{label[1:]})"
             captions = [part for part in prose if label in names_of(part)]
-            (alt,) = (out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out["data"])
+            (alt,) = (
+                out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out.get("data", {})
+            )
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
             caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else alt
             said = conclusion(caption)

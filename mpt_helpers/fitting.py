@@ -88,9 +88,10 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         metrics.log_likelihood(_filter(make, guess), z)  # raises, and says why
         checks.refuse("start", "parameters under which z has a likelihood", guess)
     best = _lowest(surprise, origin)
-    covariance = _inverse(_second_differences(surprise, best))
-    log_errors = dict(zip(guess, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    _warn_of_what_is_not_known(surprise, origin, best, log_errors)
+    to_zero = [_runs_to_zero(surprise, origin, best, i) for i in range(len(best))]
+    log_errors = _log_errors(surprise, best, np.flatnonzero(np.logical_not(to_zero)))
+    log_errors = dict(zip(guess, log_errors.tolist(), strict=True))
+    _warn_of_what_is_not_known(log_errors, dict(zip(guess, to_zero, strict=True)))
     found = _filter(make, values_at(best))
     _warn_of_a_start_that_is_far(found, z)
     return Fit(values_at(best), log_errors, found, -surprise(best))
@@ -137,14 +138,31 @@ def _inverse(H):
     return np.full_like(H, math.inf)
 
 
-def _warn_of_what_is_not_known(surprise, origin, best, log_errors):
-    for i, name in enumerate(log_errors):
-        lower = best.copy()
-        lower[i] -= math.log(1000)
-        lower = np.maximum(lower, origin - FARTHEST)
-        if surprise(lower) < surprise(best) + NOTHING:
+def _runs_to_zero(surprise, origin, best, i):
+    """Tell whether log L falls by nothing as parameter i goes on towards zero."""
+    lower = best.copy()
+    lower[i] = max(best[i] - math.log(1000), origin[i] - FARTHEST)
+    return surprise(lower) < surprise(best) + NOTHING
+
+
+def _log_errors(surprise, best, known):
+    """Return the standard errors of the logarithms of some parameters, the others as they are; theirs are infinite."""
+
+    def of_known(point):
+        moved = best.copy()
+        moved[known] = point
+        return surprise(moved)
+
+    errors = np.full(len(best), math.inf)
+    errors[known] = np.sqrt(np.diag(_inverse(_second_differences(of_known, best[known]))))
+    return errors
+
+
+def _warn_of_what_is_not_known(log_errors, to_zero):
+    for name, error in log_errors.items():
+        if to_zero[name]:
             _warn(f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known")
-        elif log_errors[name] > VAGUE:
+        elif error > VAGUE:
             _warn(f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters")
 
 

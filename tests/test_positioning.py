@@ -334,7 +334,7 @@ def test_what_cannot_be_excluded_is_not_trusted():
     fix = positioning.position(satellites[:5], ranges, false_alarm=1e-3)
     assert (fix.used.all(), fix.trusted) == (True, False)
     assert fix.probability < 1e-3
-    ranges = good[:7] + [300, 0, 0, -500, 0, 0, 0]  # of seven, one can be told: two would leave five
+    ranges = good[:7] + np.array([300, 0, 0, -500, 0, 0, 0])  # of seven, one can be told: two would leave five
     fix = positioning.position(satellites[:7], ranges, false_alarm=1e-3)
     assert (fix.used.all(), fix.trusted) == (True, False)
     four = positioning.position(satellites[:4], ranges[:4], false_alarm=1e-3)  # four cannot show it
