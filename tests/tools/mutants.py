@@ -104,7 +104,7 @@ def table(caught):
 def stored():
     """Return what the table of README.md says each mutant was seen by: {(what, file): the text of that cell}."""
     rows = (ROOT / "tests" / "README.md").read_text(encoding="utf-8").partition("<!-- mutants -->")[2].splitlines()
-    cells = [row.strip("| ").split(" | ") for row in rows if row[:3] != "|  " and row[2:3].isdigit()]
+    cells = [row.strip("| ").split(" | ") for row in rows if row.startswith("| ") and row[2].isdigit()]
     return {(what, file.strip("`")): seen for _, what, file, seen in cells}
 
 
