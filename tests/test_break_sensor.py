@@ -91,3 +91,12 @@ def test_the_still_shows_the_fixes_the_filters_and_the_gains():
     top, low = fig.axes
     assert {"Kalman, ± 2σ", "constant gain", "FIR", "fixes"} <= {line.get_label() for line in top.lines}
     assert len(low.patches) == break_sensor.FIXES
+
+
+def test_a_fix_that_is_lost_or_pulled_is_the_one_of_that_number():
+    track = break_sensor.average()
+    errors = break_sensor.fixes(break_sensor.Scene(lost=(1, 28), pulled={46: 2.6}), track)
+    assert errors[45] == 2.6
+    assert np.flatnonzero(np.isnan(errors)).tolist() == [0, 27]
+    same = np.delete(np.arange(60), [0, 27, 45])
+    assert (errors[same] == track.noise[same]).all()

@@ -1,4 +1,7 @@
-"""Break a copy of the project, one way at a time, and see that the tests go red: `make mutants`."""
+"""Break a copy of the project, one way at a time, and see that the tests go red: `make mutants`.
+
+`python tests/tools/mutants.py smoothing` runs those whose file or description matches a regular expression.
+"""
 
 import os
 import re
@@ -98,6 +101,19 @@ def table(caught):
     return f"{summary}\n\n{Table(('', 'what is broken', 'where', 'seen first by'), rows).markdown()}\n"
 
 
+def stored():
+    """Return what the table of README.md says each mutant was seen by: {(what, file): the text of that cell}."""
+    rows = (ROOT / "tests" / "README.md").read_text(encoding="utf-8").partition("<!-- mutants -->")[2].splitlines()
+    cells = [row.strip("| ").split(" | ") for row in rows if row.startswith("| ") and row[2].isdigit()]
+    return {(what, file.strip("`")): seen for _, what, file, seen in cells}
+
+
+def as_stored(mutant, table):
+    """Return what a mutant that is not run now was caught by, from the table of `stored`."""
+    seen = table.get((mutant.what, mutant.file), NOT_RUN)
+    return None if seen == "**no test**" else seen.strip("`")
+
+
 def write_table(caught):
     """Write the table of (mutant, what it was caught by) into README.md."""
     readme = ROOT / "tests" / "README.md"
@@ -106,8 +122,12 @@ def write_table(caught):
 
 
 def main():
-    """Run all mutants, write the table, and return 1 when too few are caught."""
-    every = mutants()
+    """Run all mutants, or those selected, write the table, and return 1 when too few are caught."""
+    selected = sys.argv[1] if len(sys.argv) > 1 else ""
+    every = [mutant for mutant in mutants() if re.search(selected, f"{mutant.file} {mutant.what}")]
+    if not every:
+        print(f"error: no mutant matches {selected!r}", file=sys.stderr)
+        return 1
     failing = first_failure(ROOT, list(dict.fromkeys(test for mutant in every for test in seen_by(mutant))))
     if failing:
         print(f"error: {failing} fails in the project as it is", file=sys.stderr)
@@ -116,7 +136,8 @@ def main():
         found = list(tqdm(pool.map(caught_by, every), total=len(every), desc="mutants"))
     caught = list(zip(every, found, strict=True))
     share = sum(test is not None for test in found) / len(found)
-    write_table(caught)
+    now, before = dict(caught), stored()
+    write_table([(mutant, now[mutant] if mutant in now else as_stored(mutant, before)) for mutant in mutants()])
     for mutant, test in caught:
         if test is None:
             print(f"no test sees: {mutant.what} ({mutant.file})", file=sys.stderr)
