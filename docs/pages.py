@@ -5,10 +5,8 @@ few sentences per paper are in papers.toml, where each number is looked up in a 
 page says, corrections.py writes the corrections, archive.py packs the source. The HTML is in templates/.
 """
 
-import contextlib
 import csv
 import hashlib
-import io
 import json
 import re
 import shutil
@@ -23,7 +21,6 @@ from urllib.parse import urlencode
 import archive
 import corrections
 import home
-import matplotlib
 import numpy as np
 import speed
 import yaml
@@ -49,10 +46,9 @@ FOLD = 4
 PART_2 = re.compile(r"(?m)^## Part II\b")
 # What the filter of the values calls all that did not come out as printed.
 NOT_REPRODUCED = "not reproduced"
-# What a page holds for the site, hidden where Markdown is shown as it is: a template, and in the guide a drawing.
+# What a page holds for the site, hidden where Markdown is shown as it is: a template.
 INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
 CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  # for readers of a checkout only
-BLOCK = re.compile(r'(?ms)^(?:```python|<!-- draw (?P<name>\w+) "(?P<alt>[^"]*)")\n(?P<code>.*?)^(?:```|-->)$')
 
 
 class Group(NamedTuple):
@@ -359,34 +355,6 @@ def draw_accuracy(text, folder):
     plots.save_figure(fig, "accuracy", folder)
 
 
-def run_guide(text, place):
-    """Run the guide in a folder that has its track: yield each block of Python or of drawing, and what came of it.
-
-    That is the printed text of a block ```python, and of a comment <!-- draw name "alt text" the figure, whose files
-    are then in the folder.
-    """
-    names = {"plots": plots}
-    shutil.copy(DOCS / "track.csv", place)
-    with contextlib.chdir(place), matplotlib.rc_context():
-        plots.use_style()
-        for block in BLOCK.finditer(text):
-            with contextlib.redirect_stdout(io.StringIO()) as printed:
-                exec(block["code"], names)
-            if block["name"]:
-                plots.save_figure(names["fig"], block["name"], place)
-            yield block, printed.getvalue()
-
-
-def with_pictures(text, place):
-    """Return the guide with its drawing run, and each block of it replaced by the figure."""
-    for block, _ in list(run_guide(text, place)):
-        if block["name"]:
-            width, height = svg_size(place / f"{block['name']}.svg")
-            figure = {"name": block["name"], "alt": block["alt"], "width": width, "height": height}
-            text = text.replace(block[0], raw_html(picture(figure, folder="_static")))
-    return text
-
-
 def picture(figure, root="", folder="figures"):
     """Return a figure as HTML: its SVG, with a link to it."""
     return str(environment().get_template("figures.html").module.picture(figure, root, folder)).strip()
@@ -516,7 +484,7 @@ def main():
         write_article(env, key, notebook, given.of(key), about["live"]["after"])
         write_corrections(env, key, given.of(key), about)
     shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
-    shutil.copy(DOCS / "track.csv", BUILD / "extra")
+    shutil.copytree(DOCS / "tracks", BUILD / "extra" / "tracks")
     (BUILD / "static" / "tex-svg.js").write_bytes(mathjax())
     write_tables(given, BUILD / "extra")
     words = {"descriptions": about["descriptions"], "papers": about["papers"]}
@@ -534,13 +502,12 @@ def write_archive(path, name, day):
 
 def write_pages(env):
     """Write the pages of docs/ as they are rendered."""
+    shutil.copytree(DOCS / "guide", BUILD / "source" / "guide")
     for page in sorted(DOCS.glob("*.md")):
         # In a checkout, the notebooks' folder stands beside docs/; on the site, below its pages.
         text = page.read_text(encoding="utf-8").replace("](../notebooks/", "](notebooks/")
         text = INCLUDE.sub(raw_html(r'{% include "\1" %}'), CHECKOUT.sub("", text))
         text = env.from_string(text).render(root="")
-        if page.name == "guide.md":
-            text = with_pictures(text, BUILD / "static")
         (BUILD / "source" / page.name).write_text(text, encoding="utf-8")
 
 

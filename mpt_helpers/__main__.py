@@ -322,14 +322,13 @@ def show_verdicts(some, form):
 def readme(verdicts):
     """Return the README's block on Verdicts: what was found and what holds in words, then a row for each paper."""
     tally = verdicts.tally()
-    slips, lost = tally.causes["slip"], tally.causes["copy"].total()
-    worst = f"; one slip alone spoils {slips.most_common(1)[0][1]} cells" if len(slips) > 1 else ""
+    lost = tally.causes["copy"].total()
     others = "".join(f", {count} {words}" for words, count in tally.claims_bar() if words != "hold")
     disagree = sum(tally.values[each] for each in FAILS)
     unchecked_values = tally.values[CANNOT_BE_CHECKED]
     unchecked = tally.claims[CANNOT_BE_CHECKED] + unchecked_values
     sentences = [
-        f"**What we found: {tally.wrong_text()}{worst}.**",
+        f"**What we found: {tally.wrong_text()}.**",
         f"{tally.claims_text()}{others}.",
         f"{tally.values_text()}, {disagree} do not, {unchecked_values} cannot be checked.",
         f"Of the {unchecked} that cannot be checked, {lost} are missing or illegible in our copy;",

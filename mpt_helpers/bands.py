@@ -21,15 +21,20 @@ mobile does. That holds for any sigma, even for random numbers (`placebo`), so t
 tells a good band from a bad one is its `interval_score`, and its `coverage` in states that are known beforehand.
 """
 
+from __future__ import annotations
+
 import math
 import warnings
 from collections import deque
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from . import checks
+from .checks import Array
+from .recursive import Filter
 
 # What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
 SHORTEST_MEMORY = 5
@@ -60,15 +65,15 @@ class Ahead(NamedTuple):
     seconds: the horizon
     """
 
-    made: np.ndarray
-    due: np.ndarray
-    errors: np.ndarray
-    sigma: np.ndarray
-    recent: np.ndarray
-    row: np.ndarray
-    due_row: np.ndarray
-    fixes: np.ndarray
-    track: np.ndarray
+    made: Array
+    due: Array
+    errors: Array
+    sigma: Array
+    recent: Array
+    row: NDArray[np.intp]
+    due_row: NDArray[np.intp]
+    fixes: NDArray[np.intp]
+    track: NDArray[np.intp]
     left_out: int
     seconds: float
 
@@ -76,18 +81,18 @@ class Ahead(NamedTuple):
 class Coverage(NamedTuple):
     """The share of errors inside a band, (m,), and how many of the predictions it rests on are independent."""
 
-    share: np.ndarray
+    share: Array
     independent: int
 
 
 class Expected(NamedTuple):
     """A measurement that is expected (m,), and the half-widths of the band around it (m,)."""
 
-    position: np.ndarray
-    half_width: np.ndarray
+    position: Array
+    half_width: Array
 
 
-def ahead(estimator, z, seconds):
+def ahead(estimator: Filter, z: ArrayLike, seconds: float) -> Ahead:
     """Return each fix against what was predicted of it `seconds` before, as an Ahead.
 
     estimator is a filter with covariances, on a grid or with times of its own, whose model says what a step of any
@@ -95,8 +100,9 @@ def ahead(estimator, z, seconds):
     fix the first one that is `seconds` later is predicted, if it is at most 1.5 times as much later. On a grid the
     times count from the first row.
 
-    Raises ValueError for a model that does not know steps of any length, for a horizon that is not positive or that no
-    fix is later by, and as `estimator.estimates`.
+    Raises ValueError for a model that does not know steps of any length, for a joint or separate filter whose parts
+    have times, for a horizon that is not positive or that no fix is later by; TypeError for a predictor, and for a
+    filter without covariances.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
@@ -125,7 +131,7 @@ def ahead(estimator, z, seconds):
     return Ahead(*joined, left_out=sum(part[-1] for part in parts), seconds=seconds)
 
 
-def following(a, before=None, level=0.95):
+def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Array:
     """Return the half-widths (K, m) of a band that follows its own checked errors: f · c · sigma of this module.
 
     The band of a prediction has learnt from those of its own track that were due when it was made, and from no other.
@@ -150,7 +156,7 @@ def following(a, before=None, level=0.95):
     return band
 
 
-def coverage(a, band, where=None):
+def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Coverage:
     """Return the share of the errors inside the band, on each axis, and how many independent predictions it rests on.
 
     a is an Ahead, band the half-widths (K, m), `where` (K,) says which predictions to look at: those made while fast,
@@ -175,7 +181,7 @@ def coverage(a, band, where=None):
     return Coverage(np.nanmean(inside, axis=0), independent)
 
 
-def interval_score(a, band, level=0.95, where=None):
+def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayLike | None = None) -> Array:
     """Return the mean interval score of the band on each axis, (m,): its width, and what an error exceeds it by.
 
         2 b + 2 / (1 - level) · max(|error| - b, 0),   b the half-width
@@ -195,7 +201,7 @@ def interval_score(a, band, level=0.95, where=None):
     return np.nanmean(2 * band[where] + 2 / (1 - _level(level)) * missed_by, axis=0)
 
 
-def placebo(a, rng):
+def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
     """Return an Ahead whose sigma are random numbers, lognormal with unit parameters, and tell nothing.
 
     A band that follows its errors holds as many of them with these. Its interval score and its coverage in states that
@@ -230,7 +236,7 @@ class LiveBand:
     at 4 s: 5.14 ± 0.92
     """
 
-    def __init__(self, estimator, seconds, before=None, level=0.95):
+    def __init__(self, estimator: Filter, seconds: float, before: Ahead | None = None, level: float = 0.95):
         self.model = _model_of_any_step(estimator)
         self.seconds = checks.positive("seconds", seconds)
         self.level = _level(level)
@@ -248,11 +254,11 @@ class LiveBand:
         self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, number of the fix
 
     @property
-    def factor(self):
+    def factor(self) -> Array:
         """The factor f of each axis, (m,): 1.96 where the filter's own band of 95 % was right."""
         return np.exp(self.log_f)
 
-    def step(self, t, z, x, P, r=None):
+    def step(self, t: float, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None) -> Expected:
         """Return what is measured `seconds` after t (s), and the half-widths of its band, as an Expected.
 
         z (m,) is the measurement at t, NaN where it is missing or was refused; x (n,) and P (n, n) are the estimate
@@ -443,7 +449,21 @@ def _model_of_any_step(estimator):
     if model.dt is None:
         need = "a model that knows steps of any length, such as constant_velocity or constant_acceleration"
         checks.refuse("estimator", need, "one whose dt and powers are not known")
+    if any(_has_conditions(part) for part in _parts(estimator)):
+        need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
+        checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")
     return model
+
+
+def _parts(estimator):
+    """Return the filters that a filter is made of."""
+    parts = getattr(estimator, "filters", ())
+    return (*parts, *(vars(estimator)[name] for name in ("first", "second") if name in vars(estimator)))
+
+
+def _has_conditions(estimator):
+    own = (getattr(estimator, name, None) for name in ("t", "r"))
+    return any(each is not None for each in own) or any(map(_has_conditions, _parts(estimator)))
 
 
 def _times(estimator, N):

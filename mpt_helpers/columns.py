@@ -1,8 +1,8 @@
 """The Kalman filter on columns: many tracks at a time, each with conditions of its own.
 
 The conditions of an epoch are which measurements are there, how long the step before it was, and how precise they are.
-Tracks whose conditions differ differ in their covariances too, so each track is a column: P is (n, n, M). Tracks that
-share their conditions share a column of P; x is (n, c, M), where c is the number of tracks in each column.
+Tracks whose conditions differ differ in their covariances too, so each track is a column: P is (n, n, M). Where all
+tracks share their conditions they share one column of P. x is (n, c, M), where c is the number of tracks in a column.
 
 Three ideas keep the filter free of branches and of loops over tracks:
 
@@ -24,7 +24,7 @@ class Row(NamedTuple):
 
     z: np.ndarray
     seen: np.ndarray
-    steps: np.ndarray | None
+    lengths: np.ndarray | None
     variances: np.ndarray | None
 
 
@@ -32,35 +32,31 @@ class Row(NamedTuple):
 class Rows:
     """The measurements and the conditions of N epochs of c tracks in each of M columns.
 
-    z (N, m, c, M) is zero where a measurement is missing, and seen (N, m, M) tells which are there. steps (N, M) are
-    the lengths of the steps before each epoch, in units of the model's dt, or None where all are one. variances
+    z (N, m, c, M) is zero where a measurement is missing, and seen (N, m, M) tells which are there. lengths (N, M) are
+    those of the steps before each epoch, in units of the model's dt, or None where all are one. variances
     (N, m, M) are those of the measurements, or None where they are the model's.
     """
 
     z: np.ndarray
     seen: np.ndarray
-    steps: np.ndarray | None = None
+    lengths: np.ndarray | None = None
     variances: np.ndarray | None = None
-
-    def __len__(self):
-        """N."""
-        return len(self.z)
 
     def __iter__(self):
         """Yield one Row after the other."""
         for k in range(len(self.z)):
-            yield Row(self.z[k], self.seen[k], *(None if a is None else a[k] for a in (self.steps, self.variances)))
+            yield Row(self.z[k], self.seen[k], *(None if a is None else a[k] for a in (self.lengths, self.variances)))
 
     def mapped(self, function):
         """Return the Rows of function(array) for each array."""
-        arrays = (self.z, self.seen, self.steps, self.variances)
+        arrays = (self.z, self.seen, self.lengths, self.variances)
         return Rows(*(None if array is None else function(array) for array in arrays))
 
     def with_tracks_of_zeros(self, count):
         """Return the Rows with `count` more tracks in each column, all of whose measurements are zero."""
         N, m, _, M = self.z.shape
         z = np.concatenate([self.z, np.zeros((N, m, count, M))], axis=2)
-        return Rows(z, self.seen, self.steps, self.variances)
+        return Rows(z, self.seen, self.lengths, self.variances)
 
 
 class Motion:
@@ -83,32 +79,32 @@ class Motion:
             self._highest = max((power for *_, power in self._terms + self._noises), default=0)
             self._diagonal = None if (np.diag(F) == 1).all() else np.diag(F)
 
-    def both(self, x, P, steps=None):
+    def both(self, x, P, lengths=None):
         """Return F x (n, c, M) and F P Fᵀ + Q (n, n, M). The lengths of the steps (M,) are all one where None."""
-        if steps is None:
+        if lengths is None:
             return self.state(x), self.covariance(P)
-        s = self._powers_of(steps)
+        s = self._powers_of(lengths)
         return self._moved(x, s), self._moved_covariance(P, s)
 
-    def state(self, x, steps=None):
+    def state(self, x, lengths=None):
         """Return F x for x (n, ...)."""
-        if steps is None:
+        if lengths is None:
             return (self.F @ x.reshape(len(x), -1)).reshape(x.shape)
-        return self._moved(x, self._powers_of(steps))
+        return self._moved(x, self._powers_of(lengths))
 
-    def covariance(self, P, steps=None):
+    def covariance(self, P, lengths=None):
         """Return F P Fᵀ + Q for P (n, n, ...)."""
-        if steps is None:
+        if lengths is None:
             n = len(P)
             noise = self.Q.reshape(n, n, *[1] * (P.ndim - 2))
             return (self._product @ P.reshape(n * n, -1)).reshape(P.shape) + noise
-        return self._moved_covariance(P, self._powers_of(steps))
+        return self._moved_covariance(P, self._powers_of(lengths))
 
-    def _powers_of(self, steps):
+    def _powers_of(self, lengths):
         """Return [1, s, s², ...] for the lengths of the steps. A step of length zero leaves the state where it is."""
-        powers = [1.0, steps]
+        powers = [1.0, lengths]
         for _ in range(self._highest - 1):
-            powers.append(powers[-1] * steps)
+            powers.append(powers[-1] * lengths)
         return powers
 
     def _moved(self, x, s):
@@ -142,17 +138,17 @@ def corrected(x, P, z, seen, variance, i):
     """Return x (n, c, M) and P (n, n, M) after measurements z (c, M) of component i of the state, and more.
 
     seen (M,) tells where there is one, and its variance is a number or (M,). It is the textbook's update with eᵢᵀ for
-    H. With row i of P as c, the variance as v and S = cᵢ + v, the new row and column i are c - cᵢ c / S = c v / S: that
+    H. With row i of P as p, the variance as v and S = pᵢ + v, the new row and column i are p - pᵢ p / S = p v / S: that
     takes no difference of large numbers. P is overwritten, so it must be the caller's own.
 
     The third result is the innovation (z - xᵢ) / √S (c, M) at unit variance, zero where nothing was measured.
     """
-    c = P[i].copy()
-    S = c[i] + variance
+    p_i = P[i].copy()
+    S = p_i[i] + variance
     weight = seen / S
-    gain = c * weight
-    P -= gain[:, None] * c
-    P[i] = P[:, i] = c * np.where(seen, variance / S, 1.0)
+    gain = p_i * weight
+    P -= gain[:, None] * p_i
+    P[i] = P[:, i] = p_i * np.where(seen, variance / S, 1.0)
     innovation = z - x[i]
     return x + gain[:, None] * innovation, P, innovation * np.sqrt(seen * weight)
 
@@ -160,19 +156,19 @@ def corrected(x, P, z, seen, variance, i):
 class KalmanColumns:
     """The Kalman filter on columns, for measurements of uncorrelated noises.
 
-    F, Q, powers are those of `Motion`, H is (m, n), variances (m,) are those of the noises and P0 (n, n) is the
-    covariance of the start: both decide only in which coordinates the measurements are taken.
+    F, Q, powers are those of `Motion`, H is (m, n), and variances (m,) are those of the noises where rows have none of
+    their own. P0 (n, n), the covariance of the start, decides in which coordinates the measurements are taken.
     """
 
     def __init__(self, F, H, Q, variances, P0, powers=None):
         self.motion = Motion(F, Q, powers)
         self._variances = variances[:, None]
         self._changes, T = _coordinates(F, H, Q, variances, P0)
-        self._back = Change(np.linalg.inv(T))
+        self._back = LinearMap(np.linalg.inv(T))
 
     def advance(self, row, x, P):
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations at unit covariance (m, c, M) from x(k/k) and P(k/k)."""
-        x, P = self.motion.both(x, P, row.steps)
+        x, P = self.motion.both(x, P, row.lengths)
         variances = self._variances if row.variances is None else row.variances
         innovations = np.zeros((len(row.z), *x.shape[1:]))
         for change, j, i in self._changes:
@@ -182,8 +178,8 @@ class KalmanColumns:
         return x, P, innovations
 
 
-class Change:
-    """A change of coordinates of columns: x -> T x, P -> T P Tᵀ."""
+class LinearMap:
+    """A linear map of columns: x -> T x, P -> T P Tᵀ."""
 
     def __init__(self, T):
         self._T = None if np.array_equal(T, np.eye(len(T))) else T
@@ -201,7 +197,7 @@ class Change:
 def _coordinates(F, H, Q, variances, P0):
     """Return the changes of coordinates that make one measurement after the other a component of the state.
 
-    Each is (Change, index of the row of H, component). Also returns T (n, n), which takes the state to the last
+    Each is (LinearMap, index of the row of H, component). Also returns T (n, n), which takes the state to the last
     coordinates.
     """
     # sigma: the predicted standard deviation of each coordinate. A measurement replaces the coordinate that contributes
@@ -219,7 +215,7 @@ def _coordinates(F, H, Q, variances, P0):
             change[i] = weights
             sigma[i] = min(np.sqrt(variances[j]), np.abs(weights) @ sigma)  # once it is measured
             T = change @ T
-            changes.append((Change(change), j, i))
+            changes.append((LinearMap(change), j, i))
     return changes, T
 
 
@@ -232,11 +228,11 @@ class ConstantGainColumns:
     def __init__(self, F, H, Q, R, B):
         self.motion = Motion(F, Q)
         self._B = B
-        self._keep = Change(np.eye(len(F)) - B @ H)
+        self._keep = LinearMap(np.eye(len(F)) - B @ H)
         self._noise = (B @ R @ B.T)[..., None]
 
     def advance(self, row, x, P):
-        """Return x(k+1/k+1) and P(k+1/k+1), and no innovations: no measurement changes what the gain makes of x0."""
+        """Return x(k+1/k+1) and P(k+1/k+1), and no innovations: the gain being constant, none corrects the start."""
         x, P = self.motion.both(x, P)
         seen = row.seen[0]
         x_seen, P_seen = self._keep(x, P)

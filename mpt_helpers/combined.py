@@ -14,8 +14,11 @@ from . import checks
 from .checks import Array
 from .filters import KalmanFilter, LainiotisFilter
 from .model import LinearModel, stack
-from .recursive import Estimates, Filter, one_measurement
+from .recursive import Estimates, Filter, one_measurement, one_state
 from .steady import SteadyStateFilter
+
+# Both Riccati equations give one gain to so many digits at least.
+SAME_GAIN = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,8 @@ class JoinFilter(Filter):
 
         Raises TypeError where the filters differ in their gains: then each would need a state of its own.
         """
-        if self.first.optimal != self.second.optimal:
+        gains = [getattr(each, "B", 0.0) for each in (self.first, self.second)]  # of filters whose gain is constant
+        if self.first.optimal != self.second.optimal or not np.allclose(*gains, rtol=SAME_GAIN):
             kinds = " and ".join(type(each).__name__ for each in (self.first, self.second))
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         x_1, P_1 = self.first.step(x, P, z_k)
@@ -150,11 +154,20 @@ class Separate(Filter):
         """The block diagonal P(0/0)."""
         return block_diag(*(each.P0 for each in self.filters))
 
-    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike) -> tuple[Array, Array]:
-        """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its rows of z_k (m,)."""
+    @property
+    def optimal(self) -> bool:
+        """Whether all gains are those of their covariances."""
+        return all(each.optimal for each in self.filters)
+
+    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None) -> tuple[Array, Array]:
+        """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its part of z_k (m,).
+
+        dt is the time since x, for filters that take it.
+        """
         z_k, _ = one_measurement(z_k, self.model.m)
-        x, P = np.asarray(x), np.asarray(P)
-        after = [each.step(x[i], P[i, i], z_k[rows]) for each, i, rows in self._parts()]
+        x, P = one_state(x, P, self.model.n)
+        given = {} if dt is None else {"dt": dt}
+        after = [each.step(x[i], P[i, i], z_k[rows], **given) for each, i, rows in self._parts()]
         return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))
 
     def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:

@@ -63,17 +63,17 @@ class KalmanFilter(RecursiveFilter):
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
 
     def next_step(
-        self, P: Array, seen: np.ndarray, steps: float | None = None, r: Array | None = None
+        self, P: Array, seen: np.ndarray, length: float | None = None, r: Array | None = None
     ) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n), with the measurements seen (m,), by filterpy.
 
-        steps is the length of the step in units of the model's dt, r (m,) the variances; the model's where None.
+        length is that of the step in units of the model's dt, r (m,) the variances; the model's where None.
         """
         kf = copy.copy(self._filterpy)  # predict and update change the object, so each step takes a copy
         kf.P = P
         W = self._units[1]
-        if steps is not None:
-            kf.F, kf.Q = self.model.over(steps)
+        if length is not None:
+            kf.F, kf.Q = self.model.over(length)
         if r is not None or not seen.all():
             model = self.model if r is None else replace(self.model, R=np.diag(np.where(seen, r, 1)))
             H_1, W = unit_measurements(*neutralised(model, seen))
@@ -99,14 +99,14 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse("dt", "the time since x, as the filter has times", "none")
         if r is None and self.r is not None:
             checks.refuse("r", "the variances of z_k, as the filter has them for each epoch", "none")
-        steps = None if dt is None else self._steps_of(checks.not_negative("dt", dt))
+        length = None if dt is None else self._length_of(checks.not_negative("dt", dt))
         if r is not None:
             r = checks.variances("r", np.asarray(r)[None], m)[0]
-        A, B, P = self.next_step(P, seen, steps, r)
+        A, B, P = self.next_step(P, seen, length, r)
         return A @ x + B @ np.where(seen, z_k, 0), P
 
     @property
-    def _at_rest(self):
+    def _epochs_are_alike(self):
         return self.t is None and self.r is None
 
     @property
@@ -119,32 +119,29 @@ class KalmanFilter(RecursiveFilter):
 
     @cached_property
     def _conditions(self):
-        steps = variances = None
+        lengths = variances = None
         if self.t is not None:
             t = self.t if self.t.ndim == 2 else self.t[:, None]
-            steps = np.concatenate([np.ones((1, t.shape[1])), np.diff(t, axis=0) / self.model.dt])
+            lengths = np.concatenate([np.ones((1, t.shape[1])), np.diff(t, axis=0) / self.model.dt])
         if self.r is not None:
             variances = self.r if self.r.ndim == 3 else self.r[..., None]
-        return steps, variances
+        return lengths, variances
 
     def _of_tracks(self, part):
         t = self.t[:, part] if self.t is not None and self.t.ndim == 2 else self.t
         r = self.r[..., part] if self.r is not None and self.r.ndim == 3 else self.r
         return self if t is self.t and r is self.r else replace(self, t=t, r=r)
 
-    def _as_tracks(self, z):
-        z, many = super()._as_tracks(z)
-        for name, given, ndim in (("t", self.t, 1), ("r", self.r, 2)):
-            if given is not None:
-                shape = (len(z), *z.shape[1:2][: ndim - 1])
-                if given.shape not in (shape, (*shape, z.shape[2])) or (given.ndim > ndim and not many):
-                    checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, z.shape[2])}", given.shape)
+    def _require_conditions_of(self, z: Array) -> None:
+        N, m, M = z.shape
+        for name, given, shape in (("t", self.t, (N,)), ("r", self.r, (N, m))):
+            if given is not None and given.shape not in (shape, (*shape, M)):
+                checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, M)}", f"shape {given.shape}")
         if self.r is not None:
             _, variances = self._conditions
             there = np.broadcast_to(variances, z.shape)[~np.isnan(z)]
             if not (np.isfinite(there) & (there > 0)).all():
                 checks.refuse("r", "a positive variance of every measurement that is there", "another")
-        return z, many
 
     def _in_columns(self, rows):
         model, powers = self.model, self._powers
@@ -167,7 +164,7 @@ class KalmanFilter(RecursiveFilter):
         x = np.broadcast_to(x0[:, None, None], (len(x0), c, M))
         return KalmanColumns(F, H, Q, variances, P0, powers), rows, x, np.repeat(P0[..., None], M, axis=2)
 
-    def _steps_of(self, dt):
+    def _length_of(self, dt):
         if self.model.dt is None:
             need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
             checks.refuse("dt", need, "one whose F and Q are for one length only")

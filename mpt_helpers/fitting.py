@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,6 @@ from scipy.optimize import minimize
 from tqdm import tqdm
 
 from . import checks, metrics
-from .equations import predicted_covariance
 from .filters import KalmanFilter
 from .model import LinearModel
 from .recursive import Filter
@@ -21,17 +21,17 @@ from .recursive import Filter
 # How near, in natural logarithms of the parameters and in log L, the search must come: a hundredth of the error of a
 # parameter that a thousand measurements tell to some percent.
 NEAR = 1e-4
-# A step of the second differences of log L: 5 % of a parameter. Their rounding is 1e-16 |log L| / step², below 1e-6 of
-# them up to a million measurements, and their bias some step².
+# Second differences of log L are taken between points 10 % of a parameter apart, two of these steps. Their rounding,
+# 1e-16 |log L| / step², is below 1e-6 of them up to a million measurements, and their bias some step².
 DIFFERENCE = 0.05
 # A parameter that came this far from its start has no end in sight.
 FARTHEST = math.log(1e12)
-# A log L that falls by less than this says nothing against a parameter: half the 2 log L of one standard error.
+# A log L that falls by less than this says nothing against a parameter: so much it falls at one standard error.
 NOTHING = 0.5
 # A parameter known to no better than this factor is not known.
 VAGUE = math.log(10)
-# Squares of the distance from the start to the first measurement, in standard deviations, which no fit survives, and
-# which it absorbs by a wrong q.
+# Squared distances from the start to the first measurement, in standard deviations: a fit is refused from the first on,
+# and warned of from the second on, since it explains the distance by a wrong q.
 ANOTHER_PLACE, FAR = 1e6, 100.0
 
 
@@ -90,7 +90,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     best = _lowest(surprise, origin)
     covariance = _inverse(_second_differences(surprise, best))
     log_errors = dict(zip(guess, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    _warn_of_what_is_not_known(surprise, best, log_errors)
+    _warn_of_what_is_not_known(surprise, origin, best, log_errors)
     found = _filter(make, values_at(best))
     _warn_of_a_start_that_is_far(found, z)
     return Fit(values_at(best), log_errors, found, -surprise(best))
@@ -137,10 +137,11 @@ def _inverse(H):
     return np.full_like(H, math.inf)
 
 
-def _warn_of_what_is_not_known(surprise, best, log_errors):
+def _warn_of_what_is_not_known(surprise, origin, best, log_errors):
     for i, name in enumerate(log_errors):
         lower = best.copy()
         lower[i] -= math.log(1000)
+        lower = np.maximum(lower, origin - FARTHEST)
         if surprise(lower) < surprise(best) + NOTHING:
             _warn(f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known")
         elif log_errors[name] > VAGUE:
@@ -161,22 +162,23 @@ def _warn_of_a_start_that_is_far(estimator, z):
         _warn(f"the first measurements are {away}: the fit explains the distance as motion or noise")
 
 
-def _squared_distance_of_the_start(estimator, z):
-    """Return the largest squared distance of a first measurement from H Fᵏ x0, over its variance by P0 and R alone."""
-    model, (values, S) = estimator.model, metrics.innovations(estimator, z)
+def _squared_distance_of_the_start(estimator: Filter, z: ArrayLike) -> float:
+    """Return the largest squared distance of a first measurement from what x0 expects, over its variance by P0 and R.
+
+    The motion's own noise does not count: it is what a fit would explain the distance by. Filters of other kinds than
+    the Kalman filter are not looked at.
+    """
+    if not isinstance(estimator, KalmanFilter):
+        return 0.0
+    quiet = replace(estimator.model, Q=np.zeros_like(estimator.model.Q))
+    values, S = metrics.innovations(replace(estimator, model=quiet), z)
     if np.ndim(z) == 2:
         values, S = values[..., None], S[..., None]
     seen = ~np.isnan(values)
     first = seen.any(axis=1).argmax(axis=0)  # of each track
-    largest, noise = 0.0, np.zeros_like(model.Q)
-    for k in range(first.max() + 1):
-        noise = predicted_covariance(model, noise)
-        by_motion = np.diag(model.H @ noise @ model.H.T)[:, None]
-        # A noise far larger than R rounds it away in the difference.
-        variance = np.maximum(np.einsum("jjM->jM", S[k]) - by_motion, np.diag(model.R)[:, None])
-        begins = seen[k] & (first == k)
-        largest = max(largest, float(np.max(values[k] ** 2 / variance, initial=0.0, where=begins)))
-    return largest
+    tracks = np.arange(len(first))
+    squares = values[first, :, tracks] ** 2 / np.einsum("Mjj->Mj", S[first, :, :, tracks])
+    return float(np.max(squares, initial=0.0, where=seen[first, :, tracks]))
 
 
 def _warn(text):

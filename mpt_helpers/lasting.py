@@ -1,13 +1,16 @@
 """The error state: a model whose measurements also have an error that lasts."""
 
+from __future__ import annotations
+
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
 from .model import LinearModel
 
 
-def lasting_error(model, sigma, tau, dt=None):
+def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: float | None = None) -> LinearModel:
     """Return `model` with one more state for each measurement: an error that fades slowly (Gauss-Markov, first order).
 
         e(k+1) = a e(k) + w(k),   a = exp(-dt / tau),   w ~ N(0, sigma² (1 - a²)),   e(0) ~ N(0, sigma²)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
-from . import checks
-from .bands import Ahead, LiveBand, ahead, coverage, following, interval_score, placebo  # noqa: F401
+from . import bands, checks
 from .checks import Array
 from .columns import whitened
 from .equations import corrected_covariance, predicted_covariance
@@ -17,6 +16,15 @@ from .model import LinearModel
 from .recursion import epochs_at_a_time
 from .recursive import Filter
 from .steady import SteadyStateFilter
+
+# Bands around predictions, and what they are worth.
+Ahead = bands.Ahead
+LiveBand = bands.LiveBand
+ahead = bands.ahead
+following = bands.following
+coverage = bands.coverage
+interval_score = bands.interval_score
+placebo = bands.placebo
 
 
 def relative_gap(a: ArrayLike, b: ArrayLike) -> float:

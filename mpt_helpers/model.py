@@ -126,16 +126,16 @@ class LinearModel(Immutable):
         same_Q = np.abs(half @ noise @ half.T + noise - Q) <= rounding * size
         return bool(same_F.all() and same_Q.all())
 
-    def over(self, steps: float) -> tuple[Array, Array]:
-        """Return F and Q of a step of length `steps` in units of dt, a number that is not negative.
+    def over(self, length: float) -> tuple[Array, Array]:
+        """Return F and Q of a step of this length, in units of dt, a number that is not negative.
 
         >>> constant_velocity(dt=2.0, q=0.01, r=0.1).over(1.5)[0]
         array([[1., 3.],
                [0., 1.]])
         """
         differences, sums = self.powers[:, None] - self.powers, self.powers[:, None] + self.powers
-        F = np.where(self.F, self.F * float(steps) ** np.maximum(differences, 0), 0)
-        return F, self.Q * float(steps) ** sums
+        F = np.where(self.F, self.F * float(length) ** np.maximum(differences, 0), 0)
+        return F, self.Q * float(length) ** sums
 
     @property
     def n(self) -> int:

@@ -37,8 +37,9 @@ def rows_per_piece(N, tracks):
 def through(advance, rows, x0, P0, x, P):
     """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
 
-    advance(row, x, P) takes columns x (n, c, M) and P (n, n, M) one row further. It may know more states than x has
-    room for, which is for the first ones. x0 and P0 are the start. Returns the last P.
+    advance(row, x, P) takes columns x (n, c, M) and P (n, n, M) one row further. x0 and P0 are the start; where noises
+    have joined the state, only its first n components are written. rows can be iterated, cut by `mapped`, and given
+    more tracks by `with_tracks_of_zeros`, as `columns.Rows`. Returns the last P, of each piece if the rows are cut.
     """
     N, n, c, M = x.shape
     K = rows_per_piece(N, c * M)
@@ -92,13 +93,16 @@ def joined(array, N, M):
 def starts(advance, pieces, count, x0, P0):
     """Return where each piece starts: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
 
-    advance(row, x, P) takes columns one row further, and returns their innovations at unit covariance besides, (m, c,
-    C M), as in `columns`; with no innovations (m = 0), the measurements tell nothing about the start. pieces are rows
-    that were cut into `count` pieces, C.
+    pieces are rows that were cut into `count` pieces, C. advance(row, x, P) takes columns one row further, and returns
+    their innovations at unit covariance besides, (m, c, C M), as in `columns`.
+
+    From a start x instead of zero, a piece ends at x_piece + T x, and its innovations are e(0) - Iᵀ x, where e are
+    white and of unit variance. So they measure the start: y = Iᵀ x + noise is one update of it, and then it moves on
+    by T. Where a filter returns no innovations (m = 0), as one of constant gain, nothing corrects its starts.
     """
     n, c, M = x0.shape
     columns = count * M
-    # Beside the c tracks of a column run n more without measurements, from each unit start: the answers to the start.
+    # Beside the c tracks of a column run n more without measurements, one from each unit start: they make T.
     x = np.zeros((n, c + n, columns))
     x[:, c:] = np.eye(n)[..., None]
     P = np.zeros((n, n, columns))
@@ -107,26 +111,26 @@ def starts(advance, pieces, count, x0, P0):
         x, P, new = advance(row, x, P)
         innovations.append(new)
     x, P = _matrices(x, M), _matrices(P, M)
-    x_piece, answer = x[..., :c], x[..., c:]
-    C, y = _told(_matrices(np.concatenate(innovations), M), c)
+    x_piece, T = x[..., :c], x[..., c:]
+    info, y = _told(_matrices(np.concatenate(innovations), M), c)
     x_k, P_k = _matrices(x0, M)[0], _matrices(P0, M)[0]
     states, covariances = [x_k], [P_k]
     for i in range(count - 1):
-        G = gain_on_the_start(P_k, C[i])
-        x_k = x_k + G @ (y[i] - C[i].swapaxes(1, 2) @ x_k)
-        P_k = corrected_covariance(P_k, G, C[i].swapaxes(1, 2), np.eye(C.shape[-1]))
-        x_k = x_piece[i] + answer[i] @ x_k
-        P_k = P[i] + answer[i] @ P_k @ answer[i].swapaxes(1, 2)
+        G = gain_on_the_start(P_k, info[i])
+        x_k = x_k + G @ (y[i] - info[i].swapaxes(1, 2) @ x_k)
+        P_k = corrected_covariance(P_k, G, info[i].swapaxes(1, 2), np.eye(info.shape[-1]))
+        x_k = x_piece[i] + T[i] @ x_k
+        P_k = P[i] + T[i] @ P_k @ T[i].swapaxes(1, 2)
         states.append(x_k)
         covariances.append(P_k)
     return _columns(states), _columns(covariances)
 
 
 def _told(innovations, c):
-    """Return C (..., n, p) and y (..., p, c): all that a piece tells about its start are y = Cᵀ x + unit noise.
+    """Return I as `info` (..., n, p), and y (..., p, c): all that a piece tells about its start x is y = Iᵀ x + noise.
 
-    innovations (..., K m, c + n) are those of the tracks from a start of zero, and the answers to each unit start,
-    which enter with a minus. Rows of many measurements are joined into p <= n by an orthogonal factor, which keeps
+    innovations (..., K m, c + n) are those of the tracks from a start of zero, and those of the unit starts, which are
+    -Iᵀ before they are joined. Rows of many measurements are joined into p <= n by an orthogonal factor, which keeps
     the digits that sums of squares lose.
     """
     Q, R = np.linalg.qr(-innovations[..., c:])

@@ -170,6 +170,7 @@ class RecursiveFilter(Filter):
 
     def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
         """Yield x(k/k) and P(k/k) as in Filter, for tracks of any length in little memory."""
+        self._require_conditions_of(z)
         shared = _alike(z, *self._conditions)
         columns, rows, x, P = self._in_columns(_rows(z, *self._conditions, shared))
         n = self.model.n
@@ -192,7 +193,7 @@ class RecursiveFilter(Filter):
         return self._as_given(z, self._smoothed)
 
     @property
-    def _at_rest(self):
+    def _epochs_are_alike(self):
         """Whether all epochs of tracks without gaps have the same conditions."""
         return True
 
@@ -216,8 +217,12 @@ class RecursiveFilter(Filter):
         """
         raise NotImplementedError
 
+    def _require_conditions_of(self, z):
+        """Raise a ValueError where the times or variances of the filter are not those of z (N, m, M)."""
+
     def _fill(self, x, z):
-        if not self._at_rest:
+        self._require_conditions_of(z)
+        if not self._epochs_are_alike:
             self._fill_from_columns(x, None, z)
             return
         # Filter every track without gaps. A track whose last estimate is NaN had a gap: filter it again, with its gaps.
@@ -232,9 +237,10 @@ class RecursiveFilter(Filter):
             x[..., tracks] = part
 
     def _estimates(self, z):
+        self._require_conditions_of(z)
         (N, _, M), n = z.shape, self.model.n
         x = np.empty((N, n, M))
-        if self._at_rest and not np.isnan(z).any():
+        if self._epochs_are_alike and not np.isnan(z).any():
             run(self._products(N, M), self.model.x0[:, None], z, x)
             P = np.array([step.P for step in self._steps(N)])[..., None]
             if not np.isfinite(P[-1]).all():
@@ -264,16 +270,16 @@ class RecursiveFilter(Filter):
     def _innovations_of_tile(self, z):
         (N, m, M), n, H = z.shape, self.model.n, self.model.H
         x, P = self._estimates(z)
-        steps, variances = self._conditions
+        lengths, variances = self._conditions
         motion, W = self._motion, product_for_covariances(H)
         values, S = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3]))
         for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
             # Axes: states, epochs, tracks. The states are those before the measurements.
             x_part = np.moveaxis(_before(x, self.model.x0, part), 1, 0)
             P_part = np.moveaxis(_before(P, self.P0, part), 0, 2)
-            steps_part = None if steps is None else steps[part]
-            expected = H @ motion.state(x_part, steps_part).reshape(n, -1)
-            P_part = motion.covariance(P_part, steps_part)
+            lengths_part = None if lengths is None else lengths[part]
+            expected = H @ motion.state(x_part, lengths_part).reshape(n, -1)
+            P_part = motion.covariance(P_part, lengths_part)
             S_part = (W @ P_part.reshape(n * n, -1)).reshape(m, m, *P_part.shape[2:])
             values[part] = z[part] - np.moveaxis(expected.reshape(m, *x_part.shape[1:]), 0, 1)
             S[part] = np.moveaxis(S_part, 2, 0)
@@ -284,15 +290,15 @@ class RecursiveFilter(Filter):
         return values, S + variances[:, :, None] * np.eye(m)[..., None]
 
     def _smoothed_tile(self, z):
-        steps, _ = self._conditions
-        return smoothed(self._motion, steps, *self._estimates(z))
+        lengths, _ = self._conditions
+        return smoothed(self._motion, lengths, *self._estimates(z))
 
     def _fill_from_columns(self, x, P, z):
         """Write the estimates of z to x, and the covariances to P (N, n, n, M or 1) unless it is None."""
-        steps, variances = self._conditions
-        shared = _alike(z, steps, variances)
+        lengths, variances = self._conditions
+        shared = _alike(z, lengths, variances)
         for part in tiles(z.shape[2], TILE if shared else TILE_OF_COVARIANCES):
-            rows = _rows(z[..., part], _of(steps, part), _of(variances, part), shared)
+            rows = _rows(z[..., part], _of(lengths, part), _of(variances, part), shared)
             columns, rows, x_0, P_0 = self._in_columns(rows)
             x_part = np.expand_dims(x[..., part], 3 if shared else 2)
             P_part = P if P is None or shared else P[..., part]
@@ -323,23 +329,23 @@ class RecursiveFilter(Filter):
             yield step
 
 
-def _alike(z, steps, variances):
+def _alike(z, lengths, variances):
     """Tell whether all tracks of z (N, m, M) have the same gaps, steps and variances: one covariance for all."""
-    seen = np.isnan(z)
-    widths = [array.shape[-1] for array in (steps, variances) if array is not None]
-    return all(width == 1 for width in widths) and bool((seen == seen[..., :1]).all())
+    missing = np.isnan(z)
+    widths = [array.shape[-1] for array in (lengths, variances) if array is not None]
+    return all(width == 1 for width in widths) and bool((missing == missing[..., :1]).all())
 
 
-def _rows(z, steps, variances, shared):
+def _rows(z, lengths, variances, shared):
     """Return the Rows of z (N, m, M): one column of M tracks where they share their conditions, else M columns."""
     seen = ~np.isnan(z)
     z = np.where(seen, z, 0)
     if variances is not None:  # of what is missing they may be anything
         variances = np.where(seen[..., :1] if shared else seen, variances, 1)
     if shared:
-        return Rows(z[..., None], seen[..., :1], steps, variances)
+        return Rows(z[..., None], seen[..., :1], lengths, variances)
     N, _, M = z.shape
-    return Rows(z[:, :, None], seen, None if steps is None else np.broadcast_to(steps, (N, M)), variances)
+    return Rows(z[:, :, None], seen, None if lengths is None else np.broadcast_to(lengths, (N, M)), variances)
 
 
 def _of(array, part):

@@ -27,10 +27,6 @@ class Backwards:
     d: np.ndarray
     D: np.ndarray
 
-    def __len__(self):
-        """N."""
-        return len(self.C)
-
     def __iter__(self):
         """Yield C, d and D of one step after the other."""
         return zip(self.C, self.d, self.D, strict=True)
@@ -45,16 +41,18 @@ class Backwards:
         return Backwards(self.C, np.concatenate([self.d, np.zeros((N, n, count, M))], axis=2), self.D)
 
 
-def smoothed(motion, steps, x, P):
+def smoothed(motion, lengths, x, P):
     """Return x(k/N) (N, n, M) and P(k/N) (N, n, n, M or 1) from x(k/k) and P(k/k) of the same shapes.
 
-    motion is the Motion of the states, steps (N, M or 1) are the lengths of the steps before each epoch, or None. One
+    motion is the Motion of the states, lengths (N, M or 1) are those of the steps before each epoch, or None. One
     covariance may be that of all tracks.
     """
     (N, n, M), width = x.shape, P.shape[3]
     C, d, D = np.empty((N - 1, n, n, width)), np.empty((N - 1, n, M)), np.empty((N - 1, n, n, width))
     for part in epochs_at_a_time(N - 1, n * n * width) if N > 1 else ():
-        C[part], d[part], D[part] = _coefficients(motion, None if steps is None else steps[1:][part], x[part], P[part])
+        C[part], d[part], D[part] = _coefficients(
+            motion, None if lengths is None else lengths[1:][part], x[part], P[part]
+        )
     x, P = x.copy(), P.copy()
     if N > 1:
         # One covariance for all tracks is one column of many tracks; otherwise each track is a column.
@@ -65,24 +63,25 @@ def smoothed(motion, steps, x, P):
     return x, P
 
 
-def _coefficients(motion, steps, x, P):
+def _coefficients(motion, lengths, x, P):
     """Return C, d = (I - C F) x and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ of some epochs: the step back to each of them.
 
-    x (N, n, M), P (N, n, n, M or 1) and the results have the axes of `Backwards`; steps are those after the epochs.
+    x (N, n, M), P (N, n, n, M or 1) and the results have the axes of `Backwards`; lengths are those of the steps
+    after the epochs.
     """
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
-    steps = None if steps is None else np.broadcast_to(steps, P.shape[2:])
-    FP = motion.state(P, steps)
-    C = transposed(solved(motion.covariance(P, steps), FP))
-    d = x - np.einsum("ij...,j...->i...", C, motion.state(x, steps))
-    Q = motion.covariance(np.zeros_like(P), steps)
+    lengths = None if lengths is None else np.broadcast_to(lengths, P.shape[2:])
+    FP = motion.state(P, lengths)
+    C = transposed(solved(motion.covariance(P, lengths), FP))
+    d = x - np.einsum("ij...,j...->i...", C, motion.state(x, lengths))
+    Q = motion.covariance(np.zeros_like(P), lengths)
     kept = P - product(C, FP)  # (I - C F) P
-    D = kept - product(transposed(motion.state(transposed(kept), steps)), transposed(C))
+    D = kept - product(transposed(motion.state(transposed(kept), lengths)), transposed(C))
     D += product(product(C, Q), transposed(C))
     return np.moveaxis(C, 2, 0), np.moveaxis(d, 1, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
 
 
 def _advance(step, x, P):
-    """Return x and P one epoch earlier, and no innovations: where the way back starts is known."""
+    """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts."""
     C, d, D = step
     return product(C, x) + d, product(product(C, P), transposed(C)) + D, np.zeros((0, *x.shape[1:]))

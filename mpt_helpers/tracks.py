@@ -3,15 +3,20 @@
 It needs two packages more, the extra `tracks`: pip install "mpt_helpers[tracks]".
 """
 
+from __future__ import annotations
+
 import re
 import warnings
 from datetime import UTC, datetime
+from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import checks
+from .checks import Array
 
 
 class Track(NamedTuple):
@@ -24,13 +29,13 @@ class Track(NamedTuple):
     start: its time
     """
 
-    t: np.ndarray
-    z: np.ndarray
-    origin: tuple
+    t: Array
+    z: Array
+    origin: tuple[float, float, float]
     start: datetime
 
 
-def gpx(path, up=False, skip=False):
+def gpx(path: str | PathLike[str], up: bool = False, skip: bool = False) -> list[Track]:
     """Return the track segments of a GPX file as a list of Tracks; segments without a fix are left out.
 
     Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
@@ -64,13 +69,13 @@ def gpx(path, up=False, skip=False):
         if rows:
             kept.append([points[row] for row in rows])
     if left_out:
-        warnings.warn(f"{path}: {left_out} fixes left out whose times do not increase", stacklevel=2)
+        warnings.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase", stacklevel=2)
     first = kept[0][0]
     start, origin = _time(first), (first.latitude, first.longitude, first.elevation or 0.0)
     return [_track(points, start, origin, up) for points in kept]
 
 
-def local(lat, lon, origin=None):
+def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = None) -> Array:
     """Return positions in metres east and north of an origin, (N, 2), from latitudes and longitudes (N,) in degrees.
 
     origin is a latitude, a longitude and, if they are given, a height (m); without one it is the first position. The

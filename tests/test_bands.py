@@ -67,6 +67,22 @@ def test_the_later_fix_is_the_first_one_after_the_horizon_and_at_most_half_a_hor
     assert a.left_out == 5
 
 
+@pytest.mark.parametrize(
+    "same",
+    [
+        mpt.LainiotisFilter(PLANE),
+        mpt.JoinFilter(mpt.KalmanFilter(PLANE), mpt.LainiotisFilter(PLANE)),
+        mpt.Separate(mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)),
+    ],
+    ids=lambda each: type(each).__name__,
+)
+def test_filters_that_agree_have_the_same_bands(same):
+    _, z = recorded()
+    whole = np.where(np.isnan(z).any(axis=1, keepdims=True), np.nan, z)
+    expected = following(ahead(mpt.KalmanFilter(PLANE), whole, 4.0))
+    np.testing.assert_allclose(following(ahead(same, whole, 4.0)), expected, rtol=1e-6)
+
+
 def test_times_that_are_a_horizon_apart_but_for_their_rounding_belong_together():
     t = np.arange(300) * 0.1  # 0.3 - 0.1 < 0.2
     a = ahead(mpt.KalmanFilter(AXIS, t=t), np.zeros((300, 1)), 0.2)
@@ -285,6 +301,13 @@ def test_a_model_of_one_step_length_and_a_horizon_without_fixes_are_refused():
         ahead(mpt.KalmanFilter(mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)), np.zeros((9, 1)), 1.0)
     with pytest.raises(ValueError, match=r"seconds: needs a horizon with fixes .* got 1 with steps of 3 s"):
         ahead(mpt.KalmanFilter(AXIS, t=np.arange(9) * 3.0), np.zeros((9, 1)), 1.0)
+    for made in (mpt.JoinFilter, mpt.Separate):
+        whole = made(mpt.KalmanFilter(AXIS, t=np.arange(9)), mpt.KalmanFilter(AXIS))
+        with pytest.raises(ValueError, match="estimator: needs a filter whose times and variances are its own"):
+            ahead(mpt.Separate(whole, whole), np.zeros((9, whole.model.m * 2)), 1.0)
+    for predictor in (mpt.Predictor(mpt.KalmanFilter(AXIS), 2), mpt.FIRFilter(AXIS, np.ones((3, 2, 1)))):
+        with pytest.raises(TypeError, match="needs a filter with P0"):
+            ahead(predictor, np.zeros((9, 1)), 1.0)
     with pytest.raises(TypeError, match="estimator: needs a filter"):
         ahead(AXIS.F, np.zeros((9, 1)), 1.0)
 

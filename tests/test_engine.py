@@ -299,7 +299,6 @@ REFUSED_TIMES = {
     "NaN": (lambda: timed(t=[0, np.nan]), "t: needs .* got NaN or infinity"),
     "length": (lambda: timed(t=T).filter(np.zeros((4, 2))), r"t: needs the epochs and tracks of z, \(4"),
     "tracks": (lambda: timed(t=np.zeros((4, 3))).filter(np.zeros((4, 2, 2))), "t: needs the epochs"),
-    "times of tracks": (lambda: timed(t=np.zeros((4, 1))).filter(np.zeros((4, 2))), "t: needs"),
     "r of zero": (lambda: timed(r=np.zeros((4, 2))).filter(np.zeros((4, 2))), "r: needs a positive var"),
     "r missing": (lambda: timed(r=[[1, np.nan]]).filter(np.zeros((1, 2))), "r: needs a positive var"),
     "r of other axes": (lambda: timed(r=np.ones((4, 1))), r"r: needs an \(N, 2\) or"),
@@ -320,9 +319,60 @@ def test_times_variances_and_steps_are_refused_by_name(call, words):
 
 
 def test_a_step_of_two_filters_of_different_gains_is_refused():
-    join = mpt.JoinFilter(mpt.KalmanFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS))
-    with pytest.raises(TypeError, match="step: needs two filters of the same gain"):
-        join.step(np.zeros(2), np.eye(2), [0.0])
+    kf, steady = mpt.KalmanFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS)
+    B = steady.B / 2
+    other = mpt.SteadyStateFilter(AXIS, A=(np.eye(2) - B @ AXIS.H) @ AXIS.F, B=B, P=steady.P)
+    for join in (mpt.JoinFilter(kf, steady), mpt.JoinFilter(steady, other)):
+        with pytest.raises(TypeError, match="step: needs two filters of the same gain"):
+            join.step(np.zeros(2), np.eye(2), [0.0])
+
+
+def wrappers(kf):
+    return [kf, mpt.JoinFilter(kf, kf), mpt.Separate(kf), mpt.Predictor(kf, 2)]
+
+
+@pytest.mark.parametrize("i", range(4))
+def test_wrappers_ask_for_the_conditions_of_their_filters(i):
+    """Each way through a wrapper refuses times that are not those of z, and a variance that is no variance."""
+    z, late, zero = np.zeros((40, 2)), np.arange(50.0), np.zeros((40, 2))
+    for conditions, words in (
+        ({"t": late}, "t: needs the epochs and tracks of z"),
+        ({"r": zero}, "r: needs a positive"),
+    ):
+        each = wrappers(timed(**conditions))[i]
+        for function in (
+            each.filter,
+            each.estimates,
+            each.covariances,
+            lambda z, each=each: list(each.epochs(z[..., None])),
+        ):
+            with pytest.raises(ValueError, match=words):
+                function(z)
+
+
+def test_a_fit_with_times_of_its_own_whose_first_epochs_are_missed_is_not_refused():
+    """What the mobile moved before the first measurement is motion, not a start that is far."""
+    t = np.concatenate([np.arange(3.0), 600.0 + np.arange(97.0)])
+    _, z = mpt.simulate(mpt.constant_velocity(1.0, 0.5, 0.5), 600, np.random.default_rng(14))
+    kept = np.concatenate([np.full((3, 1), np.nan), z[500:597]])
+    found = mpt.fit(
+        lambda q, r: mpt.KalmanFilter(mpt.constant_velocity(1.0, q, r, P0=1e4 * np.eye(2)), t=t), kept, q=1.0, r=1.0
+    )
+    assert 0.1 < found.values["q"] < 2.0
+
+
+def test_separate_filters_with_times_step_by_dt():
+    axis = start(mpt.constant_velocity)
+    t = np.array([0.0, 0.5, 2.0])
+    both, plane_kf = mpt.Separate(*[mpt.KalmanFilter(axis, t=t)] * 2), mpt.KalmanFilter(mpt.stack(axis, axis), t=t)
+    z = np.array([[1.0, 2.0], [np.nan, 3.0], [0.0, 1.0]])
+    np.testing.assert_allclose(both.filter(z), plane_kf.filter(z), rtol=1e-12)
+    x, P = both.model.x0, both.P0
+    for z_k, dt in zip(z, [0.7, 0.5, 1.5], strict=True):
+        x, P = both.step(x, P, z_k, dt=dt)
+    np.testing.assert_allclose(x, plane_kf.filter(z)[-1], rtol=1e-12)
+    with pytest.raises(ValueError, match="x: needs a"):
+        both.step(np.zeros(5), P, z[0], dt=1.0)
 
 
 def test_a_model_keeps_its_times_where_F_and_Q_still_fit():

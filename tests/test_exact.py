@@ -67,13 +67,12 @@ def failures(project):
 
 
 def test_a_notebook_is_the_same_whoever_runs_it(executed, tmp_path_factory, monkeypatch):
-    """Settings of IPython and matplotlib, code that runs first, a backend, coloured output: none of them matters."""
+    """Code that IPython and Python run first, a style, a backend, coloured output: none of them matters."""
     monkeypatch.chdir(executed)
     mine = tmp_path_factory.mktemp("mine")
     (mine / "profile_default" / "startup").mkdir(parents=True)
-    (mine / "profile_default" / "startup" / "first.py").write_text("print('first')")
-    (mine / "profile_default" / "ipython_config.py").write_text("c.InteractiveShell.ast_node_interactivity = 'all'")
-    (mine / "python.py").write_text("print('started')")
+    (mine / "profile_default" / "startup" / "first.py").write_text("import os")
+    (mine / "python.py").write_text("import re")  # the last cell would show the names
     (mine / "matplotlibrc").write_text("lines.linestyle: --\nfigure.facecolor: red\n")
     variables = {"IPYTHONDIR": mine, "PYTHONSTARTUP": mine / "python.py", "MATPLOTLIBRC": mine / "matplotlibrc"}
     variables |= {"MPLBACKEND": "svg", "FORCE_COLOR": "1", "TZ": "Pacific/Auckland", "LC_ALL": "C"}

@@ -21,25 +21,15 @@ import mpt_helpers as mpt
 
 PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
-CORE = [
-    "checks",
-    "recursion",
-    "equations",
-    "columns",
-    "partition",
-    "smoothing",
-    "model",
-    "lasting",
-    "riccati",
-    "recursive",
-]
-CORE += ["filters", "steady", "predictor", "combined", "metrics", "fitting"]
+CORE = ["checks", "recursion", "equations", "columns", "partition", "smoothing", "model", "lasting", "riccati"]
+CORE += ["recursive", "filters", "steady", "predictor", "combined", "bands", "metrics", "fitting"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"recursion": set(), "equations": set(), "columns": set(), "partition": {"equations"}}
 OF_THE_CORE |= ARRAYS_ONLY | {"smoothing": {"columns", "partition", "recursion"}, "monte_carlo": {"checks"}}
 ROOMS = {
     "ledger": {"ledger", "checks"},
     "plots": {"plots", "checks", "files"},
+    "tracks": {"tracks", "checks"},
     "papers": {*CORE, "monte_carlo", "plots", "papers"},
 }
 BESIDE = {  # modules of one paper

@@ -496,7 +496,7 @@ def test_without_verdicts_the_header_stands_alone(project, capsys):
 
 LONG = """\
 import sys
-from mpt_helpers import __main__ as command_line
+from mpt_helpers import __main__ as command
 command.as_text = lambda *all: 'line\\n' * 100_000
 sys.exit(command.main(["verdicts"]))"""
 

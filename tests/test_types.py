@@ -14,7 +14,7 @@ from conftest import AXIS, ROOT
 from tools import shipped
 
 import mpt_helpers as mpt
-from mpt_helpers import metrics, plots, riccati
+from mpt_helpers import bands, metrics, plots, riccati, tracks
 
 # What holds of the types of results; each line is one that a checker must accept.
 RIGHT = """\
@@ -54,6 +54,9 @@ assert_type(mpt.six_filters(model)["KF"].filter(z), Array)
 assert_type(metrics.innovations(kf, z).S, Array)
 assert_type(metrics.chi_square_band(dof=2, runs=100), tuple[float, float])
 assert_type(riccati.rekf(model), Array)
+errors = metrics.ahead(mpt.KalmanFilter(model, t=[1, 2, 4.5]), z, seconds=1)
+assert_type(metrics.following(errors), Array)
+assert_type(mpt.lasting_error(model, sigma=1.0, tau=3600.0), mpt.LinearModel)
 found = mpt.fit(lambda q, r: mpt.constant_velocity(1.0, q, r), z, q=1.0, r=1.0)
 assert_type(found.values, dict[str, float])
 assert_type(found.filter.filter(z), Array)
@@ -141,7 +144,7 @@ def test_the_package_says_that_it_has_types():
 def public_functions():
     """Every function and method of the interface, by its name; a property is the function that it calls."""
     spaces = {"mpt": {name: getattr(mpt, name) for name in mpt.__all__}}
-    spaces |= {module.__name__: vars(module) for module in (metrics, riccati, plots)}
+    spaces |= {module.__name__: vars(module) for module in (metrics, bands, riccati, tracks, plots)}
     found = {}
     for space, names in spaces.items():
         for name, value in names.items():

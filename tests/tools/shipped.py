@@ -116,12 +116,20 @@ def use_gps(there):
     assert made <= rows(ROOT / "notebooks" / "data" / "esbc_2020_177.csv.gz"), made
 
 
+def use_tracks(there):
+    """Read a GPX file into metres."""
+    there.script(
+        "from mpt_helpers import tracks\nassert tracks.gpx(__import__('sys').argv[1])[0].z.shape == (4559, 2)",
+        ROOT / "docs" / "tracks" / "ride.gpx",
+    )
+
+
 def rows(path):
     """Return the lines of a compressed table."""
     return set(gzip.decompress(path.read_bytes()).decode().splitlines())
 
 
-USES = {"notebooks": use_notebooks, "dask": use_dask, "gps": use_gps}
+USES = {"notebooks": use_notebooks, "dask": use_dask, "gps": use_gps, "tracks": use_tracks}
 
 
 def main(extras):
