@@ -23,11 +23,9 @@ TABLES = {"ESBC": "esbc_2020_177.csv.gz", "NYA1": "nya1_2024_124.csv.gz"}
 KINDS = ("one frequency", "two frequencies")
 AXES = ("east", "north", "up")
 LAMBDA = 1.6469444  # (f1/f2)² of GPS: the delay in the ionosphere goes with 1/f²
-SLIP = 0.2  # m, of L1 - L2 from epoch to epoch: one cycle is 0.19 m, the ionosphere moved up to 0.17 m in 30 s
+SLIP = 0.15  # m, of L1 - L2 from epoch to epoch: a lost cycle makes 0.19 m or more, the ionosphere hardly ever 0.15
 JUMP = 10.0  # m, of phase minus code: its noise moved up to 5 m; whole cycles that L1 - L2 does not show make 14.7 m
-SMOOTHED = (
-    10  # epochs, of a carrier-smoothed range: 5 minutes, over which the ionosphere of one frequency changes little
-)
+SMOOTHED = 10  # epochs of a carrier-smoothed range: 5 minutes, in which the ionosphere changes little
 WINDOW = 100  # fixes of a line or a filter: the paper's n
 UNKNOWN = np.diag([10.0**2, 1.0**2])  # m², (m/s)²: what a filter knows of position and velocity at the start
 SETTLED = 20  # epochs after which a filter's statement is judged
