@@ -42,7 +42,7 @@ def test_the_code_does_what_its_comments_say(names):
     z2 = np.repeat(names["z"], 2, axis=1)
     plane = names["mpt"].KalmanFilter(names["plane"]).filter(z2)
     np.testing.assert_allclose(names["separate"].filter(z2), plane, rtol=1e-12)
-    assert names["ahead"].shape == (5, 2)
+    assert names["later"].shape == (5, 2)
     assert names["many"].shape == (100, 2, 1000)
     assert 1 < names["fir"].order < 100
     # 1,000 tracks know the mean of a chi-square of two degrees of freedom to 6 % at each step.
