@@ -19,7 +19,7 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 nb_execution_mode = "off"
 # Verdicts for machines; the full notebooks; names such as P that several classes have.
 suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included", "ref.python"]
-myst_enable_extensions = ["dollarmath"]
+myst_enable_extensions = ["dollarmath", "attrs_inline"]
 default_role = "py:obj"
 add_module_names = False
 autodoc_member_order = "bysource"
