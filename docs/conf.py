@@ -107,6 +107,14 @@ def describe(app, pagename, templatename, context, doctree):
     )
 
 
+def size_pictures(app, doctree):
+    """Give each PNG picture its width and height: the page then does not jump when the picture comes."""
+    for image in doctree.findall(nodes.image):
+        if image["uri"].endswith(".png"):
+            header = (Path(app.srcdir) / image["uri"]).read_bytes()[16:24]
+            image["width"], image["height"] = str(int.from_bytes(header[:4])), str(int.from_bytes(header[4:]))
+
+
 def raw(html):
     """Return HTML as a node."""
     return nodes.raw("", html, format="html")
@@ -157,5 +165,6 @@ def as_tex(formula):
 def setup(app):
     """Connect them."""
     app.connect("doctree-read", name_parts)
+    app.connect("doctree-read", size_pictures)
     app.connect("html-page-context", describe)
     app.connect("autodoc-process-docstring", plain_docstring)

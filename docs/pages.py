@@ -313,16 +313,6 @@ def raw_cell(html):
     return {"cell_type": "markdown", "id": id, "metadata": {}, "source": raw_html(html)}
 
 
-def with_sizes(text):
-    """Return Markdown whose PNG pictures say their width and height, so that a page does not jump when they come."""
-
-    def sized(match):
-        header = (DOCS / match[1]).read_bytes()[16:24]
-        return f"{match[0]}{{width={int.from_bytes(header[:4])}px height={int.from_bytes(header[4:])}px}}"
-
-    return re.sub(r"!\[[^]]*\]\((guide/\w+\.png)\)", sized, text)
-
-
 def raw_html(html):
     """Return HTML as a block of MyST, in which blank lines end nothing."""
     return f"```{{raw}} html\n{html}\n```"
@@ -554,5 +544,3 @@ def write_corrections(env, key, own, about):
 
 if __name__ == "__main__":
     main()
-    guide = BUILD / "source" / "guide.md"
-    guide.write_text(with_sizes(guide.read_text(encoding="utf-8")), encoding="utf-8")

@@ -2,8 +2,8 @@
 
 There are two ways through, and no third:
 
-- Tracks without gaps, at steps of one length, share A_k, B_k and P. They are made once, by the filter's `next_step`,
-  until they no longer change, and `recursion.run` takes all tracks through several steps at a time.
+- Tracks without gaps, at steps of one length, share A_k, B_k and P. Where few of these differ, they are made once, by
+  the filter's `next_step`, and `recursion.run` takes all tracks through several steps at a time.
 - All others have conditions of their own, and are columns (`columns`); a long track is cut into pieces (`partition`).
 """
 
@@ -25,9 +25,9 @@ from .partition import through
 from .recursion import TILE, TILE_OF_COVARIANCES, Step, epochs_at_a_time, lifted, run, tiles
 from .smoothing import smoothed
 
-# A filter keeps the products of its steps for its next call if it has no more steps than this, or converges within
-# them. On the models of 2014 to 2016 it converges within some 50.
-MOST_KEPT = 256
+# A filter makes and keeps at most so many different steps for tracks without gaps; where it has not converged by then,
+# as one without process noise, columns are sooner done. On the models of 2014 to 2016 it converges within some 50.
+MOST_STEPS = 256
 # A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
 CONVERGED = 2e-16
 # Numbers in the covariances of a tile of tracks whose innovations are computed together: 32 MB.
@@ -39,6 +39,13 @@ class Estimates(NamedTuple):
 
     x: Array
     P: Array
+
+
+class SharedSteps(NamedTuple):
+    """The Steps of tracks without gaps, and the products of several of them that `recursion.run` takes."""
+
+    steps: list
+    products: list
 
 
 class Filter(Immutable):
@@ -222,11 +229,12 @@ class RecursiveFilter(Filter):
 
     def _fill(self, x, z):
         self._require_conditions_of(z)
-        if not self._epochs_are_alike:
+        steps = self._shared_steps(len(z), z.shape[2])
+        if steps is None:
             self._fill_from_columns(x, None, z)
             return
         # Filter every track without gaps. A track whose last estimate is NaN had a gap: filter it again, with its gaps.
-        run(self._products(len(z), z.shape[2]), self.model.x0[:, None], z, x)
+        run(steps.products, self.model.x0[:, None], z, x)
         gaps = np.isnan(x[-1]).any(axis=0)
         if gaps.all():
             self._fill_from_columns(x, None, z)
@@ -240,9 +248,10 @@ class RecursiveFilter(Filter):
         self._require_conditions_of(z)
         (N, _, M), n = z.shape, self.model.n
         x = np.empty((N, n, M))
-        if self._epochs_are_alike and not np.isnan(z).any():
-            run(self._products(N, M), self.model.x0[:, None], z, x)
-            P = np.array([step.P for step in self._steps(N)])[..., None]
+        steps = None if np.isnan(z).any() else self._shared_steps(N, M)
+        if steps is not None:
+            run(steps.products, self.model.x0[:, None], z, x)
+            P = np.array([step.P for step in steps.steps])[..., None]
             if not np.isfinite(P[-1]).all():
                 _refuse_overflow()
         else:
@@ -306,15 +315,21 @@ class RecursiveFilter(Filter):
             if not np.isfinite(last).all():
                 _refuse_overflow()
 
-    def _products(self, N, tracks):
-        """Return `lifted` of N steps without gaps. They are kept for the next call, often one for the same numbers."""
-        kept_for, products = vars(self).get("_kept_products", (None, None))
+    def _shared_steps(self, N, tracks):
+        """Return the SharedSteps of tracks without gaps, or None where epochs or too many of their Steps differ.
+
+        They are kept for the next call, often one for the same numbers.
+        """
+        if not self._epochs_are_alike:
+            return None
+        kept_for, kept = vars(self).get("_kept_steps", (None, None))
         if kept_for != (N, tracks):
-            steps = list(self._steps(N))
-            products = lifted(steps, tracks)
-            if N <= MOST_KEPT or steps[-1] is steps[MOST_KEPT - 1]:  # a filter that has converged repeats one Step
-                vars(self)["_kept_products"] = (N, tracks), products
-        return products
+            first = list(self._steps(min(N, MOST_STEPS)))
+            steps = first + first[-1:] * (N - len(first))
+            converged = N <= MOST_STEPS or first[-1] is first[-2]
+            kept = SharedSteps(steps, lifted(steps, tracks)) if converged else None
+            vars(self)["_kept_steps"] = (N, tracks), kept
+        return kept
 
     def _steps(self, N):
         """Yield the Steps of N epochs without gaps. A filter that has converged repeats one object."""

@@ -74,11 +74,19 @@ def _coefficients(motion, lengths, x, P):
     FP = motion.state(P, lengths)
     C = transposed(solved(motion.covariance(P, lengths), FP))
     d = x - np.einsum("ij...,j...->i...", C, motion.state(x, lengths))
-    Q = motion.covariance(np.zeros_like(P), lengths)
     kept = P - product(C, FP)  # (I - C F) P
-    D = kept - product(transposed(motion.state(transposed(kept), lengths)), transposed(C))
-    D += product(product(C, Q), transposed(C))
+    # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero but for the rounding of `kept`, which it takes back.
+    D = kept - product(
+        transposed(motion.state(transposed(kept), lengths)) - _times_noise(motion, lengths, C), transposed(C)
+    )
     return np.moveaxis(C, 2, 0), np.moveaxis(d, 1, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
+
+
+def _times_noise(motion, lengths, C):
+    """Return C Q."""
+    if lengths is None:
+        return transposed((motion.Q @ transposed(C).reshape(len(C), -1)).reshape(C.shape))
+    return product(C, motion.covariance(np.zeros_like(C), lengths))
 
 
 def _advance(step, x, P):

@@ -1,4 +1,7 @@
-"""The Kalman filter and its steady state in 60 digits, to measure doubles against; shares no code with the package."""
+"""The Kalman filter, its steady state and the smoother in 60 digits, to measure doubles against.
+
+It shares no code with the package.
+"""
 
 import mpmath
 import numpy as np
@@ -44,6 +47,17 @@ def kalman(F, H, Q, R, x0, P0, z):
         x = A @ x + B @ exact(np.nan_to_num(z_k))
         steps.append((x, A, B, P, P_p, H @ P_p @ H.T + R))
     return [np.array(each) for each in zip(*steps, strict=True)]
+
+
+def smoothed(F, H, Q, R, x0, P0, z):
+    """The states x (N, n) and covariances P (N, n, n) of all epochs given all of z."""
+    x, _, _, P, P_p, _ = kalman(F, H, Q, R, x0, P0, z)
+    F = exact(F)
+    for k in reversed(range(len(x) - 1)):
+        C = P[k] @ F.T @ _inverse(P_p[k + 1])
+        x[k] += C @ (x[k + 1] - F @ x[k])
+        P[k] += C @ (P[k + 1] - P_p[k + 1]) @ C.T
+    return x, P
 
 
 def steady(F, H, Q, R):

@@ -15,7 +15,8 @@ from scipy.optimize import minimize
 from test_properties import EPS, condition, models, seeds
 
 import mpt_helpers as mpt
-from mpt_helpers import metrics, partition
+from mpt_helpers import metrics, partition, recursive
+from mpt_helpers.recursion import recursion
 
 MAKERS = {"cv": mpt.constant_velocity, "ca": mpt.constant_acceleration}
 few = settings(max_examples=10)
@@ -177,6 +178,26 @@ def test_all_ways_to_an_estimate_agree(model, seed, gaps):
         before = np.vstack([model.x0, alone.x[:-1]])
         expected = z[..., i] - before @ (model.H @ model.F).T
         np.testing.assert_allclose(metrics.innovations(kf, z).values[..., i], expected, rtol=1e-9, atol=1e-8)
+
+
+@pytest.mark.parametrize("make", [mpt.KalmanFilter, mpt.LainiotisFilter])
+def test_a_gain_that_never_settles_takes_a_track_without_gaps_through_columns(make, monkeypatch):
+    """Without process noise no step repeats: 50 times slower one by one, and a Step for each row to keep."""
+    model = replace(mpt.constant_velocity(1.0, 0.0, 0.5), P0=100 * np.eye(2))
+    z = mpt.simulate(model, 3 * recursive.MOST_STEPS, np.random.default_rng(6))[1]
+    one_by_one = make(model).coefficients(len(z))
+    x = recursion(one_by_one.A, one_by_one.B, model.x0, z)
+    taken = []
+    monkeypatch.setattr(
+        make, "next_step", lambda *given, next_step=make.next_step: taken.append(1) or next_step(*given)
+    )
+    kf = make(model)
+    both = kf.estimates(z)
+    sigma = np.sqrt(np.einsum("kii->ki", both.P))
+    assert len(taken) < len(z) / 2
+    assert (np.abs(both.x - x) < 1e-9 * sigma).all()
+    assert (np.abs(both.P - one_by_one.P) < 1e-9 * sigma[:, :, None] * sigma[:, None]).all()
+    assert (np.abs(kf.filter(np.dstack([z, z])) - x[..., None]) < 1e-9 * sigma[..., None]).all()
 
 
 @pytest.mark.parametrize("P0", [0.0, 1.0])

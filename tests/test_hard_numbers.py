@@ -21,6 +21,7 @@ from mpt_helpers import recursion, riccati
 PAGE = Path(__file__).parents[1] / "docs" / "accuracy.md"
 BEGIN, END = "<!-- digits -->\n", "<!-- end of digits -->\n"
 GAPS_BEGIN, GAPS_END = "<!-- gaps -->\n", "<!-- end of gaps -->\n"
+SMOOTHED_BEGIN, SMOOTHED_END = "<!-- smoothed -->\n", "<!-- end of smoothed -->\n"
 CORES = ["Nehalem", "Haswell", "SkylakeX"]  # whose products round otherwise
 SLACK = 1  # of what these measure, for the next machine
 LUCK = 4  # a few entries may round all in one's favour
@@ -193,6 +194,32 @@ def measured_over_gaps(name):
     return result
 
 
+# A model, and how many epochs are missed after the first twenty. Forty epochs are seen in all.
+SMOOTHED = {
+    **{f"{name}, gap of 500": (make(1.0, 0.01, 0.1), 500) for name, make in AXES.items()},
+    **{f"{name}, P0 = {p:g} I": (uncertain(make, p), 20) for p in (1e4, 1e8, 1e12) for name, make in AXES.items()},
+    "ca, Q/R = 1e-10": (replace(mpt.constant_acceleration(1.0, 1e-10, 1.0), P0=1e4 * np.eye(3)), 20),
+}
+OF_SMOOTHED = [f"{name}: {what}" for name in ("Kalman", "Lainiotis") for what in ("x", "P")]
+
+
+@lru_cache
+def measured_smoothed(name):
+    """The digits of the states given all measurements, relative to their standard deviations."""
+    model, gap = SMOOTHED[name]
+    truth = replace(model, P0=np.minimum(model.P0, 100.0))
+    z = mpt.simulate(truth, gap + 40, np.random.default_rng(4))[1]
+    z[20 : 20 + gap] = np.nan
+    x, P = precise.smoothed(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
+    s = deviations(P)
+    result = []
+    for make in (mpt.KalmanFilter, mpt.LainiotisFilter):
+        found = make(model).smooth(z)
+        result.append(precise.digits(found.x, x, s))
+        result.append(precise.digits(found.P, P, s[:, :, None] * s[:, None, :]))
+    return result
+
+
 def one_after_the_other(each, z):
     x, P, states = each.model.x0, each.P0, []
     for z_k in z:
@@ -211,6 +238,18 @@ def test_as_many_digits_hold_over_long_gaps_as_stated(name):
 
 def test_the_page_states_every_long_gap():
     assert list(stated(GAPS_BEGIN, GAPS_END)) == list(LONG_GAPS)
+
+
+@pytest.mark.parametrize("name", SMOOTHED)
+def test_as_many_digits_of_the_smoother_hold_as_stated(name):
+    given = dict(zip(SMOOTHED, stated(SMOOTHED_BEGIN, SMOOTHED_END).values(), strict=True))[name]
+    for column, digits, least in zip(OF_SMOOTHED, measured_smoothed(name), given, strict=True):
+        assert least == 0 or least <= digits, f"{column}: {digits:.1f} digits, {least} stated"
+        assert least == MOST or digits < least + SLACK + LUCK, f"{column}: {digits:.1f} digits, {least} stated"
+
+
+def test_the_page_states_every_smoothed_model():
+    assert list(stated(SMOOTHED_BEGIN, SMOOTHED_END)) == list(SMOOTHED)
 
 
 def stated(begin=BEGIN, end=END):
@@ -285,16 +324,23 @@ def test_several_steps_in_one_product_lose_no_digits(monkeypatch, name):
         assert digits(L) >= one - SLACK
 
 
+TABLES = (
+    (MODELS, COLUMNS, BEGIN, END),
+    (LONG_GAPS, OF_GAPS, GAPS_BEGIN, GAPS_END),
+    (SMOOTHED, OF_SMOOTHED, SMOOTHED_BEGIN, SMOOTHED_END),
+)
+
+
 def write_page():
     """Write the table: what the worst of several kinds of processor reaches, less the slack."""
     here = str(Path(__file__).resolve())
     command = [sys.executable, here, "measure"]
     every = [json.loads(subprocess.check_output(command, env=os.environ | {"OPENBLAS_CORETYPE": c})) for c in CORES]
     text = PAGE.read_text(encoding="utf-8")
-    for names, columns, begin, end in ((MODELS, COLUMNS, BEGIN, END), (LONG_GAPS, OF_GAPS, GAPS_BEGIN, GAPS_END)):
+    for names, columns, begin, end in TABLES:
         lines = ["| model | " + " | ".join(columns) + " |", "|---|" + "---:|" * len(columns)]
         for name in names:
-            worst = np.min([each[name] for each in every], axis=0)
+            worst = np.min([each[f"{begin}{name}"] for each in every], axis=0)
             cells = [str(int(np.clip(np.floor(digits - SLACK), 0, MOST))) for digits in worst]
             lines.append("| " + " | ".join([name, *cells, *["-"] * (len(columns) - len(cells))]) + " |")
         before, rest = text.split(begin)
@@ -304,7 +350,8 @@ def write_page():
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["measure"]:
-        every = {name: measured(name) for name in MODELS} | {name: measured_over_gaps(name) for name in LONG_GAPS}
-        print(json.dumps(every))
+        ways = (measured, measured_over_gaps, measured_smoothed)
+        tables = zip(TABLES, ways, strict=True)
+        print(json.dumps({f"{begin}{name}": way(name) for (names, _, begin, _), way in tables for name in names}))
     else:
         write_page()

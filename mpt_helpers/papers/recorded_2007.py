@@ -286,19 +286,9 @@ def with_lasting(r, sigma, tau):
     return KalmanFilter(lasting_error(axis, sigma=sigma, tau=tau))
 
 
-def with_a_gap(z):
-    """Return measurements (N, m) without the one in the middle: a track with a gap is filtered in pieces, side by side.
-
-    One without gaps takes its steps one after the other, 50 times slower if the gain never settles, as with q = 0.
-    """
-    z = z.copy()
-    z[len(z) // 2] = np.nan
-    return z
-
-
 def fit_lasting(errors):
     """Return the `Fit` of `with_lasting` to errors (N,), from the measurements alone: the true position is not used."""
-    return fit(with_lasting, with_a_gap(errors[:, None]), r=0.1 * errors.var(), sigma=errors.std(), tau=1800.0)
+    return fit(with_lasting, errors[:, None], r=0.1 * errors.var(), sigma=errors.std(), tau=1800.0)
 
 
 class Judged(NamedTuple):
