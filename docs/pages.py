@@ -214,7 +214,7 @@ def home_page(given, about):
     values = [each for each in given if each.kind != "claim"]
     numbers["table4"] = next(each.words["wrong"] for each in choices if each.name == "table4")
     return {
-        "short": {name: unbroken(about["home"][name].format(**numbers)) for name in ("hold", "cost", "take", "run")},
+        "short": {name: unbroken(about["home"][name].format(**numbers)) for name in ("hold", "cost", "take")},
         "choice": [{name: unbroken(text.format(**filters)) for name, text in row.items()} for row in about["choice"]],
         "metres": [said(each) for each in metres],
         "choices": [said(each) for each in choices],

@@ -269,7 +269,7 @@ def test_the_short_answers_are_those_of_the_sections(visit, records):
     page = visit("index.html", 390)
     hold, cost, take, run = page.locator(".short dd").all_inner_texts()
     claims = [row["verdict"] for row in records if row["kind"] == "claim"]
-    assert f"{claims.count('reproduced')} of {len(claims)}, and {claims.count('holds in part')} in part" in hold
+    assert f"Of {len(claims)} claims {claims.count('reproduced')} do, {claims.count('holds in part')} in part" in hold
     first = page.locator("#mistakes li").first.inner_text()
     what, metres = re.match(r"(.*?) \(.*?\): ([\d.]+\sm) ", first).groups()
     assert cost.startswith(f"{what}: {metres}")
@@ -650,8 +650,8 @@ def test_each_scene_takes_one_tap_and_says_what_the_package_says(visit, scene, w
     assert page.locator(".sensor .said").inner_text() == break_sensor.said(scene)
     numbers = break_sensor.numbers(break_sensor.SCENES[scene], break_sensor.average())
     for name in ("kalman", "constant", "fir"):
-        assert page.locator(f".cards .{name} b").inner_text() == f"{numbers[name]:.2f} m"
-    assert page.locator(".cards .kalman span").inner_text() == f"states {numbers['states']:.2f} m"
+        assert page.locator(f".cards .{name} b").inner_text() == f"{numbers[name]:.2f} m rms"
+    assert page.locator(".cards .kalman span").inner_text() == f"claims {numbers['states']:.2f} m"
     seen = break_sensor.run(break_sensor.SCENES[scene], break_sensor.average())
     red = page.locator(".board .outside").get_attribute("d").count("M")
     assert red == (np.abs(seen.kalman) > 2 * seen.sigma).sum()

@@ -161,7 +161,7 @@ if (stage) {
       const [first, last] = gap(), count = last - first + 1;
       if (last === N) name = "open";
       else Object.assign(words, { missing: `${count} missing fix${count > 1 ? "es" : ""}`, jump: seen.gain[last].toFixed(2), kalman: size(seen.kalman[last]),
-        constant: size(seen.constant[last]), sigma: seen.sigma[last].toFixed(2), sigma_constant: seen.sigmaConstant[last].toFixed(2) });
+        constant: size(seen.constant[last]), fir: Number.isFinite(seen.fir[last]) ? `${size(seen.fir[last])} m` : "not full yet", sigma: seen.sigma[last].toFixed(2), sigma_constant: seen.sigmaConstant[last].toFixed(2) });
     }
     words.band = size(2 * seen.sigma[N - 1]);
     if (name === "outlier") {
@@ -193,13 +193,14 @@ if (stage) {
     parts.push(`<path class="truth" d="M${LEFT} ${down(0)}H${width - RIGHT}"/>`);
     const outside = fixes.filter((fix, i) => Math.abs(seen.kalman[i]) > 2 * seen.sigma[i]);
     parts.push(`<path class="outside" d="${outside.map((fix) => `M${(across(fix) - column / 2).toFixed(1)} ${down(0)}h${column.toFixed(1)}`).join("")}"/>`);
-    parts.push(line("fir", seen.fir, seen.order - 1), line("constant", seen.constant), line("kalman", seen.kalman));
+    parts.push(line("constant", seen.constant), line("kalman", seen.kalman), line("fir", seen.fir, seen.order - 1));
     for (const fix of fixes) {
       const kind = state.lost.has(fix) ? "missing" : state.pulled.has(fix) ? "pulled" : "fix";
       parts.push(`<circle class="${kind}" data-fix="${fix}" cx="${across(fix).toFixed(1)}" cy="${down(seen.off[fix - 1]).toFixed(1)}" r="${kind === "pulled" ? 4 : 2.3}"/>`);
     }
-    parts.push(text(LEFT + 4, TOP + 13, "metres off the truth", { name: "title" }));
+    parts.push(text(LEFT + 4, TOP + 13, "metres off the truth (red: outside the band)", { name: "title" }));
 
+    parts.push(text(across(7), HIGH + 6, "gain: share of a new fix", { name: "title" }));
     for (const level of [0, 1]) parts.push(text(LEFT - 5, lower(level) + 4, level, { anchor: "end" }));
     seen.gain.forEach((gain, i) => {
       if (gain === null) return;
@@ -234,8 +235,8 @@ if (stage) {
     const values = { kalman: [seen.kalman, seen.sigma], constant: [seen.constant, seen.sigmaConstant], fir: [seen.fir, null] };
     for (const [kind, [error, sigma]] of Object.entries(values)) {
       const card = stage.querySelector(`.cards .${kind}`), pick = (each) => seen.counted.length ? `${rms(seen.counted.map((i) => each[i])).toFixed(2)} m` : "–";
-      card.querySelector("b").textContent = pick(error);
-      card.querySelector("span").textContent = sigma ? `states ${pick(sigma)}` : "states nothing";
+      card.querySelector("b").textContent = `${pick(error)} rms`;
+      card.querySelector("span").textContent = sigma ? `claims ${pick(sigma)}` : "claims nothing";
     }
     stage.querySelector(".cards .fir i").textContent = `FIR, last ${seen.order}`;
     const sentence = said(seen), box = stage.querySelector(".said");

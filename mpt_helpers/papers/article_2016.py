@@ -167,7 +167,7 @@ def draw_length(seed=2016):
     panel.set_yticks([0.01, 1, 100], ["0.01", "1", "100"])
     panel.minorticks_off()
     plots.finish(
-        panel, "how many times as plausible you find 100 steps as 10,000", "odds of percent, if one rule made both"
+        panel, "how many times as plausible you find 100 steps as 10,000", "odds of percent: same axis, same steps"
     )
     fig.legend(*ax["percent"].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return fig

@@ -69,7 +69,7 @@ SCENES = {
 SENTENCES = {
     "whole": "Every fix is there. After the start Kalman’s gain is the constant gain, and the three lines are one.",
     "gap": "After {missing} Kalman trusts its own guess less: its gain jumps from {rest} to {jump}, and one fix brings "
-    "it to {kalman} m. The constant gain stays at {rest}: {constant} m. On average: {sigma} and {sigma_constant} m. "
+    "it to {kalman} m. The constant gain stays at {rest}: {constant} m (FIR: {fir}). Over many tracks: {sigma} and {sigma_constant} m. "
     "At the start the gain jumps for the same reason.",
     "open": "After the last fix all three filters can only predict: the band opens to ± {band} m.",
     "outlier": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "
@@ -271,6 +271,7 @@ def said(name):
         first = max(scene.lost)
         words |= {"missing": f"{len(scene.lost)} missing fixes", "jump": f"{seen.gain[first]:.2f}"}
         words |= {"kalman": f"{abs(seen.kalman[first]):.1f}", "constant": f"{abs(seen.constant[first]):.1f}"}
+        words |= {"fir": f"{abs(seen.fir[first]):.1f} m"}
         words |= {"sigma": f"{seen.sigma[first]:.2f}", "sigma_constant": f"{seen.sigma_constant[first]:.2f}"}
     for fix, off in scene.pulled.items():
         words |= {"fix": fix, "off": f"{off:.1f}", "share": f"{seen.gain[fix - 1]:.2f}"}
@@ -344,9 +345,9 @@ def draw(name):
     top = ax["error"]
     top.fill_between(k, seen.kalman - 2 * seen.sigma, seen.kalman + 2 * seen.sigma, color="C0", alpha=0.2, lw=0)
     top.axhline(0, color="black", lw=1)
-    top.plot(k, seen.fir, ":", color="C3", label="FIR")
     top.plot(k, seen.constant, color="C1", label="constant gain")
     top.plot(k, seen.kalman, color="C0", label="Kalman, ± 2σ")
+    top.plot(k, seen.fir, ":", color="C3", label="FIR")
     top.plot(k, measured, "o", color="black", ms=2.5, label="fixes")
     top.set_ylim(-REACH, REACH)
     plots.finish(top, "", "metres off the truth")
