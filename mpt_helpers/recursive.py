@@ -21,13 +21,15 @@ from . import checks
 from .checks import Array
 from .columns import Motion, Rows, product_for_covariances
 from .model import Immutable, LinearModel
-from .partition import through
+from .partition import MOST_TRACKS, through
 from .recursion import TILE, TILE_OF_COVARIANCES, Step, epochs_at_a_time, lifted, run, tiles
 from .smoothing import smoothed
 
 # A filter makes and keeps at most so many different steps for tracks without gaps; where it has not converged by then,
 # as one without process noise, columns are sooner done. On the models of 2014 to 2016 it converges within some 50.
 MOST_STEPS = 256
+# Of a few tracks, which are cut into pieces as columns. Measured.
+MOST_STEPS_OF_FEW = 64
 # A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
 CONVERGED = 2e-16
 # Numbers in the covariances of a tile of tracks whose innovations are computed together: 32 MB.
@@ -324,9 +326,10 @@ class RecursiveFilter(Filter):
             return None
         kept_for, kept = vars(self).get("_kept_steps", (None, None))
         if kept_for != (N, tracks):
-            first = list(self._steps(min(N, MOST_STEPS)))
+            most = MOST_STEPS if tracks > MOST_TRACKS else MOST_STEPS_OF_FEW
+            first = list(self._steps(min(N, most)))
             steps = first + first[-1:] * (N - len(first))
-            converged = N <= MOST_STEPS or first[-1] is first[-2]
+            converged = N <= most or first[-1] is first[-2]
             kept = SharedSteps(steps, lifted(steps, tracks)) if converged else None
             vars(self)["_kept_steps"] = (N, tracks), kept
         return kept

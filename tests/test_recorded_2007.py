@@ -337,11 +337,23 @@ def test_the_first_screen_says_what_the_recordings_do(cases, cells):
         fix, smooth = recorded.size(case.errors[99:]), recorded.size(case.smooth[99:])
         line, both = (recorded.size(recorded.newest_points(e, 100)) for e in (case.errors, case.smooth))
         assert smooth < min(fix, line)  # it removed what averaging can remove
-        assert both > smooth  # a line afterwards gained nothing
-    low, high = map(
-        float, re.search(r"error over stated after 50 minutes ([\d.]+) to ([\d.]+)", printed(cells[0])).groups()
-    )
-    assert f"{low:.0f} to {high:.0f} times as wrong as it stated" in first
+        assert both > smooth  # a line afterwards lost some of it
+    found = re.findall(r"(?:white|tuned): error over stated after 50 minutes ([\d.]+) to ([\d.]+)", printed(cells[0]))
+    low, high = min(float(low) for low, _ in found), max(float(high) for _, high in found)
+    assert f"{low:.0f} to {high:.0f} times as wrong as it stated after 50 minutes" in first
+
+
+def test_a_filter_that_is_tuned_to_its_innovations_is_wrong(cells):
+    """Its NIS is right, its NEES is not: said with the numbers that the cells print."""
+    nis, nees = re.search(r"tuned: .*; NIS ([\d.]+ to [\d.]+), NEES (\d+ to \d+)\n", printed(cells[0])).groups()
+    text = "".join(source(cell) for cell in cells[0])
+    assert f"*Tuned* has one of {nis}, and a NEES of {nees}" in text
+
+
+def test_the_mean_of_fixes_at_rest_is_compared_with_one(cases):
+    errors = np.random.default_rng(8).standard_normal((5000, 3))
+    assert recorded.mean_ratio(errors, 25) == pytest.approx(1 / 5, rel=0.1)  # 600 independent errors: 4 %
+    assert recorded.mean_ratio(np.cumsum(errors, axis=0), 2) == pytest.approx(1, abs=1e-3)  # errors that last
 
 
 def test_the_verdicts_are_the_same_with_the_stations_exchanged(cells, monkeypatch):

@@ -3,6 +3,8 @@
 import numpy as np
 
 from .. import plots
+from ..lasting import lasting_error
+from ..metrics import rms
 from . import recorded_2007 as recorded
 from .positioning import line_sigma
 
@@ -55,7 +57,7 @@ def draw_stated(cases, filtered):
     fig, ax = plots.panels([names[i : i + 2] for i in range(0, len(names), 2)], height=2.5)
     minutes = 0.5 * np.arange(1, recorded.WINDOW + 1)
     for name, each in filtered.items():
-        for judged, colour, label in ((each.white, "C1", "independent errors"), (each.aware, "C0", "error state")):
+        for judged, colour, label in ((each.white, "C1", "white"), (each.aware, "C0", "aware")):
             error, stated = (
                 np.sqrt(np.sum(np.square(axes), axis=0)) for axes in zip(*[j[:2] for j in judged], strict=True)
             )
@@ -70,13 +72,16 @@ def draw_stated(cases, filtered):
 def remedies(cases):
     """Return a row for each case: the error (m) of one fix, of a line through 100, carrier-smoothed, and both.
 
-    Behind that of the line stands, in brackets, its ratio to that of one fix.
+    Behind that of the line stands, in brackets, its ratio to that of one fix, and before it that ratio of the mean.
     """
     n, rows = recorded.WINDOW, []
     for name, case in cases.items():
         line, both = (recorded.size(recorded.newest_points(errors, n)) for errors in (case.errors, case.smooth))
         fix, smooth = recorded.size(case.errors[n - 1 :]), recorded.size(case.smooth[n - 1 :])
-        rows.append([name, f"{fix:.2f}", f"{line:.2f} ({line / fix:.2f})", f"{smooth:.2f}", f"{both:.2f}"])
+        mean = recorded.mean_ratio(case.errors, n)
+        rows.append(
+            [name, f"{fix:.2f}", f"{mean:.2f}", f"{line:.2f} ({line / fix:.2f})", f"{smooth:.2f}", f"{both:.2f}"]
+        )
     return rows
 
 
@@ -99,7 +104,7 @@ def spread(values, form="{:.2f}"):
 
 
 def statements(cases, filtered):
-    """Return a row for each case: true and fitted size of what lasts, its duration, and how right both filters are."""
+    """Return a row for each case: true and fitted size of what lasts, its duration, and how right each filter is."""
     rows = []
     for name, each in filtered.items():
         values = [found.values for found in each.fits]
@@ -109,10 +114,32 @@ def statements(cases, filtered):
             three(value["sigma"] for value in values),
             three((value["tau"] / 60 for value in values), "{:.0f}"),
             three((judged.nees for judged in each.white), "{:.0f}"),
+            three((judged.nees for judged in each.tuned), "{:.0f}"),
             three((judged.nees for judged in each.aware), "{:.1f}"),
             three((100 * judged.within for judged in each.aware), "{:.0f}"),
         ])  # fmt: skip
     return rows
+
+
+def with_ins(cases, filtered):
+    """Return what a simulated INS does for each axis of each case: {"error", "alone", "nees", "aware": (axes,)}.
+
+    error and alone are the rms error of the position over that of a fix, with INS and without (both without an error
+    state); nees is that with INS, aware the NEES with INS and error state.
+    """
+    found = {"error": [], "alone": [], "nees": [], "aware": []}
+    for name, each in filtered.items():
+        for errors, fit, white in zip(cases[name].errors.T, each.fits, each.white, strict=True):
+            model = recorded.ins_model(errors.var())
+            known = lasting_error(
+                recorded.ins_model(fit.values["r"]), (fit.values["sigma"], 0.0), fit.values["tau"], dt=30.0
+            )
+            without, aware = recorded.with_ins(model, errors), recorded.with_ins(known, errors)
+            found["error"].append(without.position / without.fix)
+            found["alone"].append(rms(white.error[recorded.WINDOW // 2 :]) / without.fix)
+            found["nees"].append(without.nees)
+            found["aware"].append(aware.nees)
+    return found
 
 
 def draw_iterations(curves):

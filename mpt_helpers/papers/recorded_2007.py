@@ -265,6 +265,15 @@ def newest_ratio(errors, n):
     return size(newest_points(errors, n)) / size(errors[n - 1 :])
 
 
+def mean_ratio(errors, n):
+    """Return the three-dimensional error of the means of n successive fixes over that of one, from errors (N, 3).
+
+    >>> float(mean_ratio(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), 2))
+    0.0
+    """
+    return size(np.lib.stride_tricks.sliding_window_view(errors, n, axis=0).mean(axis=-1)) / size(errors)
+
+
 def windows(errors, n=WINDOW):
     """Return successive stretches of n errors (N,) as tracks, (n, 1, N // n).
 
@@ -280,6 +289,11 @@ def white(r):
     return KalmanFilter(constant_velocity(dt=30.0, q=0.0, r=r, P0=UNKNOWN))
 
 
+def tracker(q, r):
+    """Return the filter that takes errors for independent, but wanders: constant velocity, process noise q (m²/s³)."""
+    return KalmanFilter(constant_velocity(dt=30.0, q=q, r=r, P0=UNKNOWN))
+
+
 def with_lasting(r, sigma, tau):
     """Return the filter whose model has an error state besides: of sigma metres, that fades within tau seconds."""
     axis = constant_velocity(dt=30.0, q=0.0, r=r, P0=UNKNOWN)
@@ -289,6 +303,11 @@ def with_lasting(r, sigma, tau):
 def fit_lasting(errors):
     """Return the `Fit` of `with_lasting` to errors (N,), from the measurements alone: the true position is not used."""
     return fit(with_lasting, errors[:, None], r=0.1 * errors.var(), sigma=errors.std(), tau=1800.0)
+
+
+def fit_tracker(errors):
+    """Return the `Fit` of `tracker` to errors (N,): what makes its innovations most probable."""
+    return fit(tracker, errors[:, None], q=1e-6, r=errors.var())
 
 
 class Judged(NamedTuple):
@@ -316,13 +335,15 @@ def judged(filter, tracks):
 
 
 class Filtered(NamedTuple):
-    """Three axes of a case: the fits of `fit_lasting`, and both filters `judged` over windows, with and without it.
+    """Three axes of a case: the fits of `fit_lasting`, and three filters `judged` over windows.
 
-    The white filter takes the variance of the fixes for that of independent errors.
+    The white filter takes the variance of the fixes for that of independent errors, the tuned one has the constants of
+    `fit_tracker`, the aware one those of the fits.
     """
 
     fits: tuple
     white: tuple
+    tuned: tuple
     aware: tuple
 
 
@@ -331,8 +352,9 @@ def filtered(case):
     fits = tuple(fit_lasting(errors) for errors in case.errors.T)
     tracks = [windows(errors) for errors in case.errors.T]
     without = tuple(judged(white(errors.var()), each) for errors, each in zip(case.errors.T, tracks, strict=True))
+    tuned = tuple(judged(fit_tracker(errors).filter, each) for errors, each in zip(case.errors.T, tracks, strict=True))
     aware = tuple(judged(found.filter, each) for found, each in zip(fits, tracks, strict=True))
-    return Filtered(fits, without, aware)
+    return Filtered(fits, without, tuned, aware)
 
 
 def half_days(case):
