@@ -33,6 +33,9 @@ VAGUE = math.log(10)
 # Squared distances from the start to the first measurement, in standard deviations: a fit is refused from the first on,
 # and warned of from the second on, since it explains the distance by a wrong q.
 ANOTHER_PLACE, FAR = 1e6, 100.0
+# A start may have been explained by so large a noise that it seems near. Then it is still beyond three standard
+# deviations, where one start in 370 is, and its square stands out from the usual ones, which are a thousandth of it.
+SUSPECT, STANDS_OUT = 9.0, 1000.0
 
 
 class Fit(NamedTuple):
@@ -54,8 +57,8 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
 
     Warns (UserWarning) where log L does not fall as a parameter goes to zero, where a direction is flat, and where the
     first measurements are far from the start of the model, so that the fit explains the distance as motion. Raises
-    ValueError for guesses that are not positive, for a start far from all measurements, and where no guess has a
-    likelihood; TypeError where make returns something else.
+    ValueError for guesses that are not positive, for fewer measurements than parameters, for a start far from all
+    measurements, and where no guess has a likelihood; TypeError where make returns something else.
 
     >>> from mpt_helpers.model import constant_velocity, simulate
     >>> make = lambda q, r: constant_velocity(dt=1.0, q=q, r=r, P0=np.eye(2))
@@ -69,6 +72,9 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     if not start:
         checks.refuse("start", "a first guess of at least one parameter", "none")
     guess = {name: checks.positive(name, value) for name, value in start.items()}
+    count = int(np.isfinite(checks.real_numbers("z", z, "numbers")).sum())
+    if count <= len(guess):
+        checks.refuse("z", f"more measurements than parameters, of which there are {len(guess)}", count)
     _require_a_start_near(_filter(make, guess), z)
     origin = np.log(list(guess.values()))
 
@@ -154,6 +160,8 @@ def _log_errors(surprise, best, known):
         return surprise(moved)
 
     errors = np.full(len(best), math.inf)
+    if len(known) == 0:
+        return errors
     errors[known] = np.sqrt(np.diag(_inverse(_second_differences(of_known, best[known]))))
     return errors
 
@@ -175,7 +183,9 @@ def _require_a_start_near(estimator, z):
 
 def _warn_of_a_start_that_is_far(estimator, z):
     distance = _squared_distance_of_the_start(estimator, z)
-    if distance > FAR:
+    values, S = metrics.innovations(estimator, z)
+    usual = float(np.nanmedian(values**2 / np.einsum("kjj...->kj...", S)))
+    if distance > FAR or distance > max(SUSPECT, STANDS_OUT * usual):
         away = f"{math.sqrt(distance):.0f} standard deviations from what x0 and P0 expect"
         _warn(f"the first measurements are {away}: the fit explains the distance as motion or noise")
 

@@ -329,7 +329,7 @@ class RecursiveFilter(Filter):
             most = MOST_STEPS if tracks > MOST_TRACKS else MOST_STEPS_OF_FEW
             first = list(self._steps(min(N, most)))
             steps = first + first[-1:] * (N - len(first))
-            converged = N <= most or first[-1] is first[-2]
+            converged = most >= N or first[-1] is first[-2]
             kept = SharedSteps(steps, lifted(steps, tracks)) if converged else None
             vars(self)["_kept_steps"] = (N, tracks), kept
         return kept

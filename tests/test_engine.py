@@ -471,6 +471,22 @@ def test_a_fit_says_what_it_does_not_know(name):
     assert [each for each in said if re.search(words, str(each.message))]
 
 
+@pytest.mark.parametrize("away", [50.0, 300.0, 1000.0])
+def test_a_far_start_is_told_even_if_the_noise_takes_it(away):
+    """A variance of the measurements may grow until the start seems near: it stands out from the later ones."""
+    z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(11))[1] + away
+    with pytest.warns(UserWarning, match="the first measurements are"):
+        found = mpt.fit(make_axis, z, q=1.0, r=1.0)
+    if away > 100:
+        assert found.values["r"] > 100
+
+
+def test_a_fit_of_measurements_that_never_change_knows_upper_limits_only():
+    with pytest.warns(UserWarning, match="only an upper limit"):
+        found = mpt.fit(make_axis, np.zeros((30, 1)), q=1.0, r=1.0)
+    assert set(found.log_errors.values()) == {np.inf}
+
+
 def test_what_runs_to_zero_leaves_the_errors_of_the_others():
     x, _ = mpt.simulate(make_axis(0.04, 0.5), 300, np.random.default_rng(15))
     with pytest.warns(UserWarning, match="r: the likelihood does not fall"):
@@ -490,6 +506,7 @@ def test_a_fit_of_what_is_known_says_nothing():
         (lambda z: mpt.fit(make_axis, z + 5e5, q=1.0, r=1.0), ValueError, "make: needs a model whose x0 and"),
         (lambda z: mpt.fit(make_axis, z, q=0.0, r=1.0), ValueError, "q: needs a positive number"),
         (lambda z: mpt.fit(make_axis, z), ValueError, "start: needs a first guess"),
+        (lambda z: mpt.fit(make_axis, z[:2], q=1.0, r=1.0), ValueError, "z: needs more measurements than parameters"),
         (lambda z: mpt.fit(3, z, q=1.0), TypeError, "make: needs a function"),
         (lambda z: mpt.fit(lambda q: q, z, q=1.0), TypeError, "make: needs a Filter"),
     ],
