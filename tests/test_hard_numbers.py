@@ -294,6 +294,29 @@ def test_what_cannot_be_solved_is_refused(model, reason):
         mpt.SteadyStateFilter.from_kalman(model)
 
 
+def three_sensors():
+    """Two states, and three sensors of which one is 1e8 times as precise as the others, at a process noise of 1e7."""
+    G = np.array([[1.86, 0.92], [-0.776, -0.414]]) * np.sqrt([[0.00807], [1.69e7]])
+    W = np.array([[-0.216, -1.28, -3.24], [0.521, -1.04, -0.705], [-0.783, -0.429, -0.483]])
+    s = np.sqrt([27.6, 1.35e-16, 0.973])
+    return mpt.LinearModel(
+        F=[[0.117, 0.47], [0.319, -0.839]],
+        H=[[-0.00809, 0.011], [1.96, -58.7], [215, 198]],
+        Q=G @ G.T,
+        R=(W @ W.T + 0.01 * np.eye(3)) * s[:, None] * s,
+    )
+
+
+@pytest.mark.parametrize("solve", [mpt.SteadyStateFilter.from_kalman, mpt.SteadyStateFilter.from_lainiotis])
+def test_a_steady_state_without_a_digit_is_refused_though_its_equation_holds(solve, monkeypatch):
+    model = three_sensors()
+    with pytest.raises(ValueError, match="in a variance no digit holds"):
+        solve(model)
+    monkeypatch.setattr(riccati, "require_resolved", lambda model, P: None)
+    exact = precise.steady(model.F, model.H, model.Q, model.R)[2].astype(float)
+    assert np.abs(np.diag(solve(model).P) / np.diag(exact) - 1).max() > 0.1
+
+
 LIFTED = {
     name: MODELS[name]
     for name in MODELS
