@@ -221,7 +221,7 @@ def test_a_track_in_pieces_ends_as_a_track_in_one(article, capsys):
     Kn, Km = Q @ H.T / S, F.T @ H.T / S
     Fn, Pn, On = F - Kn @ H @ F, Q - Kn @ H @ Q, Km @ H @ F
     A = Fn @ np.linalg.inv(np.eye(2) + P @ On)
-    return A @ (x + P @ Km @ [z]) + Kn @ [z], Pn + A @ P @ Fn.T""",
+    return A @ (x + P @ Km @ z) + Kn @ z, Pn + A @ P @ Fn.T""",
             "    return x, P",
         ),
         ("exercise-m", "M = 17", "M = 33", "M = 18"),
@@ -273,7 +273,7 @@ def output_of(id):
         (r"is a step late, (nine) σ", "late-test", r"error (8\.9) σ"),
         (r"as good as uncorrelated \(below (0\.02)\)", "late-test", r"innovations (0\.019) at most"),
         (r"After (6) steps from a known start", "close-table", r"very close from step: (7) for 0 I"),
-        (r"(0\.73) mm for each metre", "fir-close", r"at rest: (0\.73) mm short per metre"),
+        (r"(0\.73) mm of the position for each metre", "fir-close", r"at rest: (0\.73) mm short per metre"),
         (r"passes σ at step (270)", "fir-close", r"σ at step (270)"),
         (r"M = (17)\.", "fir-count", r"M = (17)"),
         (r"takes (268) operations \(printed: 108\)", "fir-count", r"model A +108 +(268)"),
@@ -281,10 +281,10 @@ def output_of(id):
         (r"all (125) legible ratios", "table4-origin", r"(125) of 125 legible"),
         (r"With them (71) ratios", "table4-size", r"counted +(71)"),
         (r"wrong: (14) by less than 3 %", "table4-size", r"counted +71 +(14)"),
-        (r"(1191) instead of 1207", "table4-origin", r"JKLF A: \[(1191)\]; Table 3 prints 1207, counted 1207"),
-        (r"(640) instead of 336", "table4-origin", r"JKLF B: \[(640)\]; Table 3 prints 326, counted 336"),
-        (r"(118) \(96\)", "table4-origin", r"JSSKLF A: \[(118)\]; Table 3 prints 96, counted 96"),
-        (r"(98) \(48\)", "table4-origin", r"JSSKLF B: \[(98)\]; Table 3 prints 44, counted 48"),
+        (r"(1191) → 1207", "table4-origin", r"JKLF A: \[(1191)\]; Table 3 prints 1207, counted 1207"),
+        (r"(640) → 336", "table4-origin", r"JKLF B: \[(640)\]; Table 3 prints 326, counted 336"),
+        (r"(118) → 96", "table4-origin", r"JSSKLF A: \[(118)\]; Table 3 prints 96, counted 96"),
+        (r"(98) → 48", "table4-origin", r"JSSKLF B: \[(98)\]; Table 3 prints 44, counted 48"),
         (r"3 %, (27) by more than half", "table4-size", r"counted +71 +14 +(27)"),
     ],
 )

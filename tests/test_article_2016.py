@@ -113,6 +113,7 @@ def test_a_raw_measurement_beats_the_estimate_of_the_paper():
 
 
 def test_the_dashed_curve_falls_though_the_error_grows():
+    says("Dashed, right, falls at first: predictions are divided by later, larger positions")
     percent = table1.settled_averages(COLUMNS["ca"], STEPS)
     assert percent[0] > percent[1] > percent[2] < percent[3]
     assert (np.diff(article.settled_sigma(COLUMNS["ca"], range(6))) > 0).all()

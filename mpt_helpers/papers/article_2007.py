@@ -52,12 +52,16 @@ def draw_recorded(cases):
 
 
 def draw_stated(cases, filtered):
-    """Draw what both filters are wrong by, and what they state, over a window: a panel for each case."""
+    """Draw what three filters are wrong by, and what they state, over a window: a panel for each case."""
     names = list(cases)
     fig, ax = plots.panels([names[i : i + 2] for i in range(0, len(names), 2)], height=2.5)
     minutes = 0.5 * np.arange(1, recorded.WINDOW + 1)
     for name, each in filtered.items():
-        for judged, colour, label in ((each.white, "C1", "white"), (each.aware, "C0", "aware")):
+        for judged, colour, label in (
+            (each.white, "C1", "white"),
+            (each.tuned, "C2", "tuned"),
+            (each.aware, "C0", "aware"),
+        ):
             error, stated = (
                 np.sqrt(np.sum(np.square(axes), axis=0)) for axes in zip(*[j[:2] for j in judged], strict=True)
             )
@@ -65,23 +69,28 @@ def draw_stated(cases, filtered):
             ax[name].plot(minutes, stated, "--", color=colour, label=f"{label}: stated")
         ax[name].set_ylim(0, None)
         plots.finish(ax[name], "minutes", f"{name} (m)")
-    plots.legend_below(ax[names[0]], 2)
+    plots.legend_below(ax[names[0]], 3)
     return fig
 
 
 def remedies(cases):
-    """Return a row for each case: the error (m) of one fix, of a line through 100, carrier-smoothed, and both.
+    """Return a row for each case: the error (m) of one fix, of mean and line of 100, smoothed, and both.
 
-    Behind that of the line stands, in brackets, its ratio to that of one fix, and before it that ratio of the mean.
+    Behind those of mean and line stand, in brackets, their ratios to that of one fix.
     """
     n, rows = recorded.WINDOW, []
     for name, case in cases.items():
         line, both = (recorded.size(recorded.newest_points(errors, n)) for errors in (case.errors, case.smooth))
         fix, smooth = recorded.size(case.errors[n - 1 :]), recorded.size(case.smooth[n - 1 :])
-        mean = recorded.mean_ratio(case.errors, n)
-        rows.append(
-            [name, f"{fix:.2f}", f"{mean:.2f}", f"{line:.2f} ({line / fix:.2f})", f"{smooth:.2f}", f"{both:.2f}"]
-        )
+        ratio = recorded.mean_ratio(case.errors, n)
+        rows.append([
+            name,
+            f"{fix:.2f}",
+            f"{ratio * recorded.size(case.errors):.2f} ({ratio:.2f})",
+            f"{line:.2f} ({line / fix:.2f})",
+            f"{smooth:.2f}",
+            f"{both:.2f}",
+        ])  # fmt: skip
     return rows
 
 

@@ -45,7 +45,7 @@ def kalman_step(x, P, z):
     >>> x.round(3)
     array([0.061, 0.122])
     """
-    return KalmanFilter(AXIS).step(x, P, np.array([z]))
+    return KalmanFilter(AXIS).step(x, P, np.atleast_1d(z))
 
 
 def draw_late():
