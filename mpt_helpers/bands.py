@@ -49,6 +49,9 @@ ROUNDING = 1e-6
 # A share of fewer independent predictions than this is too uncertain to judge a band by: that of 30 has a standard
 # deviation of 4 % where it should be 95 %.
 FEW = 30
+# The horizon of a live band is too short if so many predictions, the first ones, have found no fix within 1.5 horizons.
+# On a track of uneven steps where two of five find one, the first 30 fail by chance once in four million.
+UNCHECKED = 30
 
 
 class Ahead(NamedTuple):
@@ -79,9 +82,10 @@ class Ahead(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """The share of errors inside a band, (m,), and how many of the predictions it rests on are independent."""
+    """The share of errors inside a band, (m,), its standard error, (m,), and on how many independent predictions."""
 
     share: Array
+    error: Array
     independent: int
 
 
@@ -157,11 +161,13 @@ def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Arr
 
 
 def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Coverage:
-    """Return the share of the errors inside the band, on each axis, and how many independent predictions it rests on.
+    """Return the share of the errors inside the band, on each axis, with its standard error, as a Coverage.
 
     a is an Ahead, band the half-widths (K, m), `where` (K,) says which predictions to look at: those made while fast,
     for example. Predictions that overlap in time share most of their errors. Those that do not overlap are counted as
-    independent: the span over the horizon, less the gaps. Below 30 of them the function warns.
+    independent: the span over the horizon, less the gaps. Below 30 of them the function warns. The standard error is
+    that of a share of so many, with two hits and two misses added (Agresti and Coull 1998), so that it is not zero
+    where all of them hit.
 
     Raises ValueError for a band or a `where` of another shape, and where no prediction is left.
 
@@ -169,7 +175,7 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
     >>> a = ahead(kf, np.where(np.arange(64) == 60, 9.0, 0.0)[:, None], seconds=1.0)
     >>> coverage(a, following(a))  # one fix is 9 m off, and the filter with it for a while
-    Coverage(share=array([0.95238095]), independent=63)
+    Coverage(share=array([0.95238095]), error=array([0.0321047]), independent=63)
     """
     band, where = _checked_band(a, band, where)
     errors = np.abs(a.errors[where])
@@ -178,7 +184,9 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     if independent < FEW:
         text = f"coverage: {independent} independent predictions of {a.seconds:g} s are too few to judge a band by"
         warnings.warn(f"{text}, which takes {FEW}", stacklevel=2)
-    return Coverage(np.nanmean(inside, axis=0), independent)
+    share = np.nanmean(inside, axis=0)
+    near = (share * independent + 2) / (independent + 4)
+    return Coverage(share, np.sqrt(near * (1 - near) / (independent + 4)), independent)
 
 
 def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayLike | None = None) -> Array:
@@ -221,7 +229,9 @@ class LiveBand:
     """The band of `following`, fix by fix, beside the `step` of a filter.
 
     estimator is a filter as in `ahead`; `before` and `level` are those of `following`. The band stands around the
-    measurement `seconds` after the fix. `factor` (m,) is f.
+    measurement exactly `seconds` after the fix. That of `following` belongs to the fix which checks the prediction, up
+    to 1.5 times as late: f and c are the same, but where steps are uneven its sigma, and with it the band, is wider.
+    `factor` (m,) is f.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
@@ -251,6 +261,7 @@ class LiveBand:
         self.first = self.model.x0, estimator.P0
         self.times = deque()  # of the fixes within the last horizon
         self.fixes = 0
+        self.unchecked = 0 if before is None else None  # how many predictions could not be checked, None once one could
         self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, number of the fix
 
     @property
@@ -263,7 +274,8 @@ class LiveBand:
 
         z (m,) is the measurement at t, NaN where it is missing or was refused; x (n,) and P (n, n) are the estimate
         after it; r (m,) are the variances of the measurement where it has some of its own. Raises ValueError for
-        another shape, and for a time before the last one.
+        another shape, for a time before the last one, and if none of the first 30 predictions had a fix 1 to 1.5
+        horizons later: then the steps are longer than the horizon, and the band would never learn.
         """
         n, m = self.model.n, self.model.m
         t = checks.number("t", t, "a time in seconds", lambda _: True)
@@ -291,11 +303,21 @@ class LiveBand:
         while self.pending and t - self.pending[0][0] >= self.seconds * (1 - ROUNDING):
             made, x, P, scale, number = self.pending.popleft()
             if t - made > self.seconds * (LATEST + ROUNDING):
+                self._refuse_steps_that_are_too_long(t - made)
                 continue
+            self.unchecked = None
             expected, sigma = self._predicted(x, P, t - made, R)
             error = np.abs(z - expected)
             moved = _gain(self.fixes + 1 - number) * ((error > scale * sigma) - (1 - self.level))
             self.log_f = self.log_f + np.where(np.isnan(error), 0, moved)
+
+    def _refuse_steps_that_are_too_long(self, later):
+        if self.unchecked is None:
+            return
+        self.unchecked += 1
+        if self.unchecked == UNCHECKED:
+            got = f"{self.seconds:g}, and none after the first {UNCHECKED}; the last one came {later:g} s later"
+            checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
 
     def _learn(self, t, z, R):
         """Let the average of the recent innovations learn from the fix z."""

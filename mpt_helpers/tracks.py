@@ -5,6 +5,7 @@ It needs two packages more, the extra `tracks`: pip install "mpt_helpers[tracks]
 
 from __future__ import annotations
 
+import itertools
 import re
 import warnings
 from datetime import UTC, datetime
@@ -23,10 +24,9 @@ class Track(NamedTuple):
     """A segment of a recorded track.
 
     t (N,): times in s since the first fix of the file
-    z (N, 2) or (N, 3): metres east and north of the first fix of the file, and above it; a height is NaN where the file
-    has none
-    origin: latitude and longitude (°) and height (m) of the first fix of the file
-    start: its time
+    z (N, 2) or (N, 3): metres east and north of the origin, and above it; a height is NaN where the file has none
+    origin: latitude and longitude (°) and height (m) that z counts from: the segment's first fix, or the one given
+    start: the time of the first fix of the file
     """
 
     t: Array
@@ -35,17 +35,33 @@ class Track(NamedTuple):
     start: datetime
 
 
-def gpx(path: str | PathLike[str], up: bool = False, skip: bool = False) -> list[Track]:
+def gpx(
+    path: str | PathLike[str],
+    up: bool = False,
+    skip: bool = False,
+    pause: float | None = None,
+    origin: tuple[float, ...] | None = None,
+) -> list[Track]:
     """Return the track segments of a GPX file as a list of Tracks; segments without a fix are left out.
 
     Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
-    together: filter each for itself. With up=True a third column has the heights. Every fix needs a time, later than
-    that of the one before in its segment: an equal time is almost always one fix written twice or the rounding of
-    times, and would count as two independent measurements. skip=True leaves such fixes out and warns how many.
+    together: filter each for itself. With `pause`, a segment is also cut wherever its next fix comes more than so many
+    seconds later. Each segment lies in the plane through its own first fix, where z is 0, since segments may be far
+    apart; `origin`, a latitude, a longitude and, if wanted, a height (m), puts all of them into one plane. With up=True
+    a third column has the heights.
+
+    Every fix needs a time, later than that of the one before in its segment: an equal time is almost always one fix
+    written twice or the rounding of times, and would count as two independent measurements. skip=True leaves such fixes
+    out and warns how many.
 
     Raises ValueError for a file that is no GPX, holds no tracks (routes and waypoints have no times), or has a fix that
-    is not later than the one before or has no time, which is named; ImportError without gpxpy and pymap3d.
+    is not later than the one before or has no time, which is named, for a pause that is not positive and an origin that
+    is none; ImportError without gpxpy and pymap3d.
     """
+    if pause is not None:
+        pause = checks.positive("pause", pause)
+    if origin is not None:
+        origin = _origin(origin)
     import gpxpy
 
     data = Path(path).read_bytes()
@@ -70,8 +86,9 @@ def gpx(path: str | PathLike[str], up: bool = False, skip: bool = False) -> list
             kept.append([points[row] for row in rows])
     if left_out:
         warnings.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase", stacklevel=2)
-    first = kept[0][0]
-    start, origin = _time(first), (first.latitude, first.longitude, first.elevation or 0.0)
+    start = _time(kept[0][0])
+    if pause is not None:
+        kept = [part for points in kept for part in _apart(points, pause)]
     return [_track(points, start, origin, up) for points in kept]
 
 
@@ -80,7 +97,8 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
 
     origin is a latitude, a longitude and, if they are given, a height (m); without one it is the first position. The
     positions lie in the plane that touches the Earth at the origin: 100 km away lengths are 0.01 % too short. NaN
-    stays NaN. Raises ValueError for other shapes and for degrees that are none, ImportError without pymap3d.
+    stays NaN. Raises ValueError for other shapes, degrees that are none and an origin that is none, ImportError without
+    pymap3d.
 
     >>> local([57.0, 57.0009], [9.9, 9.9]).round(1) + 0.0
     array([[  0. ,   0. ],
@@ -92,13 +110,19 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
     (there,) = np.nonzero(np.isfinite(lat) & np.isfinite(lon))
     if not there.size or np.abs(lat[there]).max() > 90 or np.abs(lon[there]).max() > 360:
         checks.refuse("lat, lon", "degrees of at most 90 and 360", "others: none, metres, or the two exchanged")
-    if origin is None:
-        origin = lat[there[0]], lon[there[0]]
+    lat_0, lon_0, height = _origin((lat[there[0]], lon[there[0]]) if origin is None else origin)
     import pymap3d
 
-    height = origin[2] if len(origin) == 3 else 0.0
-    east, north, _ = pymap3d.geodetic2enu(lat, lon, height, origin[0], origin[1], height)
-    return np.column_stack([east, north])
+    east, north, _ = pymap3d.geodetic2enu(lat, lon, height, lat_0, lon_0, height)
+    return np.column_stack([east, north]) + 0.0  # without -0.0
+
+
+def _origin(origin):
+    """Return an origin as latitude, longitude and height, 0 m where it has none."""
+    values = np.ravel(checks.real_numbers("origin", origin, "a latitude and a longitude")).astype(float)
+    if len(values) not in (2, 3) or not np.isfinite(values).all() or abs(values[0]) > 90 or abs(values[1]) > 360:
+        checks.refuse("origin", "a latitude, a longitude (°) and, if wanted, a height (m)", f"{origin!r:.60}")
+    return (*values[:2].tolist(), float(values[2]) if len(values) == 3 else 0.0)
 
 
 def _in_order(points):
@@ -121,7 +145,18 @@ def _time(point):
     return point.time.replace(tzinfo=UTC) if point.time.tzinfo is None else point.time
 
 
+def _apart(points, pause):
+    """Return the fixes of a segment in parts, cut where the next fix comes more than a pause (s) later."""
+    times = [_time(point) for point in points]
+    steps = [(later - time).total_seconds() for time, later in itertools.pairwise(times)]
+    cuts = [0, *(row + 1 for row, step in enumerate(steps) if step > pause), len(points)]
+    return [points[begin:end] for begin, end in itertools.pairwise(cuts)]
+
+
 def _track(points, start, origin, up):
+    """Return fixes as a Track; without an origin it is the first of them."""
+    first = points[0]
+    origin = (first.latitude, first.longitude, first.elevation or 0.0) if origin is None else origin
     t = np.array([(_time(point) - start).total_seconds() for point in points])
     z = local([point.latitude for point in points], [point.longitude for point in points], origin)
     if up:

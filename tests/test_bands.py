@@ -133,13 +133,37 @@ def test_the_live_band_is_that_of_the_whole_track(seconds, level):
     band = following(a, before=earlier, level=level)
     live = LiveBand(kf, seconds, before=earlier, level=level)
     stepped = [live.step(*fix) for fix in zip(t, z, e.x, e.P, strict=True)]
-    exact = np.abs(a.due - a.made - seconds) < 1e-9  # others are checked a little later than the live band looks
+    exact = np.abs(a.due - a.made - seconds) < 1e-9
     assert exact.sum() > 100
     for k in np.flatnonzero(exact):
         now = stepped[a.row[k]]
         there = np.isfinite(a.errors[k])
         np.testing.assert_allclose(now.half_width, band[k], rtol=1e-9)
         np.testing.assert_allclose((z[a.due_row[k]] - now.position)[there], a.errors[k][there], atol=1e-9)
+    # The other predictions are checked later than the live band looks: by the sigma of that time their bands agree too.
+    assert (~exact).sum() > 10 or seconds == 1.0
+    for k in np.flatnonzero(~exact):
+        row = a.row[k]
+        axis = mpt.constant_velocity(dt=seconds, q=0.05, r=0.5)
+        plane = mpt.stack(axis, axis)
+        sigma = np.sqrt(np.diag(plane.H @ (plane.F @ e.P[row] @ plane.F.T + plane.Q) @ plane.H.T + plane.R))
+        np.testing.assert_allclose(stepped[row].half_width, band[k] * sigma / a.sigma[k], rtol=1e-9)
+        assert (stepped[row].half_width < band[k]).all()
+
+
+def test_the_live_band_refuses_steps_that_are_longer_than_its_horizon():
+    kf = mpt.KalmanFilter(AXIS)
+
+    def steps(times, before=None):
+        live = LiveBand(kf, 10.0, before=before)
+        return [live.step(t, [0.0], AXIS.x0, AXIS.P0) for t in times]
+
+    with pytest.raises(ValueError, match=r"seconds: needs a horizon with fixes .* got 10, and none .* 98 s later"):
+        steps(98.0 * np.arange(31))
+    assert len(steps(98.0 * np.arange(30))) == 30
+    late = 98.0 * np.arange(1, 40)
+    assert len(steps([0.0, 12.0, *late])) == 41  # one could be checked: what follows are gaps
+    assert len(steps(late, before=ahead(kf, np.zeros((30, 1)), 10.0))) == 39
 
 
 def test_the_live_band_takes_the_accuracy_of_each_fix():
@@ -272,6 +296,7 @@ def test_predictions_that_overlap_are_not_independent():
     a = an_ahead(np.zeros((600, 1)), lag=10)
     assert coverage(a, a.sigma).independent == 60
     assert coverage(a, a.sigma, where=np.arange(600) % 100 < 50).independent == 30
+    np.testing.assert_allclose(coverage(a, a.sigma).error, np.sqrt(62 * 2 / 64**3))  # (60 + 2) of (60 + 4) are hits
     row = np.tile(np.arange(300), 2)
     two = a._replace(made=row * 1.0, due=row + 10.0, track=np.repeat([0, 1], 300))
     assert coverage(two, two.sigma).independent == 60

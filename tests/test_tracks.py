@@ -32,15 +32,61 @@ def written(tmp_path):
     return write
 
 
-def test_segments_stay_apart_in_seconds_and_metres_of_one_origin(written):
-    path = written([fix(10), fix(12.5, lat=57.001)], [], [fix(60, lon=9.91)])
+def test_segments_stay_apart_in_seconds_of_one_start_and_metres_from_their_own_first_fix(written):
+    path = written([fix(10), fix(12.5, lat=57.001)], [], [fix(60, lon=9.91, ele=30), fix(61, lat=57.001, lon=9.91)])
     first, second = tracks.gpx(path)
     np.testing.assert_array_equal(first.t, [0, 2.5])
-    np.testing.assert_array_equal(second.t, [50])
-    np.testing.assert_allclose(first.z, [[0, 0], [0, 111.36]], atol=0.01)
-    np.testing.assert_allclose(second.z, [[607.72, 0.04]], atol=0.01)
-    assert first.origin == second.origin == (57.0, 9.9, 0.0)
-    assert first.start == datetime(2024, 5, 3, 12, 0, 10, tzinfo=UTC)
+    np.testing.assert_array_equal(second.t, [50, 51])
+    for track in (first, second):
+        np.testing.assert_allclose(track.z, [[0, 0], [0, 111.36]], atol=0.01)
+        assert track.start == datetime(2024, 5, 3, 12, 0, 10, tzinfo=UTC)
+    assert first.origin == (57.0, 9.9, 0.0)
+    assert second.origin == (57.0, 9.91, 30.0)
+
+
+@pytest.mark.parametrize("height", [0.0, 30.0])
+def test_an_origin_that_is_given_puts_all_segments_into_one_plane(written, height):
+    path = written([fix(10, ele=40), fix(12.5, lat=57.001)], [fix(60, lon=9.91)])
+    given = (57.0, 9.9, height) if height else (57.0, 9.9)
+    first, second = tracks.gpx(path, origin=given, up=True)
+    np.testing.assert_allclose(first.z[:, :2], [[0, 0], [0, 111.36]], atol=0.01)
+    np.testing.assert_allclose(second.z[:, :2], [[607.72, 0.04]], atol=0.01)
+    np.testing.assert_array_equal(first.z[:, 2], [40 - height, np.nan])
+    assert first.origin == second.origin == (57.0, 9.9, height)
+
+
+def test_segments_2000_km_apart_have_the_same_metres_as_alone(written):
+    far = [fix(60, lat=40.0, lon=-3.0), fix(61, lat=40.05, lon=-2.9)]
+    (_, second), (alone,) = tracks.gpx(written([fix(0)], far)), tracks.gpx(written(far))
+    np.testing.assert_array_equal(second.z, alone.z)
+    length = np.hypot(*np.diff(tracks.gpx(written([fix(0)], far), origin=(57.0, 9.9))[1].z, axis=0)[0])
+    assert length < 0.99 * np.hypot(*alone.z[1])  # in the plane of another place
+
+
+def test_a_segment_is_cut_where_nothing_came_for_longer_than_a_pause(written):
+    times = [0, 1, 61, 62, 122.5, 123]
+    path = written([fix(time, lon=9.9 + row / 1000) for row, time in enumerate(times)], [fix(200)])
+    parts = tracks.gpx(path, pause=60)
+    assert [part.t.tolist() for part in parts] == [[0, 1, 61, 62], [122.5, 123], [200]]
+    np.testing.assert_allclose([part.z[0] for part in parts], 0, atol=1e-9)
+    assert parts[1].origin == (57.0, 9.904, 0.0)
+    assert [len(part.t) for part in tracks.gpx(path)] == [6, 1]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"pause": 0}, "pause: needs a positive number"),
+        ({"pause": "60"}, "pause: needs a positive number"),
+        ({"origin": (57.0,)}, "origin: needs a latitude, a longitude"),
+        ({"origin": (570.0, 9.9)}, "origin: needs a latitude, a longitude"),
+        ({"origin": (57.0, np.nan)}, "origin: needs a latitude, a longitude"),
+        ({"origin": "Aalborg"}, "origin: needs a latitude and a longitude"),
+    ],
+)
+def test_a_pause_or_an_origin_that_is_none_is_refused(written, given, said):
+    with pytest.raises((ValueError, TypeError), match=said):
+        tracks.gpx(written([fix(0)]), **given)
 
 
 def test_heights_are_a_column_where_they_are_wanted_and_nan_where_the_file_has_none(written):
