@@ -198,13 +198,12 @@ def _squared_distance_of_the_start(estimator: Filter, z: ArrayLike) -> float:
     """
     if not isinstance(estimator, KalmanFilter):
         return 0.0
-    quiet = replace(estimator.model, Q=np.zeros_like(estimator.model.Q))
-    values, S = metrics.innovations(replace(estimator, model=quiet), z)
-    if np.ndim(z) == 2:
-        values, S = values[..., None], S[..., None]
-    seen = ~np.isnan(values)
+    z = np.asarray(z, dtype=float).reshape(len(z), estimator.model.m, -1)
+    seen = ~np.isnan(z)
     first = seen.any(axis=1).argmax(axis=0)  # of each track
-    tracks = np.arange(len(first))
+    epochs, tracks = np.arange(len(z))[:, None, None], np.arange(len(first))
+    quiet = replace(estimator.model, Q=np.zeros_like(estimator.model.Q))
+    values, S = metrics.innovations(replace(estimator, model=quiet), np.where(epochs == first, z, np.nan))
     squares = values[first, :, tracks] ** 2 / np.einsum("Mjj->Mj", S[first, :, :, tracks])
     return float(np.max(squares, initial=0.0, where=seen[first, :, tracks]))
 

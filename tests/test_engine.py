@@ -382,6 +382,23 @@ def test_a_fit_with_times_of_its_own_whose_first_epochs_are_missed_is_not_refuse
     assert 0.1 < found.values["q"] < 2.0
 
 
+@pytest.mark.parametrize("name", ["KF and SSKF", "LF and KF", "separate"])
+def test_epochs_are_the_estimates_one_after_the_other(name):
+    """Of two filters whose covariances differ, and of axes of which only one has gaps that differ between tracks."""
+    kf, steady = mpt.KalmanFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS)
+    each = {
+        "KF and SSKF": mpt.JoinFilter(kf, steady),
+        "LF and KF": mpt.JoinFilter(mpt.LainiotisFilter(AXIS), kf),
+        "separate": mpt.Separate(kf, kf),
+    }[name]
+    z = mpt.simulate(each.model, 30, np.random.default_rng(21), 3)[1]
+    z[5:9, -1, 1] = np.nan
+    both = each.estimates(z)
+    for k, (x, P) in enumerate(each.epochs(z)):
+        np.testing.assert_allclose(x, both.x[k], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(np.broadcast_to(P, both.P[k].shape), both.P[k], rtol=1e-9, atol=1e-12)
+
+
 def test_separate_filters_with_times_step_by_dt():
     axis = start(mpt.constant_velocity)
     t = np.array([0.0, 0.5, 2.0])

@@ -11,6 +11,7 @@ from conftest import AXIS, dense_model
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
 import mpt_helpers as mpt
+from mpt_helpers import recursion
 from mpt_helpers.columns import KalmanColumns
 from mpt_helpers.equations import unit_measurements
 
@@ -368,3 +369,11 @@ def test_the_order_of_a_slow_fir_filter_is_found_at_once():
     start = time.process_time()
     assert mpt.fir_order([[1 - 1e-5]], 1e-3) == 690_773  # ln 1e-3 / ln(1 - 1e-5)
     assert time.process_time() - start < 1
+
+
+def test_blocks_that_share_some_steps_have_products_of_their_own(monkeypatch):
+    monkeypatch.setattr(recursion, "steps_per_product", lambda numbers: 2)
+    first, second, third = (recursion.Step(A * np.eye(1), np.eye(1), np.eye(1)) for A in (0.5, 0.25, 0.125))
+    products = recursion.lifted([first, second, first, third, first, third], tracks=1)
+    assert [W[1, 0] for W in products] == [0.125, 0.0625, 0.0625]
+    assert products[2] is products[1]
