@@ -230,14 +230,14 @@ def test_the_blocks_run_as_they_stand_on_other_tracks(name, tmp_path):
     """From Read to Go live with nothing but the name of the file replaced: nothing is refused, no picture is empty."""
     gpx_file(tmp_path / "other.gpx", OTHER_STEPS[name])
     text = GUIDE.partition("## A small processor")[0].replace("tracks/ride.gpx", str(tmp_path / "other.gpx"))
-    grid = re.search(r"(?ms)^```python\ngrid = .*?^```$", text)[0]
     names, printed, pictures = {}, "", []
-    for part, made in run_guide.run(text.replace(grid, ""), names):
+    for part, made in run_guide.run(text, names):
         if part["name"]:
             pictures.append(part["name"])
         else:
             printed += made
     assert "fit: r" not in printed
+    assert "grid" not in names  # r is known, and stays
     assert "nan" not in printed
     assert pictures == ["look", "band", "smooth"]
     t, z, near = names["t"], names["z"], names["near"]
