@@ -196,6 +196,21 @@ def staged(root):
         yield stage
 
 
+def _kernel_manager(folder):
+    """Return what starts a kernel that is spoken to through files in a folder, or through ports where there are none.
+
+    A port that is free when it is chosen may be another program's when the kernel opens it: then both wait for ever.
+    """
+    from jupyter_client import AsyncKernelManager
+
+    if os.name != "posix":
+        return AsyncKernelManager(kernel_name="python3")
+    file = os.path.join(folder, "kernel.json")
+    return AsyncKernelManager(
+        kernel_name="python3", transport="ipc", connection_file=file, ip=os.path.join(folder, "ipc")
+    )
+
+
 async def _execute(key, notebook, folder, bar):
     """Run a notebook's code cells in a folder, store their outputs in it, and return how many they are.
 
@@ -205,8 +220,10 @@ async def _execute(key, notebook, folder, bar):
     from nbclient.exceptions import CellExecutionError
 
     started = ["none"]  # the ids of the cells so far
+    sockets = TemporaryDirectory(prefix="mpt-")
     client = NotebookClient(
         notebook,
+        km=_kernel_manager(sockets.name),
         timeout=CELL_TIMEOUT,
         kernel_name="python3",
         extra_arguments=["--IPKernelApp.log_level=50"],  # messages below level 50 do not concern the notebook
@@ -230,6 +247,7 @@ async def _execute(key, notebook, folder, bar):
             client.kc.stop_channels()
         if client.km is not None:
             await client.km.shutdown_kernel(now=True)
+        sockets.cleanup()
         atexit.unregister(client._cleanup_kernel)  # which would find no kernel
     return client.code_cells_executed
 

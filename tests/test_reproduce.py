@@ -211,7 +211,7 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, 
     command = [sys.executable, "-c", runs]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         while len(kernels := [path.read_text() for path in signs.iterdir()]) < min(2, os.cpu_count()):
-            assert running.poll() is None
+            assert running.poll() is None, running.communicate()
             time.sleep(0.05)
         running.send_signal(getattr(signal, end))
         _, err = running.communicate(timeout=60)
