@@ -179,9 +179,7 @@ OF_GAPS = [f"{name}: {what}" for name in ("Kalman", "Lainiotis", "joint") for wh
 def measured_over_gaps(name):
     """The digits of estimates and covariances relative to standard deviations: by `estimates` and by `step`."""
     model, gap = LONG_GAPS[name]
-    truth = replace(model, P0=np.minimum(model.P0, 100.0))
-    z = mpt.simulate(truth, gap + 60, np.random.default_rng(3))[1]
-    z[20 : 20 + gap] = np.nan
+    z = with_a_gap(model, gap, seen=60, seed=3)
     x, _, _, P, *_ = precise.kalman(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
     s = deviations(P)
     kf, lf = mpt.KalmanFilter(model), mpt.LainiotisFilter(model)
@@ -207,9 +205,7 @@ OF_SMOOTHED = [f"{name}: {what}" for name in ("Kalman", "Lainiotis") for what in
 def measured_smoothed(name):
     """The digits of the states given all measurements, relative to their standard deviations."""
     model, gap = SMOOTHED[name]
-    truth = replace(model, P0=np.minimum(model.P0, 100.0))
-    z = mpt.simulate(truth, gap + 40, np.random.default_rng(4))[1]
-    z[20 : 20 + gap] = np.nan
+    z = with_a_gap(model, gap, seen=40, seed=4)
     x, P = precise.smoothed(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
     s = deviations(P)
     result = []
@@ -220,6 +216,14 @@ def measured_smoothed(name):
     return result
 
 
+def with_a_gap(model, gap, seen, seed):
+    """Measurements of a track of which so many epochs are seen, and so many missed after the first twenty."""
+    truth = replace(model, P0=np.minimum(model.P0, 100.0))
+    z = mpt.simulate(truth, gap + seen, np.random.default_rng(seed))[1]
+    z[20 : 20 + gap] = np.nan
+    return z
+
+
 def one_after_the_other(each, z):
     x, P, states = each.model.x0, each.P0, []
     for z_k in z:
@@ -228,12 +232,17 @@ def one_after_the_other(each, z):
     return np.array(states)
 
 
+def require_as_stated(columns, measured, given):
+    """Fail where fewer digits hold than are stated, or many more."""
+    for column, digits, least in zip(columns, measured, given, strict=True):
+        assert least == 0 or least <= digits, f"{column}: {digits:.1f} digits, {least} stated"
+        assert least == MOST or digits < least + SLACK + LUCK, f"{column}: {digits:.1f} digits, {least} stated"
+
+
 @pytest.mark.parametrize("name", LONG_GAPS)
 def test_as_many_digits_hold_over_long_gaps_as_stated(name):
     given = dict(zip(LONG_GAPS, stated(GAPS_BEGIN, GAPS_END).values(), strict=True))[name]
-    for column, digits, least in zip(OF_GAPS, measured_over_gaps(name), given, strict=True):
-        assert least == 0 or least <= digits, f"{column}: {digits:.1f} digits, {least} stated"
-        assert least == MOST or digits < least + SLACK + LUCK, f"{column}: {digits:.1f} digits, {least} stated"
+    require_as_stated(OF_GAPS, measured_over_gaps(name), given)
 
 
 def test_the_page_states_every_long_gap():
@@ -243,9 +252,7 @@ def test_the_page_states_every_long_gap():
 @pytest.mark.parametrize("name", SMOOTHED)
 def test_as_many_digits_of_the_smoother_hold_as_stated(name):
     given = dict(zip(SMOOTHED, stated(SMOOTHED_BEGIN, SMOOTHED_END).values(), strict=True))[name]
-    for column, digits, least in zip(OF_SMOOTHED, measured_smoothed(name), given, strict=True):
-        assert least == 0 or least <= digits, f"{column}: {digits:.1f} digits, {least} stated"
-        assert least == MOST or digits < least + SLACK + LUCK, f"{column}: {digits:.1f} digits, {least} stated"
+    require_as_stated(OF_SMOOTHED, measured_smoothed(name), given)
 
 
 def test_the_page_states_every_smoothed_model():
