@@ -197,9 +197,10 @@ def staged(root):
 
 
 def _kernel_manager(folder):
-    """Return what starts a kernel that is spoken to through files in a folder, or through ports where there are none.
+    """Return the manager of a kernel that talks through sockets in a folder; on Windows, through TCP ports.
 
-    A port that is free when it is chosen may be another program's when the kernel opens it: then both wait for ever.
+    Jupyter chooses free ports before the kernel opens them, and another program may take one in between. With ports one
+    run in some twenty, four at a time, waited for ever, probably for that reason.
     """
     from jupyter_client import AsyncKernelManager
 

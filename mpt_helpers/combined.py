@@ -78,7 +78,7 @@ class JoinFilter(Filter):
 
     @property
     def optimal(self) -> bool:
-        """Whether both gains are those of the covariance."""
+        """Say whether both filters' gains follow their covariances."""
         return self.first.optimal and self.second.optimal
 
     def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
@@ -156,7 +156,7 @@ class Separate(Filter):
 
     @property
     def optimal(self) -> bool:
-        """Whether all gains are those of their covariances."""
+        """Say whether all filters' gains follow their covariances."""
         return all(each.optimal for each in self.filters)
 
     def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None) -> tuple[Array, Array]:

@@ -39,7 +39,7 @@ SUSPECT, STANDS_OUT = 9.0, 1000.0
 
 
 class Fit(NamedTuple):
-    """What `fit` found: the values and the standard errors of their natural logarithms, by name, the filter, log L."""
+    """The result of `fit`: values and standard errors of their natural logarithms, both by name, the filter, log L."""
 
     values: dict[str, float]
     log_errors: dict[str, float]

@@ -26,7 +26,7 @@ class _Ahead(Filter):
 
     @property
     def steps_ahead(self) -> int:
-        """How far a prediction lies past its last measurement."""
+        """The number of steps from the last measurement used to the state that is predicted."""
         return self.estimator.steps_ahead + self.steps
 
     @property

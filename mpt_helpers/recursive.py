@@ -203,7 +203,7 @@ class RecursiveFilter(Filter):
 
     @property
     def _epochs_are_alike(self):
-        """Whether all epochs of tracks without gaps have the same conditions."""
+        """Say whether all epochs of tracks without gaps have the same conditions."""
         return True
 
     @property

@@ -4,6 +4,7 @@ import gzip
 import json
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -284,6 +285,22 @@ def test_constants_of_one_half_day_may_be_wrong_on_the_other(cases):
     by_loud = recorded.judged(recorded.fit_lasting(loud).filter, recorded.windows(quiet)).nees
     assert ratio**2 / 2 < by_quiet < 2 * ratio**2
     assert by_loud < 0.2
+
+
+def test_constants_are_exchanged_between_stations_and_not_between_kinds_of_range():
+    """Errors drawn from two models of the size 1 and 3: by each other's constants the NEES is off by the square."""
+    rng = np.random.default_rng(9)
+    cases, filtered = {}, {}
+    for station, sigma in {"a": 1.0, "b": 3.0}.items():
+        for kind in ("one", "two"):
+            made = recorded.with_lasting(0.04 * sigma**2, sigma, 3600.0)
+            x, z = mpt.simulate(made.model, 100, rng, tracks=300)  # joined, a day of 300 windows
+            errors = (z - x[:, :1])[:, 0].T.ravel()[:, None]
+            cases[f"{station}, {kind}"] = SimpleNamespace(kind=kind, errors=errors)
+            filtered[f"{station}, {kind}"] = SimpleNamespace(fits=[SimpleNamespace(filter=made)])
+    found = article.exchanged(cases, filtered)
+    np.testing.assert_allclose(found["NEES"], [1 / 9, 1 / 9, 9, 9], rtol=0.3)  # 300 windows: 8 %; four of it
+    assert article.exchanged({"a, one": cases["a, one"]}, filtered) == {}
 
 
 def test_the_ins_is_expected_over_its_noise():

@@ -48,7 +48,7 @@ class Item:
 
     @property
     def lost(self) -> bool:
-        """Whether our copy of the paper has lost what is printed; it stands as "?" then."""
+        """Say whether the printed text is missing from our copy of the paper; "?" stands for it then."""
         return self.printed == "?"
 
     def agrees(self, value: float) -> bool:

@@ -1,5 +1,7 @@
 """The drawings and tables of the notebook on the paper of 2007: one function for each."""
 
+from itertools import permutations
+
 import numpy as np
 
 from .. import plots
@@ -128,6 +130,25 @@ def statements(cases, filtered):
             three((100 * judged.within for judged in each.aware), "{:.0f}"),
         ])  # fmt: skip
     return rows
+
+
+def exchanged(cases, filtered):
+    """Judge the error state by constants that were fitted to the other stations, for ranges of the same kind.
+
+    Returns {"NEES", "percent within 2σ", "NEES of the white filter": (axes of all pairs,)}. The white filter
+    takes the variance of the other station's fixes. With one station there is nothing to exchange: {}.
+    """
+    found = {"NEES": [], "percent within 2σ": [], "NEES of the white filter": []}
+    for name, other in permutations(cases, 2):
+        if cases[name].kind == cases[other].kind:
+            known = zip(filtered[other].fits, cases[other].errors.T, cases[name].errors.T, strict=True)
+            for fit, elsewhere, errors in known:
+                tracks = recorded.windows(errors)
+                aware = recorded.judged(fit.filter, tracks)
+                found["NEES"].append(aware.nees)
+                found["percent within 2σ"].append(100 * aware.within)
+                found["NEES of the white filter"].append(recorded.judged(recorded.white(elsewhere.var()), tracks).nees)
+    return found if found["NEES"] else {}
 
 
 def with_ins(cases, filtered):

@@ -45,7 +45,7 @@ class Track:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is broken: fixes that are lost, fixes that are pulled away, the sensor's model, its errors, the origin.
+    """A broken sensor: fixes lost, fixes pulled away, a wrong model, errors that last, an origin far away.
 
     lost holds numbers of fixes from 1 on, pulled maps them to metres off the truth. `ahead` feeds the filters of
     H = [1 Δt], which expect the next position, with present ones.
@@ -89,7 +89,7 @@ SEEN = "sees it: mean NIS {nis}, where 1 is right"
 
 @dataclass(frozen=True)
 class Run:
-    """What the filters make of a scene: errors in metres, stated sigmas, gains for the position, Kalman's NIS.
+    """The results of the filters on a scene: errors in metres, stated sigmas, gains for the position, Kalman's NIS.
 
     All are (FIXES,), NaN where there is nothing: gains and NIS of lost fixes, and FIR before its first full window.
     """

@@ -270,7 +270,7 @@ def _require_plausible(name, what, distances):
 
 
 class Track(NamedTuple):
-    """What a filter makes of N epochs of m satellites: estimates X (N, 4) and their covariances P (N, 4, 4).
+    """The result of a filter over N epochs of m satellites: estimates X (N, 4) and their covariances P (N, 4, 4).
 
     innovations (N, m) are measured ranges minus those expected before the epoch, and S (N, m, m) is what the filter
     states of their covariance. Both are NaN where a satellite was not measured.

@@ -21,7 +21,7 @@ RUNS = 2000
 
 
 class Reading(NamedTuple):
-    """What the table may be: a unit, and the process noise of the tracks as a multiple of the filter's."""
+    """A reading of the table: its unit, and the process noise of the tracks as a multiple of the filter's."""
 
     unit: str
     noise: float

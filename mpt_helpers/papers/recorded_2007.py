@@ -311,7 +311,7 @@ def fit_tracker(errors):
 
 
 class Judged(NamedTuple):
-    """What a filter made and stated over windows of errors: error and stated sigma (n,), NEES, share within 2σ, NIS.
+    """A filter judged over windows of errors: its error and stated sigma (n,), NEES, share within 2σ, NIS.
 
     The NEES is that of the position alone: a filter that is right has 1. That of all states would hide it.
     """
@@ -369,7 +369,7 @@ def ins_model(r, q=0.0):
 
 
 class WithIns(NamedTuple):
-    """What a filter of GPS and INS made over windows of recorded errors, rms over their second halves, and stated.
+    """The errors of a filter of GPS and INS over windows of recorded errors, rms over their second halves.
 
     position (m), velocity and bias (m/s) are its errors, fix (m) that of the fixes. stated (m) is its last sigma of the
     position, nees that of the position alone.
