@@ -11,14 +11,16 @@ Two numbers for each axis make the band, a prediction's half-width being f · c 
     c       sqrt(0.2 + 0.8 a), with the recent average a of NIS / m: one where the filter's model is right. A fifth
             stays, so that a mobile at rest does not make the band vanish before it starts.
     f       a factor that follows the misses of its own axis: up by 0.95 gamma after a miss, down by 0.05 gamma after a
-            hit, on the logarithm, for a band of 95 %
+            hit, on the logarithm, for a band of 95 %. An error below a hundredth of sigma is none of either: the
+            mobile rests, and a receiver repeats its position, which says nothing of how it will move on
 
 Both remember as many fixes as fall into one horizon, and at least five: what is learnt is that old when it is used.
 
 The rule for f is quantile tracking, the proportional part of conformal PID control (Angelopoulos, Candes and Tibshirani
-2023). Over T predictions its share of misses differs from 5 % by at most the range of log f over gamma T, whatever the
-mobile does. That holds for any sigma, even for random numbers (`placebo`), so that a right share proves little. What
-tells a good band from a bad one is its `interval_score`, and its `coverage` in states that are known beforehand.
+2023). Over T predictions that count, its share of misses differs from 5 % by at most the range of log f over gamma T,
+whatever the mobile does. That holds for any sigma, even for random numbers (`placebo`), so that a right share proves
+little. What tells a good band from a bad one is its `interval_score`, and its `coverage` in states that are known
+beforehand.
 """
 
 from __future__ import annotations
@@ -42,6 +44,8 @@ SHORTEST_MEMORY = 5
 LOCAL = 0.8
 # A fix further off than this many variances counts as that: one jump does not widen the band for a whole memory.
 CAP = 50.0
+# An error below this part of the sigma stated teaches the factor nothing. A right sigma has 0.8 % of them.
+AT_REST = 0.01
 # A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
 LATEST = 1.5
 # Times that should be one horizon apart may differ by their rounding, in horizons.
@@ -49,8 +53,9 @@ ROUNDING = 1e-6
 # A share of fewer independent predictions than this is too uncertain to judge a band by: that of 30 has a standard
 # deviation of 4 % where it should be 95 %.
 FEW = 30
-# The horizon of a live band is too short if so many predictions, the first ones, have found no fix within 1.5 horizons.
-# On a track of uneven steps where two of five find one, the first 30 fail by chance once in four million.
+# The horizon of a live band is too short if so many fixes, the first ones that could check a prediction, come later
+# than 1.5 horizons after it. On a track of uneven steps where two of five do not, 30 fail by chance once in four
+# million.
 UNCHECKED = 30
 
 
@@ -175,7 +180,7 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
     >>> a = ahead(kf, np.where(np.arange(64) == 60, 9.0, 0.0)[:, None], seconds=1.0)
     >>> coverage(a, following(a))  # one fix is 9 m off, and the filter with it for a while
-    Coverage(share=array([0.95238095]), error=array([0.0321047]), independent=63)
+    Coverage(share=array([0.96825397]), error=array([0.02894597]), independent=63)
     """
     band, where = _checked_band(a, band, where)
     errors = np.abs(a.errors[where])
@@ -261,7 +266,7 @@ class LiveBand:
         self.first = self.model.x0, estimator.P0
         self.times = deque()  # of the fixes within the last horizon
         self.fixes = 0
-        self.unchecked = 0 if before is None else None  # how many predictions could not be checked, None once one could
+        self.unchecked = 0 if before is None else None  # how many fixes came too late, None once one did not
         self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, number of the fix
 
     @property
@@ -274,14 +279,19 @@ class LiveBand:
 
         z (m,) is the measurement at t, NaN where it is missing or was refused; x (n,) and P (n, n) are the estimate
         after it; r (m,) are the variances of the measurement where it has some of its own. Raises ValueError for
-        another shape, for a time before the last one, and if none of the first 30 predictions had a fix 1 to 1.5
-        horizons later: then the steps are longer than the horizon, and the band would never learn.
+        another shape, an infinite measurement, a variance that is not positive where there is one, a time before the
+        last one, and if none of the first 30 fixes that came late enough for a prediction was 1 to 1.5 horizons later:
+        then the steps are longer than the horizon, and the band would never learn.
         """
         n, m = self.model.n, self.model.m
         t = checks.number("t", t, "a time in seconds", lambda _: True)
         z = checks.measurements(np.reshape(z, (1, -1)), m)[0]
         x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
-        R = self.model.R if r is None else np.diag(checks.variances("r", np.reshape(r, (1, -1)), m)[0])
+        checks.no_infinity(z)
+        R = self.model.R
+        if r is not None:
+            seen = ~np.isnan(z)
+            R = np.diag(np.where(seen, checks.variances_of_one("r", r, seen), np.diag(R)))
         if self.last is None:
             self.last = t - self.model.dt, *self.first
         if t < self.last[0]:
@@ -300,23 +310,24 @@ class LiveBand:
 
     def _check(self, t, z, R):
         """Let the factor learn from the predictions that have come due at the fix z."""
+        too_late = 0.0  # by how many seconds this fix came after predictions that it cannot check
         while self.pending and t - self.pending[0][0] >= self.seconds * (1 - ROUNDING):
             made, x, P, scale, number = self.pending.popleft()
             if t - made > self.seconds * (LATEST + ROUNDING):
-                self._refuse_steps_that_are_too_long(t - made)
+                too_late = t - made
                 continue
             self.unchecked = None
             expected, sigma = self._predicted(x, P, t - made, R)
             error = np.abs(z - expected)
             moved = _gain(self.fixes + 1 - number) * ((error > scale * sigma) - (1 - self.level))
-            self.log_f = self.log_f + np.where(np.isnan(error), 0, moved)
+            self.log_f = self.log_f + np.where(error >= AT_REST * sigma, moved, 0)  # and 0 for a NaN
+        if too_late and self.unchecked is not None:
+            self._refuse_steps_that_are_too_long(too_late)
 
     def _refuse_steps_that_are_too_long(self, later):
-        if self.unchecked is None:
-            return
         self.unchecked += 1
         if self.unchecked == UNCHECKED:
-            got = f"{self.seconds:g}, and none after the first {UNCHECKED}; the last one came {later:g} s later"
+            got = f"{self.seconds:g}, and none of {UNCHECKED} fixes came so soon; the last one was {later:g} s later"
             checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
 
     def _learn(self, t, z, R):
@@ -404,18 +415,22 @@ def _gain(fixes):
 def _follow(a, rows, log_f, level, band):
     """Write the half-widths of one track, a slice of rows, to band (K, m); return log f (m,) after the last fix."""
     widths = a.sigma[rows] * a.recent[rows, None]
+    counted = np.abs(a.errors[rows]) >= AT_REST * a.sigma[rows]  # and not a NaN
     made, due, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
     ends = []
     for axis, log_factor in enumerate(log_f.tolist()):
         errors, width = np.abs(a.errors[rows, axis]).tolist(), widths[:, axis].tolist()
+        counts = counted[:, axis].tolist()
         half, checked = [], 0
         for k, row in enumerate(made):
             while checked < k and due[checked] <= row:
-                log_factor += _move(errors[checked], half[checked], fixes[checked], level)
+                if counts[checked]:
+                    log_factor += _move(errors[checked], half[checked], fixes[checked], level)
                 checked += 1
             half.append(math.exp(log_factor) * width[k])
         for k in range(checked, len(made)):
-            log_factor += _move(errors[k], half[k], fixes[k], level)
+            if counts[k]:
+                log_factor += _move(errors[k], half[k], fixes[k], level)
         ends.append(log_factor)
         band[rows, axis] = half
     return np.array(ends)
@@ -423,8 +438,6 @@ def _follow(a, rows, log_f, level, band):
 
 def _move(error, half_width, fixes, level):
     """Return by how much log f moves when a prediction comes due."""
-    if math.isnan(error):
-        return 0.0
     return _gain(fixes) * ((error > half_width) - (1 - level))
 
 

@@ -114,10 +114,17 @@ def real_numbers(name: str, value: object, need: str) -> np.ndarray:
         refuse(name, need, "rows of different lengths")
     if values.dtype == object and hasattr(value, "to_numpy"):
         with suppress(TypeError, ValueError):  # of a column of anything else
-            values = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
+            numbers = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
+            others = np.reshape([not _is_number(each) for each in values.ravel()], values.shape)
+            if np.isnan(numbers[others]).all():  # and not texts, or times with a zone, which have a number too
+                values = numbers
     if values.dtype.kind not in "iuf":
         refuse(name, need, _other_data(values), TypeError)
     return values
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _other_data(values: np.ndarray) -> str:
@@ -125,14 +132,14 @@ def _other_data(values: np.ndarray) -> str:
     kinds = {"m": timedelta, "M": datetime}
     others = [kinds[values.dtype.kind]] if values.dtype.kind in kinds else []
     if values.dtype == object:
-        others = [type(each) for each in values.ravel() if isinstance(each, bool) or not isinstance(each, Real)]
+        others = [type(each) for each in values.ravel() if not _is_number(each)]
         if not others:
             return "numbers as objects (.astype(float) makes an array of numbers)"
         if type(None) in others:
             return "None among its values"
     if timedelta in others:
         return "lengths of time (divided by np.timedelta64(1, 's'), or their total_seconds(), they are numbers)"
-    if datetime in others:
+    if any(issubclass(each, datetime) for each in others):
         return "dates (their differences in seconds are numbers)"
     if others:
         return f"an array of objects of type {others[0].__name__}"
@@ -191,10 +198,10 @@ def measurements(z: object, m: int) -> Array:
         return z.astype(float, copy=False)
 
 
-def no_infinity(z: np.ndarray) -> None:
+def no_infinity(z: np.ndarray, name: str = "z") -> None:
     """Raise a ValueError if one of the measurements is infinite."""
     if np.isinf(z).any():
-        refuse("z", "finite numbers, or NaN where a measurement is missing", "an infinite value")
+        refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
 
 def times(name: str, value: object) -> Array:
@@ -208,6 +215,18 @@ def times(name: str, value: object) -> Array:
     if back.any():
         k = np.argwhere(back)[0][0]
         refuse(name, need, f"{values[k + 1].max():.15g} after {values[k].max():.15g}, in row {k + 1}")
+    return values
+
+
+def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
+    """Return the variances (m,) of one measurement, positive where it is there, as seen (m,) says, or raise."""
+    need = f"a vector of {len(seen)} positive variances"
+    values = real_numbers(name, value, need).astype(float)
+    if values.shape != seen.shape:
+        refuse(name, need, f"shape {values.shape}")
+    there = values[seen]
+    if not (np.isfinite(there) & (there > 0)).all():
+        refuse(name, need, f"{values}")
     return values
 
 

@@ -14,7 +14,7 @@ from . import checks
 from .checks import Array
 from .filters import KalmanFilter, LainiotisFilter
 from .model import LinearModel, stack
-from .recursive import Estimates, Filter, one_measurement, one_state
+from .recursive import Estimates, Filter, RecursiveFilter, one_measurement, one_state
 from .steady import SteadyStateFilter
 
 # Both Riccati equations give one gain to so many digits at least.
@@ -29,7 +29,8 @@ class JoinFilter(Filter):
 
     The papers join the Kalman and the Lainiotis filter, JKLF, and both steady-state filters, JSSKLF. P is the papers'
     formula: it is the covariance of the mean's error only where both give the same estimate. Raises TypeError for
-    anything but two filters, and ValueError where their models differ or one predicts further ahead than the other.
+    anything but two filters, and ValueError where their models, times or variances differ or one predicts further ahead
+    than the other.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
@@ -47,6 +48,7 @@ class JoinFilter(Filter):
         if self.first.model != self.second.model:
             checks.refuse("second", "a filter of the same model as the first", "one of another model")
         _require_equally_far_ahead("second", self.first, self.second)
+        _require_equal_conditions(self.first, self.second)
 
     @property
     def model(self) -> LinearModel:
@@ -223,6 +225,15 @@ def _require_equally_far_ahead(name, first, other):
     if first.steps_ahead != other.steps_ahead:
         need, got = (f"one {each.steps_ahead} steps ahead" for each in (first, other))
         checks.refuse(name, f"{need}, as the first", got)
+
+
+def _require_equal_conditions(first, second):
+    if not (isinstance(first, RecursiveFilter) and isinstance(second, RecursiveFilter)):
+        return  # a filter of filters
+    for name, what in (("t", "times"), ("r", "variances")):
+        a, b = getattr(first, name, None), getattr(second, name, None)
+        if a is not b and (a is None or b is None or not np.array_equal(a, b, equal_nan=True)):
+            checks.refuse("second", f"a filter of the same {what} as the first", "one of others")
 
 
 def six_filters(model: LinearModel) -> dict[str, Filter]:

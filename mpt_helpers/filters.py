@@ -21,7 +21,7 @@ from .checks import Array
 from .columns import KalmanColumns, Motion, whitened
 from .equations import lainiotis_matrices, lainiotis_step, unit_measurements
 from .model import LinearModel
-from .recursive import RecursiveFilter, neutralised, one_measurement, one_state
+from .recursive import RecursiveFilter, Step, neutralised, one_measurement, one_state
 
 # Patterns of missing measurements whose constants a Lainiotis filter keeps.
 MOST_PATTERNS = 64
@@ -62,6 +62,16 @@ class KalmanFilter(RecursiveFilter):
         object.__setattr__(self, "t", None if t is None else checks.times("t", t))
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
 
+    def coefficients(self, N: int) -> Step:
+        """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing.
+
+        Raises ValueError for a filter with times or variances: each of its epochs has a `next_step` of its own.
+        """
+        if not self._epochs_are_alike:
+            name, got = ("r", "variances") if self.t is None else ("t", "times")
+            checks.refuse(name, "to be left out, as coefficients are those of equal steps and of the model's R", got)
+        return super().coefficients(N)
+
     def next_step(
         self, P: Array, seen: np.ndarray, length: float | None = None, r: Array | None = None
     ) -> tuple[Array, Array, Array]:
@@ -75,8 +85,8 @@ class KalmanFilter(RecursiveFilter):
         if length is not None:
             kf.F, kf.Q = self.model.over(length)
         if r is not None or not seen.all():
-            model = self.model if r is None else replace(self.model, R=np.diag(np.where(seen, r, 1)))
-            H_1, W = unit_measurements(*neutralised(model, seen))
+            R = self.model.R if r is None else np.diag(np.where(seen, r, 1))
+            H_1, W = unit_measurements(*neutralised(self.model.H, R, seen))
             kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
@@ -101,7 +111,7 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse("r", "the variances of z_k, as the filter has them for each epoch", "none")
         length = None if dt is None else self._length_of(checks.not_negative("dt", dt))
         if r is not None:
-            r = checks.variances("r", np.asarray(r)[None], m)[0]
+            r = checks.variances_of_one("r", r, seen)
         A, B, P = self.next_step(P, seen, length, r)
         return A @ x + B @ np.where(seen, z_k, 0), P
 
@@ -210,7 +220,7 @@ class LainiotisFilter(RecursiveFilter):
         if pattern not in kept:
             if len(kept) == MOST_PATTERNS:
                 kept.clear()
-            kept[pattern] = lainiotis_matrices(self.model, *neutralised(self.model, seen))
+            kept[pattern] = lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
         return kept[pattern]
 
     @cached_property

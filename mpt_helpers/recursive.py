@@ -195,7 +195,7 @@ class RecursiveFilter(Filter):
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
         with P(k/N) in Joseph's form. Raises as `estimates`, and TypeError for a filter of constant gain: its P is not
-        that of the best estimate.
+        that of the best estimate. Warns of damped modes without process noise, whose P(k/N) loses its digits.
         """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter whose gain follows its covariance, got a {type(self).__name__}")
@@ -297,7 +297,8 @@ class RecursiveFilter(Filter):
         if variances is None:
             return values, S + self.model.R[..., None]
         # A measurement that is missing may have no variance of its own: then it has the model's.
-        variances = np.where(np.isfinite(variances), variances, np.diag(self.model.R)[:, None])
+        own = np.isfinite(variances) & (variances > 0)
+        variances = np.where(own, variances, np.diag(self.model.R)[:, None])
         return values, S + variances[:, :, None] * np.eye(m)[..., None]
 
     def _smoothed_tile(self, z):
@@ -396,7 +397,7 @@ def one_measurement(z_k, m):
         checks.refuse("z_k", need, f"shape {z_k.shape}")
     seen = np.isfinite(z_k)
     if not seen.all():
-        checks.no_infinity(z_k)
+        checks.no_infinity(z_k, "z_k")
     return z_k, seen
 
 
@@ -409,8 +410,6 @@ def one_state(x, P, n):
     return checks.array("x", x, (n,)), checks.array("P", P, (n, n))
 
 
-def neutralised(model, seen):
+def neutralised(H, R, seen):
     """Return H and R with zeros in H, and rows of the identity in R, for the measurements that seen (m,) lacks."""
-    H = model.H * seen[:, None]
-    R = np.where(np.outer(seen, seen), model.R, np.diag(~seen))
-    return H, R
+    return H * seen[:, None], np.where(np.outer(seen, seen), R, np.diag(~seen))

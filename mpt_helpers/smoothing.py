@@ -7,13 +7,20 @@ Only x(k+1/N) and P(k+1/N) are taken one after the other; all else is computed f
 of a long track is cut into pieces, as the way there is.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eig
 
 from .columns import product, solved, transposed
 from .partition import through
 from .recursion import epochs_at_a_time
+
+# A mode counts as damped if it shrinks by more than this in a step, and as undriven if Q reaches it by less than the
+# rounding of its eigenvector.
+DAMPED = 1 - 1e-6
+UNDRIVEN = 1e-12
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,10 @@ def smoothed(motion, lengths, x, P):
     motion is the Motion of the states, lengths (N, M or 1) are those of the steps before each epoch, or None. One
     covariance may be that of all tracks.
     """
+    modes = _undriven(motion.F, motion.Q)
+    if modes:
+        text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
+        warnings.warn(f"{text}: covariances may be wrong. Process noise of a millionth mends it", stacklevel=2)
     (N, n, M), width = x.shape, P.shape[3]
     C, d, D = np.empty((N - 1, n, n, width)), np.empty((N - 1, n, M)), np.empty((N - 1, n, n, width))
     for part in epochs_at_a_time(N - 1, n * n * width) if N > 1 else ():
@@ -61,6 +72,14 @@ def smoothed(motion, lengths, x, P):
         x_N = np.expand_dims(x[-1], axis - 1)
         through(_advance, back, x_N, P[-1], np.expand_dims(x[-2::-1], axis), P[-2::-1])
     return x, P
+
+
+def _undriven(F, Q):
+    """Return the damped modes of F that Q does not drive, as texts."""
+    modes, left = eig(F, left=True, right=False)
+    reached = np.einsum("im,ij,jm->m", left.conj(), Q, left).real
+    possible = np.einsum("im,i,im->m", left.conj(), np.diag(Q), left).real
+    return [f"{abs(mode):.3g}" for mode in modes[(np.abs(modes) < DAMPED) & (reached <= UNDRIVEN * possible)]]
 
 
 def _coefficients(motion, lengths, x, P):

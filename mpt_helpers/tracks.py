@@ -6,6 +6,7 @@ It needs two packages more, the extra `tracks`: pip install "mpt_helpers[tracks]
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import warnings
 from datetime import UTC, datetime
@@ -156,10 +157,17 @@ def _apart(points, pause):
 def _track(points, start, origin, up):
     """Return fixes as a Track; without an origin it is the first of them."""
     first = points[0]
-    origin = (first.latitude, first.longitude, first.elevation or 0.0) if origin is None else origin
+    height = float(np.nan_to_num(_height(first)))
+    origin = (first.latitude, first.longitude, height) if origin is None else origin
     t = np.array([(_time(point) - start).total_seconds() for point in points])
     z = local([point.latitude for point in points], [point.longitude for point in points], origin)
     if up:
-        heights = [np.nan if point.elevation is None else point.elevation for point in points]
-        z = np.column_stack([z, np.array(heights) - origin[2]])
+        heights = np.array([_height(point) for point in points])
+        z = np.column_stack([z, heights - origin[2]])
     return Track(t, z, origin, start)
+
+
+def _height(point):
+    """Return the height of a fix in metres, NaN where the file has none or no number."""
+    known = point.elevation is not None and math.isfinite(point.elevation)
+    return point.elevation if known else math.nan

@@ -5,7 +5,7 @@ Each argument is refused by its name, with what it needs and what it got.
 
 import re
 from dataclasses import replace
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from functools import partial
 
@@ -246,6 +246,29 @@ def test_pandas_itself():
     column = pandas.DataFrame({"z": pandas.array([1.0, None, 2.0], dtype="Float64")})
     np.testing.assert_array_equal(KF.filter(column), KF.filter([[1.0], [NAN], [2.0]]))
     np.testing.assert_array_equal(KF.filter(column.astype(float)), KF.filter([[1.0], [NAN], [2.0]]))
+
+
+class Times:
+    """What pandas shows of times with a zone, which it also turns into whole numbers since 1970."""
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array([datetime(2024, 1, 1, tzinfo=UTC), datetime(2024, 1, 2, tzinfo=UTC)], dtype=object)
+
+    def to_numpy(self, dtype=object, na_value=None):
+        return np.array([1.7e18, 1.8e18], dtype=dtype)
+
+
+class Texts(Times):
+    """A column of texts that are numbers."""
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(["1", "2"], dtype=object)
+
+
+@pytest.mark.parametrize(("column", "got"), [(Times(), "got dates"), (Texts(), "got an array of objects of type str")])
+def test_what_a_column_only_turns_into_numbers_is_refused(column, got):
+    with pytest.raises(TypeError, match=f"t: needs .* {got}"):
+        mpt.KalmanFilter(CV, t=column)
 
 
 def chained(error):

@@ -16,6 +16,7 @@ from test_properties import EPS, condition, models, seeds
 
 import mpt_helpers as mpt
 from mpt_helpers import metrics, partition, recursive
+from mpt_helpers.equations import square_root
 from mpt_helpers.recursion import recursion
 
 MAKERS = {"cv": mpt.constant_velocity, "ca": mpt.constant_acceleration}
@@ -150,6 +151,39 @@ def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces)
     monkeypatch.setattr(partition, "rows_per_piece", lambda N, tracks: min(N, pieces))
     for ours, theirs in zip(results(), whole, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+# Some twenty times by how much `step` after `step` and the uncut columns differ, both in doubles.
+@pytest.mark.parametrize(
+    ("make", "sleep", "allowed"),
+    [
+        (mpt.constant_velocity, 3600.0, 1e-6),
+        (mpt.constant_velocity, 86_400.0, 5e-6),
+        (mpt.constant_acceleration, 600.0, 5e-6),
+        (mpt.constant_acceleration, 3600.0, 5e-4),
+        (mpt.constant_acceleration, 86_400.0, 1.0),
+    ],
+)
+def test_a_tracker_that_sleeps_again_and_again_is_the_track(make, sleep, allowed):
+    """Bursts of five fixes: each piece holds several pauses, over which its response to its start loses its digits."""
+    axis = make(dt=1.0, q=0.01, r=1.0)
+    axis = replace(axis, P0=10 * np.eye(axis.n))
+    steps = np.ones(239)
+    steps[4::5] = sleep
+    t = np.concatenate([[0.0], np.cumsum(steps)])
+    rng = np.random.default_rng(1)
+    x, z = rng.standard_normal(axis.n), np.empty((240, 1))
+    for k, length in enumerate([1.0, *steps]):
+        F, Q = axis.over(length)
+        x = F @ x + square_root(Q) @ rng.standard_normal(axis.n)
+        z[k] = x[0] + rng.standard_normal()
+    kf = mpt.KalmanFilter(axis, t=t)
+    both, x, P, states = kf.estimates(z), axis.x0, axis.P0, []
+    for length, z_k in zip([1.0, *steps], z, strict=True):
+        x, P = kf.step(x, P, z_k, dt=length)
+        states.append(x)
+    off = np.abs(both.x - states) / np.sqrt(np.einsum("kii->ki", both.P))
+    assert off.max() < allowed
 
 
 @few
@@ -306,6 +340,32 @@ def timed(model=None, **conditions):
     return mpt.KalmanFilter(plane() if model is None else model, **conditions)
 
 
+@pytest.mark.parametrize("r", [-1.0, 0.0, np.nan, np.inf])
+def test_the_variance_of_a_missing_measurement_is_not_looked_at(r):
+    """In its place S has that of the model."""
+    z = np.array([[1.0, 2.0], [np.nan, 2.5]])
+    given, models = np.full((2, 2), 0.5), np.full((2, 2), 0.5)
+    given[1, 0], models[1, 0] = r, plane().R[0, 0]
+    for ours, right in zip(*(metrics.innovations(timed(r=each), z) for each in (given, models)), strict=True):
+        np.testing.assert_array_equal(ours, right)
+
+
+def test_a_damped_mode_without_process_noise_is_told_by_the_smoother():
+    F = np.array([[0.98, 0.47], [-0.02, 0.22]])  # its P(k/N) was wrong by a tenth
+    z = np.ones((40, 1))
+
+    def smoothed(F, Q):
+        return mpt.KalmanFilter(mpt.LinearModel(F=F, H=[[1, 0]], Q=Q, R=[[1]], P0=np.eye(2))).smooth(z)
+
+    with pytest.warns(UserWarning, match=r"smooth: F has damped modes without process noise, 0\.\d+, 0\.\d+, and"):
+        smoothed(F, np.zeros((2, 2)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        smoothed(F, 1e-6 * np.eye(2))
+        smoothed(F, 1e-6 * np.diag([0, 1]))  # it reaches both modes
+        smoothed(AXIS.F, np.zeros((2, 2)))
+
+
 REFUSED_TIMES = {
     "gsm": (lambda: timed(AXIS, t=T), "t: needs a model that says"),
     "gps_ins": (lambda: timed(mpt.gps_ins(1.0, 0.1, (1.0, 1.0)), t=T), "t: needs a model that says"),
@@ -325,6 +385,12 @@ REFUSED_TIMES = {
     "r of other axes": (lambda: timed(r=np.ones((4, 1))), r"r: needs an \(N, 2\) or"),
     "step without dt": (lambda: timed(t=T).step(ZERO, ONE, [0, 0]), "dt: needs the time"),
     "step without r": (lambda: timed(r=[[1, 1]]).step(ZERO, ONE, [0, 0]), "r: needs"),
+    "step, r below zero": (lambda: timed().step(ZERO, ONE, [0, 0], r=[1, -1]), "r: needs a vector of 2 positive"),
+    "step, r of other axes": (lambda: timed().step(ZERO, ONE, [0, 0], r=[1]), r"r: needs .* got shape \(1,\)"),
+    "coefficients, t": (lambda: timed(t=T).coefficients(4), "t: needs to be left out, .* got times"),
+    "coefficients, r": (lambda: timed(r=[[1, 1]]).coefficients(1), "r: needs to be left out, .* got variances"),
+    "join, t": (lambda: mpt.JoinFilter(timed(t=T), mpt.LainiotisFilter(plane())), "second: needs a .* same times"),
+    "join, r": (lambda: mpt.JoinFilter(timed(), timed(r=[[1, 1]])), "second: needs a filter of the same variances"),
     "step backwards": (lambda: timed().step(ZERO, ONE, [0, 0], dt=-1), "dt: needs a number"),
     "step of gsm": (lambda: timed(AXIS).step(np.zeros(2), np.eye(2), [0], dt=1), "dt: needs a model that says"),
     "step, swapped": (lambda: timed().step(ONE, ZERO, [0, 0]), r"x: needs a \(4,\) array"),

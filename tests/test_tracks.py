@@ -94,6 +94,8 @@ def test_heights_are_a_column_where_they_are_wanted_and_nan_where_the_file_has_n
     (track,) = tracks.gpx(path, up=True)
     np.testing.assert_array_equal(track.z[:, 2], [0, np.nan, 12.5])
     assert tracks.gpx(path)[0].z.shape == (3, 2)
+    (track,) = tracks.gpx(written([fix(0, ele="NaN"), fix(1, ele=30)]), up=True)
+    np.testing.assert_array_equal(track.z[:, 2], [np.nan, 30])
 
 
 @pytest.mark.parametrize(
