@@ -8,7 +8,7 @@ for many steps as well as for one. So a long track is cut into pieces that run s
 2. the starts, one after the other: each takes one Lainiotis step over a whole piece;
 3. every piece again, from its own start. It must end where the next one started.
 
-The part that must run in order shrinks from N steps to N / K, for pieces of K rows.
+Instead of N steps one after the other there are two runs of K rows, side by side, and N / K starts.
 """
 
 import math
@@ -22,8 +22,8 @@ from .equations import corrected_covariance, gain_on_the_start
 LEAST_ROWS = 30
 MOST_TRACKS = 64
 # The starts of pieces lose digits where a piece holds several long gaps. So each piece must start where the one before
-# it ends, to this part of a sigma, which no measurement shows (on ordinary tracks it is below 1e-8), or to the rounding
-# of the states. A filter that forgets comes there if it starts again from these ends; else the track is not cut.
+# it ends, to this part of a sigma (ordinary tracks reach 1e-8) or to the rounding of the states. Where one does not,
+# all pieces run again from these ends, MOST_PASSES times at most. Then the track is not cut.
 AGREED = 1e-6
 ROUNDING = 16 * np.finfo(float).eps
 MOST_PASSES = 3
@@ -43,9 +43,10 @@ def rows_per_piece(N, tracks):
 def through(advance, rows, x0, P0, x, P):
     """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
 
-    advance(row, x, P) takes columns x (n, c, M) and P (n, n, M) one row further. x0 and P0 are the start; where noises
-    have joined the state, only its first n components are written. rows can be iterated, cut by `mapped`, and given
-    more tracks by `with_tracks_of_zeros`, as `columns.Rows`. Returns the last P, of each piece if the rows are cut.
+    advance(row, x, P) returns columns x (n, c, M) and P (n, n, M) one row further, and the innovations at unit
+    covariance. x0 and P0 are the start; where noises have joined the state, only its first n components are written.
+    rows can be iterated, cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `columns.Rows`. Returns
+    the last P, of each piece if the rows are cut.
     They are not cut where that would cost digits.
     """
     K = rows_per_piece(len(x), x.shape[2] * x.shape[3])
@@ -91,12 +92,13 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
 
 
 def _agree(x, P, x_next, P_next):
-    """Say whether states x (n, c, M) and covariances P (n, n, M) are the next ones, to `AGREED` sigmas."""
+    """Say whether pieces start at x (n, c, M) and P (n, n, M) where the ones before them end, at x_next and P_next."""
     sigma = np.sqrt(np.maximum(np.einsum("jj...->j...", P_next), 0))
     rounding = ROUNDING * np.abs(x_next)
     same_x = np.abs(x - x_next) <= AGREED * sigma[:, None] + rounding
     same_P = np.abs(P - P_next) <= AGREED * sigma * sigma[:, None]
-    return bool(same_x.all() and same_P.all())  # False where anything is not finite
+    finite = np.isfinite(x_next).all() and np.isfinite(P_next).all()
+    return bool(finite and same_x.all() and same_P.all())
 
 
 def cut(array, K):
@@ -126,32 +128,31 @@ def joined(array, N, M):
 def starts(advance, pieces, count, x0, P0):
     """Return where each piece starts: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
 
-    pieces are rows that were cut into `count` pieces, C. advance(row, x, P) takes columns one row further, and returns
-    their innovations at unit covariance besides, (m, c, C M), as in `columns`.
+    pieces are rows that were cut into `count` pieces, C. advance is that of `through`.
 
-    From a start x instead of zero, a piece ends at x_piece + T x, and its innovations are e(0) - Iᵀ x, where e are
-    white and of unit variance. So they measure the start: y = Iᵀ x + noise is one update of it, and then it moves on
-    by T. Where a filter returns no innovations (m = 0), as one of constant gain, nothing corrects its starts.
+    Started from x instead of zero, a piece ends at x_piece + T x, and has the innovations e - L x. The e are white and
+    of unit variance, so that y = L x + noise measures x: it is updated with y, and moves on by T. A filter of constant
+    gain returns no innovations (m = 0), and nothing corrects its starts.
     """
     n, c, M = x0.shape
-    columns = count * M
-    # Beside the c tracks of a column run n more without measurements, one from each unit start: they make T.
-    x = np.zeros((n, c + n, columns))
+    width = count * M
+    # Beside the c tracks of a column run n more without measurements, one from each unit start: they make T and L.
+    x = np.zeros((n, c + n, width))
     x[:, c:] = np.eye(n)[..., None]
-    P = np.zeros((n, n, columns))
+    P = np.zeros((n, n, width))
     innovations = []
     for row in pieces.with_tracks_of_zeros(n):
         x, P, new = advance(row, x, P)
         innovations.append(new)
     x, P = _matrices(x, M), _matrices(P, M)
     x_piece, T = x[..., :c], x[..., c:]
-    info, y = _told(_matrices(np.concatenate(innovations), M), c)
+    L, y = _compressed(_matrices(np.concatenate(innovations), M), c)
     x_k, P_k = _matrices(x0, M)[0], _matrices(P0, M)[0]
     states, covariances = [x_k], [P_k]
     for i in range(count - 1):
-        G = gain_on_the_start(P_k, info[i])
-        x_k = x_k + G @ (y[i] - info[i].swapaxes(1, 2) @ x_k)
-        P_k = corrected_covariance(P_k, G, info[i].swapaxes(1, 2), np.eye(info.shape[-1]))
+        G = gain_on_the_start(P_k, L[i].swapaxes(1, 2))
+        x_k = x_k + G @ (y[i] - L[i] @ x_k)
+        P_k = corrected_covariance(P_k, G, L[i], np.eye(L.shape[2]))
         x_k = x_piece[i] + T[i] @ x_k
         P_k = P[i] + T[i] @ P_k @ T[i].swapaxes(1, 2)
         states.append(x_k)
@@ -159,21 +160,20 @@ def starts(advance, pieces, count, x0, P0):
     return _columns(states), _columns(covariances)
 
 
-def _told(innovations, c):
-    """Return I as `info` (..., n, p), and y (..., p, c): all that a piece tells about its start x is y = Iᵀ x + noise.
+def _compressed(innovations, c):
+    """Return L (..., p, n) and y (..., p, c), with p <= n: y = L x + noise is all that a piece tells of its start x.
 
-    innovations (..., K m, c + n) are those of the tracks from a start of zero, and those of the unit starts, which are
-    -Iᵀ before they are joined. Rows of many measurements are joined into p <= n by an orthogonal factor, which keeps
-    the digits that sums of squares lose.
+    innovations (..., K m, c + n) are e, of the tracks from a start of zero, and beside them -L, of the unit starts.
+    An orthogonal factor joins their K m rows into p, which keeps the digits that sums of squares lose.
     """
     Q, R = np.linalg.qr(-innovations[..., c:])
-    return R.swapaxes(-1, -2), Q.swapaxes(-1, -2) @ innovations[..., :c]
+    return R, Q.swapaxes(-1, -2) @ innovations[..., :c]
 
 
-def _matrices(columns, M):
+def _matrices(array, M):
     """Return columns (a, b, C M) as matrices (C, M, a, b)."""
-    a, b, width = columns.shape
-    return np.ascontiguousarray(np.moveaxis(columns.reshape(a, b, width // M, M), (2, 3), (0, 1)))
+    a, b, width = array.shape
+    return np.ascontiguousarray(np.moveaxis(array.reshape(a, b, width // M, M), (2, 3), (0, 1)))
 
 
 def _columns(matrices):

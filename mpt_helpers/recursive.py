@@ -235,7 +235,7 @@ class RecursiveFilter(Filter):
         if steps is None:
             self._fill_from_columns(x, None, z)
             return
-        # Filter every track without gaps. A track whose last estimate is NaN had a gap: filter it again, with its gaps.
+        # Filter every track as if it had no gaps. One whose last estimate is NaN had some: filter it again, as columns.
         run(steps.products, self.model.x0[:, None], z, x)
         gaps = np.isnan(x[-1]).any(axis=0)
         if gaps.all():
@@ -269,6 +269,7 @@ class RecursiveFilter(Filter):
 
     def _in_tiles(self, function, z, d):
         """Return function(filter, z): values (N, d, M) and covariances (N, d, d, M or 1), so many tracks at a time."""
+        self._require_conditions_of(z)
         N, _, M = z.shape
         parts = tiles(M, max(1, MOST_NUMBERS // (N * self.model.n**2)))
         if len(parts) == 1:
@@ -359,7 +360,7 @@ def _rows(z, lengths, variances, shared):
     """Return the Rows of z (N, m, M): one column of M tracks where they share their conditions, else M columns."""
     seen = ~np.isnan(z)
     z = np.where(seen, z, 0)
-    if variances is not None:  # of what is missing they may be anything
+    if variances is not None:  # those of missing measurements may be invalid
         variances = np.where(seen[..., :1] if shared else seen, variances, 1)
     if shared:
         return Rows(z[..., None], seen[..., :1], lengths, variances)
@@ -412,4 +413,6 @@ def one_state(x, P, n):
 
 def neutralised(H, R, seen):
     """Return H and R with zeros in H, and rows of the identity in R, for the measurements that seen (m,) lacks."""
-    return H * seen[:, None], np.where(np.outer(seen, seen), R, np.diag(~seen))
+    H = H * seen[:, None]
+    R = np.where(np.outer(seen, seen), R, np.diag(~seen))
+    return H, R

@@ -17,8 +17,8 @@ from .columns import product, solved, transposed
 from .partition import through
 from .recursion import epochs_at_a_time
 
-# A mode counts as damped if it shrinks by more than this in a step, and as undriven if Q reaches it by less than the
-# rounding of its eigenvector.
+# A mode is damped if its eigenvalue is smaller than DAMPED, and undriven if vᴴ Q v of its left eigenvector v is smaller
+# than UNDRIVEN times what it could be: the rounding of v.
 DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
 

@@ -146,9 +146,17 @@ def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces)
             found += each.smooth(z)
         return found
 
+    def fitting_at_once(*arguments):
+        last = in_pieces(*arguments)
+        assert last is not None
+        return last
+
+    in_pieces = partition._in_pieces
     monkeypatch.setattr(partition, "rows_per_piece", lambda N, tracks: N)
     whole = results()
     monkeypatch.setattr(partition, "rows_per_piece", lambda N, tracks: min(N, pieces))
+    monkeypatch.setattr(partition, "MOST_PASSES", 1)  # others would mend what is wrong with the starts
+    monkeypatch.setattr(partition, "_in_pieces", fitting_at_once)
     for ours, theirs in zip(results(), whole, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
@@ -613,3 +621,11 @@ def test_a_fit_is_the_maximum_of_the_joint_density():
     assert found.log_likelihood == pytest.approx(-best.fun, abs=1e-6)
     # The search ends within 1e-4 in the logarithms, a hundredth of the error.
     np.testing.assert_allclose(np.log([found.values[name] for name in "qr"]), best.x, atol=2e-3)
+
+
+def test_innovations_of_many_tracks_ask_for_as_many_times(monkeypatch):
+    """However few are computed together."""
+    monkeypatch.setattr(recursive, "MOST_NUMBERS", 8)
+    kf = timed(t=np.tile(np.arange(4.0)[:, None], 3))
+    with pytest.raises(ValueError, match="t: needs the epochs and tracks of z"):
+        metrics.innovations(kf, np.zeros((4, 2, 2)))
