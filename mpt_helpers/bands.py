@@ -11,8 +11,8 @@ Two numbers for each axis make the band, a prediction's half-width being f · c 
     c       sqrt(0.2 + 0.8 a), with the recent average a of NIS / m: one where the filter's model is right. A fifth
             stays, so that a mobile at rest does not make the band vanish before it starts.
     f       a factor that follows the misses of its own axis: up by 0.95 gamma after a miss, down by 0.05 gamma after a
-            hit, on the logarithm, for a band of 95 %. An error below a hundredth of sigma is none of either: the
-            mobile rests, and a receiver repeats its position, which says nothing of how it will move on
+            hit, on the logarithm, for a band of 95 %. A fix that repeats the one it was predicted at is none of either:
+            the mobile rests, which says nothing of how it will move on
 
 Both remember as many fixes as fall into one horizon, and at least five: what is learnt is that old when it is used.
 
@@ -44,8 +44,6 @@ SHORTEST_MEMORY = 5
 LOCAL = 0.8
 # A fix further off than this many variances counts as that: one jump does not widen the band for a whole memory.
 CAP = 50.0
-# An error below this part of the sigma stated teaches the factor nothing. A right sigma has 0.8 % of them.
-AT_REST = 0.01
 # A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
 LATEST = 1.5
 # Times that should be one horizon apart may differ by their rounding, in horizons.
@@ -69,6 +67,7 @@ class Ahead(NamedTuple):
     row, due_row (K,): the rows of z of both fixes
     fixes (K,): how many fixes later the one is that checks it
     track (K,): the track that they belong to, 0 where there is one
+    rests (K,): whether the fix that checks it repeats the one it was made at: then following learns nothing from it
     left_out: how many fixes had no later one between 1 and 1.5 horizons: before a gap, and at the end
     seconds: the horizon
     """
@@ -82,6 +81,7 @@ class Ahead(NamedTuple):
     due_row: NDArray[np.intp]
     fixes: NDArray[np.intp]
     track: NDArray[np.intp]
+    rests: NDArray[np.bool_]
     left_out: int
     seconds: float
 
@@ -152,7 +152,7 @@ def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Arr
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> a = ahead(kf, [[0.0], [0.1], [5.0], [5.0], [5.0]], seconds=1.0)
+    >>> a = ahead(kf, [[0.0], [0.1], [5.0], [5.1], [5.2]], seconds=1.0)
     >>> (following(a) / a.sigma / a.recent[:, None]).ravel().round(3)  # f after a hit, a miss and a hit
     array([1.96 , 1.95 , 2.145, 2.134])
     """
@@ -267,7 +267,7 @@ class LiveBand:
         self.times = deque()  # of the fixes within the last horizon
         self.fixes = 0
         self.unchecked = 0 if before is None else None  # how many fixes came too late, None once one did not
-        self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, number of the fix
+        self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, number of the fix, z
 
     @property
     def factor(self) -> Array:
@@ -304,7 +304,7 @@ class LiveBand:
         if not np.isnan(z).all():
             self.fixes += 1
             self.times.append(t)
-            self.pending.append((t, x, P, scale, self.fixes))
+            self.pending.append((t, x, P, scale, self.fixes, z))
         expected, sigma = self._predicted(x, P, self.seconds, R)
         return Expected(expected, scale * sigma)
 
@@ -312,15 +312,17 @@ class LiveBand:
         """Let the factor learn from the predictions that have come due at the fix z."""
         too_late = 0.0  # by how many seconds this fix came after predictions that it cannot check
         while self.pending and t - self.pending[0][0] >= self.seconds * (1 - ROUNDING):
-            made, x, P, scale, number = self.pending.popleft()
+            made, x, P, scale, number, z_made = self.pending.popleft()
             if t - made > self.seconds * (LATEST + ROUNDING):
                 too_late = t - made
                 continue
             self.unchecked = None
+            if _repeats(z, z_made):
+                continue
             expected, sigma = self._predicted(x, P, t - made, R)
             error = np.abs(z - expected)
             moved = _gain(self.fixes + 1 - number) * ((error > scale * sigma) - (1 - self.level))
-            self.log_f = self.log_f + np.where(error >= AT_REST * sigma, moved, 0)  # and 0 for a NaN
+            self.log_f = self.log_f + np.where(np.isnan(error), 0, moved)
         if too_late and self.unchecked is not None:
             self._refuse_steps_that_are_too_long(too_late)
 
@@ -358,9 +360,14 @@ def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
     before = np.diff(t, prepend=t[0] - model.dt)[fixes]
     innovation_of, S_of = _expected(model, x[fixes], P[fixes], before, R[fixes])
     recent = _recent(t_fix, _nis_per_number(z[fixes] - innovation_of, S_of), seconds)[checked]
-    tracks = np.full(len(row), track)
+    tracks, rests = np.full(len(row), track), _repeats(z[due_row], z[row])
     left_out = len(fixes) - len(row)
-    return t[row], t[due_row], z[due_row] - expected, sigma, recent, row, due_row, later, tracks, left_out
+    return t[row], t[due_row], z[due_row] - expected, sigma, recent, row, due_row, later, tracks, rests, left_out
+
+
+def _repeats(z, before):
+    """Say which measurements z (..., m) are those before them, to the last bit."""
+    return ((z == before) | (np.isnan(z) & np.isnan(before))).all(axis=-1)
 
 
 def _expected(model, x, P, seconds, R):
@@ -415,21 +422,21 @@ def _gain(fixes):
 def _follow(a, rows, log_f, level, band):
     """Write the half-widths of one track, a slice of rows, to band (K, m); return log f (m,) after the last fix."""
     widths = a.sigma[rows] * a.recent[rows, None]
-    counted = np.abs(a.errors[rows]) >= AT_REST * a.sigma[rows]  # and not a NaN
+    counts = ~(np.isnan(a.errors[rows]) | a.rests[rows, None])
     made, due, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
     ends = []
     for axis, log_factor in enumerate(log_f.tolist()):
         errors, width = np.abs(a.errors[rows, axis]).tolist(), widths[:, axis].tolist()
-        counts = counted[:, axis].tolist()
+        counted = counts[:, axis].tolist()
         half, checked = [], 0
         for k, row in enumerate(made):
             while checked < k and due[checked] <= row:
-                if counts[checked]:
+                if counted[checked]:
                     log_factor += _move(errors[checked], half[checked], fixes[checked], level)
                 checked += 1
             half.append(math.exp(log_factor) * width[k])
         for k in range(checked, len(made)):
-            if counts[k]:
+            if counted[k]:
                 log_factor += _move(errors[k], half[k], fixes[k], level)
         ends.append(log_factor)
         band[rows, axis] = half

@@ -150,7 +150,9 @@ def corrected(x, P, z, seen, variance, i):
     P -= gain[:, None] * p_i
     P[i] = P[:, i] = p_i * np.where(seen, variance / S, 1.0)
     innovation = z - x[i]
-    return x + gain[:, None] * innovation, P, innovation * np.sqrt(seen * weight)
+    with np.errstate(invalid="ignore"):  # where rounding took S below zero: a NaN, and the track is not cut
+        root = np.sqrt(seen * weight)
+    return x + gain[:, None] * innovation, P, innovation * root
 
 
 class KalmanColumns:

@@ -259,6 +259,9 @@ class RecursiveFilter(Filter):
         else:
             P = np.empty((N, n, n, 1 if _alike(z, *self._conditions) else M))
             self._fill_from_columns(x, P, z)
+            if (np.einsum("kii...->ki...", P) < 0).any():
+                need = "gaps and a start beside which doubles hold the variances of the measurements"
+                checks.refuse("z", need, "a variance below zero")
         return x, P
 
     def _innovations(self, z):

@@ -17,8 +17,8 @@ from .columns import product, solved, transposed
 from .partition import through
 from .recursion import epochs_at_a_time
 
-# A mode is damped if its eigenvalue is smaller than DAMPED, and undriven if vᴴ Q v of its left eigenvector v is smaller
-# than UNDRIVEN times what it could be: the rounding of v.
+# A mode is damped if its eigenvalue is smaller than DAMPED, and undriven if the variance that Q adds to it in a step is
+# smaller than UNDRIVEN times the one after the first measurement.
 DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
 
@@ -54,7 +54,7 @@ def smoothed(motion, lengths, x, P):
     motion is the Motion of the states, lengths (N, M or 1) are those of the steps before each epoch, or None. One
     covariance may be that of all tracks.
     """
-    modes = _undriven(motion.F, motion.Q)
+    modes = _undriven(motion.F, motion.Q, P[0])
     if modes:
         text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
         warnings.warn(f"{text}: covariances may be wrong. Process noise of a millionth mends it", stacklevel=2)
@@ -74,12 +74,12 @@ def smoothed(motion, lengths, x, P):
     return x, P
 
 
-def _undriven(F, Q):
-    """Return the damped modes of F that Q does not drive, as texts."""
+def _undriven(F, Q, P):
+    """Return the damped modes of F that Q does not drive beside P (n, n, M), as texts."""
     modes, left = eig(F, left=True, right=False)
-    reached = np.einsum("im,ij,jm->m", left.conj(), Q, left).real
-    possible = np.einsum("im,i,im->m", left.conj(), np.diag(Q), left).real
-    return [f"{abs(mode):.3g}" for mode in modes[(np.abs(modes) < DAMPED) & (reached <= UNDRIVEN * possible)]]
+    added = np.einsum("im,ij,jm->m", left.conj(), Q, left).real
+    known = np.einsum("im,ijt,jm->mt", left.conj(), P, left).real.max(axis=1)
+    return [f"{abs(mode):.3g}" for mode in modes[(np.abs(modes) < DAMPED) & (added < UNDRIVEN * known)]]
 
 
 def _coefficients(motion, lengths, x, P):

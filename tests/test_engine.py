@@ -163,17 +163,20 @@ def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces)
 
 # Some twenty times by how much `step` after `step` and the uncut columns differ, both in doubles.
 @pytest.mark.parametrize(
-    ("make", "sleep", "allowed"),
+    ("make", "sleep", "allowed", "fits"),
     [
-        (mpt.constant_velocity, 3600.0, 1e-6),
-        (mpt.constant_velocity, 86_400.0, 5e-6),
-        (mpt.constant_acceleration, 600.0, 5e-6),
-        (mpt.constant_acceleration, 3600.0, 5e-4),
-        (mpt.constant_acceleration, 86_400.0, 1.0),
+        (mpt.constant_velocity, 3600.0, 1e-6, True),
+        (mpt.constant_velocity, 86_400.0, 5e-6, True),  # after the second run
+        (mpt.constant_acceleration, 600.0, 5e-6, True),  # after the third
+        (mpt.constant_acceleration, 3600.0, 5e-4, False),
+        (mpt.constant_acceleration, 86_400.0, 1.0, False),
     ],
 )
-def test_a_tracker_that_sleeps_again_and_again_is_the_track(make, sleep, allowed):
-    """Bursts of five fixes: each piece holds several pauses, over which its response to its start loses its digits."""
+def test_a_tracker_that_sleeps_again_and_again_is_the_track(monkeypatch, make, sleep, allowed, fits):
+    """Bursts of five fixes: each piece holds several pauses, over which its response to its start loses its digits.
+
+    Where the pieces come to fit together, they are the track; else it is not cut.
+    """
     axis = make(dt=1.0, q=0.01, r=1.0)
     axis = replace(axis, P0=10 * np.eye(axis.n))
     steps = np.ones(239)
@@ -186,7 +189,10 @@ def test_a_tracker_that_sleeps_again_and_again_is_the_track(make, sleep, allowed
         x = F @ x + square_root(Q) @ rng.standard_normal(axis.n)
         z[k] = x[0] + rng.standard_normal()
     kf = mpt.KalmanFilter(axis, t=t)
+    found, in_pieces = [], partition._in_pieces
+    monkeypatch.setattr(partition, "_in_pieces", lambda *all: found.append(in_pieces(*all)) or found[-1])
     both, x, P, states = kf.estimates(z), axis.x0, axis.P0, []
+    assert (found[0] is not None) == fits
     for length, z_k in zip([1.0, *steps], z, strict=True):
         x, P = kf.step(x, P, z_k, dt=length)
         states.append(x)
@@ -367,6 +373,8 @@ def test_a_damped_mode_without_process_noise_is_told_by_the_smoother():
 
     with pytest.warns(UserWarning, match=r"smooth: F has damped modes without process noise, 0\.\d+, 0\.\d+, and"):
         smoothed(F, np.zeros((2, 2)))
+    with pytest.warns(UserWarning, match="damped"):  # too little to matter
+        smoothed(F, 1e-18 * np.eye(2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         smoothed(F, 1e-6 * np.eye(2))
@@ -629,3 +637,13 @@ def test_innovations_of_many_tracks_ask_for_as_many_times(monkeypatch):
     kf = timed(t=np.tile(np.arange(4.0)[:, None], 3))
     with pytest.raises(ValueError, match="t: needs the epochs and tracks of z"):
         metrics.innovations(kf, np.zeros((4, 2, 2)))
+
+
+def test_a_variance_below_zero_is_refused():
+    """Three fixes in every twenty epochs: without process noise P grows to 1e17 of their variance in between."""
+    model = mpt.constant_acceleration(dt=30.0, q=0.0, r=1e-4, P0=1e8 * np.eye(3))
+    t = 30 * np.cumsum(np.random.default_rng(0).exponential(size=60))
+    z = np.where(np.arange(60)[:, None] % 20 < 3, 1.0, np.nan)
+    for function in (mpt.KalmanFilter.estimates, mpt.KalmanFilter.smooth, metrics.log_likelihood):
+        with pytest.raises(ValueError, match=r"z: needs gaps and a start beside which .* got a variance below zero"):
+            function(mpt.KalmanFilter(model, t=t), z)
