@@ -88,7 +88,7 @@ def remedies(cases):
         rows.append([
             name,
             f"{fix:.2f}",
-            f"{ratio * recorded.size(case.errors):.2f} ({ratio:.2f})",
+            f"{ratio * fix:.2f} ({ratio:.2f})",
             f"{line:.2f} ({line / fix:.2f})",
             f"{smooth:.2f}",
             f"{both:.2f}",

@@ -266,12 +266,12 @@ def newest_ratio(errors, n):
 
 
 def mean_ratio(errors, n):
-    """Return the three-dimensional error of the means of n successive fixes over that of one, from errors (N, 3).
+    """Return the three-dimensional error of the means of n successive fixes over that of their last ones.
 
     >>> float(mean_ratio(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), 2))
     0.0
     """
-    return size(np.lib.stride_tricks.sliding_window_view(errors, n, axis=0).mean(axis=-1)) / size(errors)
+    return size(np.lib.stride_tricks.sliding_window_view(errors, n, axis=0).mean(axis=-1)) / size(errors[n - 1 :])
 
 
 def windows(errors, n=WINDOW):
