@@ -28,7 +28,7 @@ from .smoothing import smoothed
 # A filter makes and keeps at most so many different steps for tracks without gaps; where it has not converged by then,
 # as one without process noise, columns are sooner done. On the models of 2014 to 2016 it converges within some 50.
 MOST_STEPS = 256
-# Of a few tracks, which are cut into pieces as columns. Measured.
+# The same for at most MOST_TRACKS tracks: as columns these are cut into pieces, and sooner done. Measured.
 MOST_STEPS_OF_FEW = 64
 # A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
 CONVERGED = 2e-16
