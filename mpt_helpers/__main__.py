@@ -29,6 +29,7 @@ from .ledger.verdicts import CANNOT_BE_CHECKED, FAILS, FIELDS, HOLDS, WRONG
 NOTEBOOKS, FIGURES, LEDGER = Path("notebooks"), Path("figures"), Path("mpt_helpers") / "ledger"
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
 CELL_TIMEOUT = 600  # seconds; the slowest cell takes some ten
+LONGEST_SOCKET = 98  # bytes of a path; with the number that Jupyter adds, macOS takes 103 and Linux 107
 STAGE = ".reproduce-"  # how the name of a folder begins in which notebooks run
 LEFT_OVER = 24 * 3600  # seconds after which such a folder is of no run: the slowest run takes some minutes
 # Where the results lie of a notebook that was edited while it ran: in a folder of its key.
@@ -197,19 +198,17 @@ def staged(root):
 
 
 def _kernel_manager(folder):
-    """Return the manager of a kernel that talks through sockets in a folder; on Windows, through TCP ports.
+    """Return the manager of a kernel that talks through sockets in a folder; where it cannot, through TCP ports.
 
     Jupyter chooses free ports before the kernel opens them, and another program may take one in between. With ports one
     run in some twenty, four at a time, waited for ever, probably for that reason.
     """
     from jupyter_client import AsyncKernelManager
 
-    if os.name != "posix":
+    file, socket = os.path.join(folder, "kernel.json"), os.path.join(folder, "ipc")
+    if os.name != "posix" or len(os.fsencode(socket)) > LONGEST_SOCKET:
         return AsyncKernelManager(kernel_name="python3")
-    file = os.path.join(folder, "kernel.json")
-    return AsyncKernelManager(
-        kernel_name="python3", transport="ipc", connection_file=file, ip=os.path.join(folder, "ipc")
-    )
+    return AsyncKernelManager(kernel_name="python3", transport="ipc", connection_file=file, ip=socket)
 
 
 async def _execute(key, notebook, folder, bar):
@@ -390,6 +389,8 @@ def main(arguments=None):
     form.add_argument("--csv", action="store_const", dest="form", const="csv", help="print every verdict as CSV")
     commands.add_parser("readme", help="write the counts of the verdicts into the README")
     options = parser.parse_args(arguments)
+    if options.command == "verdicts" and not sys.stdout.isatty() and hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(encoding="utf-8")  # into files, also where the terminal has another encoding
     try:
         if options.command == "reproduce":
             reproduce(options.keys)
@@ -402,7 +403,7 @@ def main(arguments=None):
         return 0
     except BrokenPipeError:  # as in `verdicts | head`: what is not yet written goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return 0 if options.command == "verdicts" else 1
     except ModuleNotFoundError as error:
         if error.name not in ("nbformat", "nbclient"):
             raise

@@ -87,7 +87,10 @@ class Ahead(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """The share of errors inside a band, (m,), its standard error, (m,), and on how many independent predictions."""
+    """The share of errors inside a band, (m,), its standard error, (m,), and on how many independent predictions.
+
+    The last is that of the axis with the fewest.
+    """
 
     share: Array
     error: Array
@@ -174,7 +177,7 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     that of a share of so many, with two hits and two misses added (Agresti and Coull 1998), so that it is not zero
     where all of them hit.
 
-    Raises ValueError for a band or a `where` of another shape, and where no prediction is left.
+    Raises ValueError for a band or a `where` of another shape, and where an axis has no prediction left.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -185,13 +188,16 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     band, where = _checked_band(a, band, where)
     errors = np.abs(a.errors[where])
     inside = np.where(np.isnan(errors), np.nan, errors <= band[where])
-    independent = _independent(a, where)
-    if independent < FEW:
-        text = f"coverage: {independent} independent predictions of {a.seconds:g} s are too few to judge a band by"
+    if np.isnan(inside).all(axis=0).any():
+        checks.refuse("where", "at least one prediction that is checked on each axis", "none on some")
+    of_axes = np.array([_independent(a, where & ~np.isnan(errors)) for errors in a.errors.T])
+    fewest = int(of_axes.min())
+    if fewest < FEW:
+        text = f"coverage: {fewest} independent predictions of {a.seconds:g} s are too few to judge a band by"
         warnings.warn(f"{text}, which takes {FEW}", stacklevel=2)
     share = np.nanmean(inside, axis=0)
-    near = (share * independent + 2) / (independent + 4)
-    return Coverage(share, np.sqrt(near * (1 - near) / (independent + 4)), independent)
+    near = (share * of_axes + 2) / (of_axes + 4)
+    return Coverage(share, np.sqrt(near * (1 - near) / (of_axes + 4)), fewest)
 
 
 def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayLike | None = None) -> Array:
@@ -285,7 +291,7 @@ class LiveBand:
         """
         n, m = self.model.n, self.model.m
         t = checks.number("t", t, "a time in seconds", lambda _: True)
-        z = checks.measurements(np.reshape(z, (1, -1)), m)[0]
+        z = checks.measurements(np.reshape(z, (1, -1)), m)[0].copy()  # it is kept, and the caller may fill it anew
         x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
         checks.no_infinity(z)
         R = self.model.R

@@ -71,7 +71,7 @@ class JoinFilter(Filter):
         Raises TypeError where the filters differ in their gains: then each would need a state of its own.
         """
         gains = [getattr(each, "B", 0.0) for each in (self.first, self.second)]  # of filters whose gain is constant
-        if self.first.optimal != self.second.optimal or not np.allclose(*gains, rtol=SAME_GAIN):
+        if self.first.optimal != self.second.optimal or not np.allclose(*gains, rtol=SAME_GAIN, atol=0):
             kinds = " and ".join(type(each).__name__ for each in (self.first, self.second))
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         x_1, P_1 = self.first.step(x, P, z_k)
@@ -164,7 +164,7 @@ class Separate(Filter):
     def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None) -> tuple[Array, Array]:
         """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its part of z_k (m,).
 
-        dt is the time since x, for filters that take it.
+        dt is the time since x, for filters that all take it.
         """
         z_k, _ = one_measurement(z_k, self.model.m)
         x, P = one_state(x, P, self.model.n)
@@ -228,12 +228,25 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    if not (isinstance(first, RecursiveFilter) and isinstance(second, RecursiveFilter)):
-        return  # a filter of filters
     for name, what in (("t", "times"), ("r", "variances")):
-        a, b = getattr(first, name, None), getattr(second, name, None)
-        if a is not b and (a is None or b is None or not np.array_equal(a, b, equal_nan=True)):
+        one, *others = (getattr(each, name, None) for each in (*_leaves(first), *_leaves(second)))
+        if name == "r" and not (isinstance(first, RecursiveFilter) and isinstance(second, RecursiveFilter)):
+            others = []  # of filters of some rows of z each
+        if not all(_same(one, other) for other in others):
             checks.refuse("second", f"a filter of the same {what} as the first", "one of others")
+
+
+def _leaves(estimator):
+    """Return the filters that a filter is made of in the end."""
+    parts = getattr(estimator, "filters", ())
+    parts += tuple(vars(estimator)[name] for name in ("first", "second", "estimator") if name in vars(estimator))
+    return [leaf for part in parts for leaf in _leaves(part)] or [estimator]
+
+
+def _same(a, b):
+    if a is None or b is None:
+        return a is b
+    return np.array_equal(a, b, equal_nan=True)
 
 
 def six_filters(model: LinearModel) -> dict[str, Filter]:

@@ -75,7 +75,9 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     count = int(np.isfinite(checks.real_numbers("z", z, "numbers")).sum())
     if count <= len(guess):
         checks.refuse("z", f"more measurements than parameters, of which there are {len(guess)}", count)
-    _require_a_start_near(_filter(make, guess), z)
+    estimator = _filter(make, guess)
+    z = checks.measurements(z, estimator.model.m)
+    _require_a_start_near(estimator, z)
     origin = np.log(list(guess.values()))
 
     def values_at(point):

@@ -115,7 +115,9 @@ class LinearModel(Immutable):
         """Tell whether F and Q fit the powers, and whether a step of length zero changes nothing."""
         e, F, Q = self.powers, self.F, self.Q
         differences, sums = e[:, None] - e, e[:, None] + e
-        if (sums % 1).any() or (differences[F != 0] < 0).any() or (sums[Q != 0] <= 0).any():
+        if (differences[F != 0] % 1).any() or (sums[Q != 0] % 1).any():
+            return False
+        if (differences[F != 0] < 0).any() or (sums[Q != 0] <= 0).any():
             return False
         if (np.diag(F) != 1).any() or F[(differences == 0) & ~np.eye(len(F), dtype=bool)].any():
             return False
@@ -129,13 +131,18 @@ class LinearModel(Immutable):
     def over(self, length: float) -> tuple[Array, Array]:
         """Return F and Q of a step of this length, in units of dt, a number that is not negative.
 
+        Raises ValueError for a model that knows one length only: then its dt is None.
+
         >>> constant_velocity(dt=2.0, q=0.01, r=0.1).over(1.5)[0]
         array([[1., 3.],
                [0., 1.]])
         """
+        if self.powers is None:
+            checks.refuse("model", "powers that say what a step of another length is", "none")
+        # Where a power is below zero there is no F_ij or no Q_ij: no step of length zero is divided by.
         differences, sums = self.powers[:, None] - self.powers, self.powers[:, None] + self.powers
-        F = np.where(self.F, self.F * float(length) ** np.maximum(differences, 0), 0)
-        return F, self.Q * float(length) ** sums
+        F = self.F * float(length) ** np.maximum(differences, 0)
+        return F, self.Q * float(length) ** np.maximum(sums, 0)
 
     @property
     def n(self) -> int:

@@ -35,9 +35,11 @@ def talk_through_files():
     """Let kernels use sockets that are files, each with a name of its own, in place of ports.
 
     jupyter_client finds ports that are free and leaves them to the kernel: another kernel, of tests that run beside
-    these, may take one before. Elsewhere than on Linux the path may be longer than a socket's may be.
+    these, may take one before. Where the path would be longer than a socket's may be, they keep to ports.
     """
     from jupyter_client import KernelManager
+
+    from mpt_helpers.__main__ import LONGEST_SOCKET
 
     made = KernelManager.__init__
 
@@ -45,7 +47,7 @@ def talk_through_files():
         path = os.path.join(tempfile.gettempdir(), f"kernel-{uuid.uuid4().hex}")
         made(self, *args, **{"transport": "ipc", "ip": path} | kwargs)
 
-    if sys.platform == "linux":
+    if sys.platform == "linux" and len(os.path.join(tempfile.gettempdir(), "kernel-" + 32 * "0")) <= LONGEST_SOCKET:
         KernelManager.__init__ = made_with_files
 
 

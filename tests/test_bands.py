@@ -265,6 +265,33 @@ def test_the_live_band_refuses_what_would_spoil_it(given, said):
     assert np.isfinite(live.step(0.0, [np.nan], AXIS.x0, kf.P0, r=[np.nan]).half_width)  # of what is missing
 
 
+def test_a_caller_may_fill_one_array_with_every_measurement():
+    kf, z = mpt.KalmanFilter(AXIS), np.random.default_rng(1).normal(scale=9, size=(60, 1))
+    ends = []
+    for buffer in (np.empty(1), None):
+        live, x, P = LiveBand(kf, 3.0), AXIS.x0, kf.P0
+        for k, z_k in enumerate(z):
+            given = z_k if buffer is None else buffer
+            given[:] = z_k
+            x, P = kf.step(x, P, given)
+            live.step(float(k), given, x, P)
+        ends.append(live.factor)
+    assert ends[0] == ends[1] != LiveBand(kf, 3.0).factor
+
+
+def test_each_axis_is_covered_by_its_own_predictions():
+    """Heights are known once in thirty seconds: ten predictions of them are too few, and the error is theirs."""
+    _, z = mpt.simulate(PLANE, 300, np.random.default_rng(2))
+    z[np.arange(300) % 30 != 5, 1] = np.nan
+    a = ahead(mpt.KalmanFilter(PLANE), z, 1.0)
+    with pytest.warns(UserWarning, match="coverage: 10 independent predictions"):
+        found = coverage(a, following(a))
+    assert found.independent == 10
+    assert found.error[1] > 4 * found.error[0]
+    with pytest.raises(ValueError, match="where: needs at least one prediction that is checked on each axis"):
+        coverage(a, following(a), where=a.row < 3)
+
+
 def test_of_a_model_that_is_right_the_band_is_the_filters_own():
     """The factor stays near 1.96. Following costs some 5 % of the score of the true quantiles, the best there is."""
     _, z = mpt.simulate(PLANE, 20_000, np.random.default_rng(0))

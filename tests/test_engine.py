@@ -219,7 +219,8 @@ def test_all_ways_to_an_estimate_agree(model, seed, gaps):
         ways = [[np.array(each) for each in zip(*way, strict=True)] for way in (steps, epochs)]
         ways += [(together.x[..., i], together.P[..., i]), (kf.filter(z)[..., i], kf.covariances(z)[..., i])]
         ways += [(kf.filter(z[..., i]), kf.covariances(z[..., i]))]
-        scale = np.maximum(sigma, np.abs(alone.x).max() * 1e-6)
+        # Or some fifty roundings of the largest state: a track takes 80 steps of some ten products.
+        scale = np.maximum(sigma, np.abs(alone.x).max() * 1e-5)
         for x, P in ways:
             assert (np.abs(x - alone.x) <= allowed * scale).all()
             assert (np.abs(P - alone.P) <= allowed * np.abs(alone.P).max()).all()
@@ -403,9 +404,19 @@ REFUSED_TIMES = {
     "step without r": (lambda: timed(r=[[1, 1]]).step(ZERO, ONE, [0, 0]), "r: needs"),
     "step, r below zero": (lambda: timed().step(ZERO, ONE, [0, 0], r=[1, -1]), "r: needs a vector of 2 positive"),
     "step, r of other axes": (lambda: timed().step(ZERO, ONE, [0, 0], r=[1]), r"r: needs .* got shape \(1,\)"),
+    "over": (lambda: AXIS.over(1.5), "model: needs powers that say"),
+    "fit, rows": (lambda: mpt.fit(lambda q: plane(), np.zeros((20, 3)), q=1.0), r"z: needs an \(N, 2\)"),
     "coefficients, t": (lambda: timed(t=T).coefficients(4), "t: needs to be left out, .* got times"),
     "coefficients, r": (lambda: timed(r=[[1, 1]]).coefficients(1), "r: needs to be left out, .* got variances"),
     "join, t": (lambda: mpt.JoinFilter(timed(t=T), mpt.LainiotisFilter(plane())), "second: needs a .* same times"),
+    "join of predictors, t": (
+        lambda: mpt.JoinFilter(mpt.Predictor(timed(t=T), 1), mpt.Predictor(timed(), 1)),
+        "second: needs a filter of the same times",
+    ),
+    "join of parts, t": (
+        lambda: mpt.JoinFilter(mpt.Separate(timed(t=T)), timed()),
+        "second: needs a filter of the same times",
+    ),
     "join, r": (lambda: mpt.JoinFilter(timed(), timed(r=[[1, 1]])), "second: needs a filter of the same variances"),
     "step backwards": (lambda: timed().step(ZERO, ONE, [0, 0], dt=-1), "dt: needs a number"),
     "step of gsm": (lambda: timed(AXIS).step(np.zeros(2), np.eye(2), [0], dt=1), "dt: needs a model that says"),
@@ -647,3 +658,17 @@ def test_a_variance_below_zero_is_refused():
     for function in (mpt.KalmanFilter.estimates, mpt.KalmanFilter.smooth, metrics.log_likelihood):
         with pytest.raises(ValueError, match=r"z: needs gaps and a start beside which .* got a variance below zero"):
             function(mpt.KalmanFilter(model, t=t), z)
+
+
+def test_a_state_that_stays_may_have_any_power():
+    """A constant bias beside a motion: its F and Q are those of any step."""
+    motion = mpt.constant_velocity(dt=2.0, q=0.1, r=1.0)
+    F, Q = np.eye(3), np.zeros((3, 3))
+    F[:2, :2], Q[:2, :2] = motion.F, motion.Q
+    given = {"F": F, "H": [[1, 0, 1]], "Q": Q, "R": [[1]], "P0": np.eye(3), "dt": 2.0}
+    model = mpt.LinearModel(**given, powers=[*motion.powers, 0])
+    assert model.dt == 2.0
+    z = np.array([[1.0], [2.0], [4.0]])
+    halves = mpt.KalmanFilter(model, t=[0, 2, 4]).filter(z)
+    np.testing.assert_allclose(halves, mpt.KalmanFilter(model).filter(z), rtol=1e-12)
+    np.testing.assert_array_equal(mpt.LinearModel(**given | {"Q": 0 * Q}, powers=[0, -1, 0]).over(0)[1], 0 * Q)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import jupyter_client
 import pytest
-from conftest import KERNEL, VERDICTS, write_notebook
+from conftest import KERNEL, ROOT, VERDICTS, write_notebook
 from nbformat.v4 import new_output
 
 import mpt_helpers as mpt
@@ -210,7 +210,8 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, 
     runs = f"{listens} import sys; from mpt_helpers.__main__ import main; sys.exit(main(['reproduce']))"
     command = [sys.executable, "-c", runs]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        while len(kernels := [path.read_text() for path in signs.iterdir()]) < min(2, os.cpu_count()):
+        # A sign is written when its text is there.
+        while len(kernels := [text for path in signs.iterdir() if (text := path.read_text())]) < min(2, os.cpu_count()):
             assert running.poll() is None, running.communicate()
             time.sleep(0.05)
         running.send_signal(getattr(signal, end))
@@ -553,3 +554,29 @@ def test_the_readme_counts_claims_that_cannot_be_checked(shipped):
     text = readme(Verdicts([*shipped, replace(lost, kind="claim")], shipped.causes))
     assert "** 1 of 2 claims hold, 1 cannot be checked. " in text
     assert text.endswith("| 1 of 2 | 2 of 4 | 2 |")
+
+
+def test_verdicts_into_a_file_are_utf_8_whatever_the_terminal_has():
+    command = [sys.executable, "-m", "mpt_helpers", "verdicts", "--json"]
+    ran = subprocess.run(command, capture_output=True, env=os.environ | {"PYTHONIOENCODING": "cp1252"}, cwd=ROOT)
+    assert ran.returncode == 0, ran.stderr
+    assert "σ" in str(json.loads(ran.stdout.decode("utf-8")))
+
+
+def test_a_reader_that_closes_the_pipe_leaves_reproduce_unfinished():
+    """What was not executed was not reproduced; `verdicts | head` is."""
+    for command, code in (("reproduce", 1), ("verdicts", 0)):
+        text = f"""
+import sys
+import mpt_helpers.__main__ as m
+def closed(*_):
+    raise BrokenPipeError
+m.reproduce = m.show_verdicts = closed
+sys.exit(m.main(["{command}"]))
+"""
+        assert subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True).returncode == code
+
+
+@pytest.mark.parametrize(("folder", "fits"), [("/tmp/mpt-1", True), ("/tmp/" + 93 * "a", False)])
+def test_kernels_use_ports_where_a_path_is_too_long_for_a_socket(folder, fits):
+    assert (command_line._kernel_manager(folder).ip == os.path.join(folder, "ipc")) == fits

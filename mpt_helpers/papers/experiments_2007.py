@@ -25,8 +25,7 @@ READINGS = {
 def random_sky(rng):
     """Return the satellites (m, 3) above the mask, and the state [x y z D'], at a random position and time.
 
-    The position is uniform over the sphere of directions, the time over a sidereal day, D' is zero. There were four to
-    ten satellites in each of 400,000 skies.
+    The position is uniform over the sphere of directions, the time over a sidereal day, D' is zero.
 
     >>> satellites, X = random_sky(np.random.default_rng(0))
     >>> satellites.shape, X.shape
