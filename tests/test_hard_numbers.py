@@ -321,7 +321,9 @@ def test_a_steady_state_without_a_digit_is_refused_though_its_equation_holds(sol
         solve(model)
     monkeypatch.setattr(riccati, "require_resolved", lambda model, P: None)
     exact = precise.steady(model.F, model.H, model.Q, model.R)[2].astype(float)
-    assert np.abs(np.diag(solve(model).P) / np.diag(exact) - 1).max() > 0.1
+    # Of the Kalman filter's no digit holds; of the other's, by luck, as many as two on some processors and libraries.
+    least = 0.1 if solve == mpt.SteadyStateFilter.from_kalman else 1e-3
+    assert np.abs(np.diag(solve(model).P) / np.diag(exact) - 1).max() > least
 
 
 LIFTED = {

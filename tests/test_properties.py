@@ -236,14 +236,18 @@ KINDS = [np.float16, np.float32, np.float64, np.longdouble, np.int8, np.int64, n
 @all_filters
 @given(models(most=4), seeds, st.sampled_from(sorted(LAYOUTS)), st.sampled_from(KINDS), st.sampled_from([None, 1, 9]))
 def test_layout_and_type_of_the_measurements_do_not_matter(make, model, seed, layout, kind, tracks):
-    """To the last bit, for numbers that all these types hold; and nothing is written to them."""
+    """For numbers that all these types hold; and nothing is written to them.
+
+    To rounding: of other layouts numpy 2.0 makes products in another order, to the last bit.
+    """
     z = np.abs(measured(model, seed, 20, tracks)).round() % 100
     if issubclass(kind, np.floating):
         z[seed % 20] = np.nan
     given_z = LAYOUTS[layout](z.astype(kind))
     before = np.array(given_z)
     each = make(model)
-    np.testing.assert_array_equal(each.filter(given_z), each.filter(z))
+    right = each.filter(z)
+    np.testing.assert_allclose(each.filter(given_z), right, rtol=1e-12, atol=1e-13 * np.nanmax(np.abs(right)))
     np.testing.assert_array_equal(given_z, before)
 
 

@@ -47,7 +47,8 @@ def places():
     """Return all Places."""
     locked, there = ["--require-hashes", "-r", "environment.lock"], pythons()
     oldest = [each.replace(">=", "==") for each in PROJECT["dependencies"]]
-    others = [*PROJECT["optional-dependencies"]["notebooks"], *PROJECT["optional-dependencies"]["test"]]
+    extras = PROJECT["optional-dependencies"]
+    others = [*extras["notebooks"], *extras["tracks"], *extras["test"]]
     newest = [re.split("[=<>]", each)[0] for each in [*PROJECT["dependencies"], *others]]
     first, last = there[min(there)], there[max(there)]
     return [
