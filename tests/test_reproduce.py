@@ -577,6 +577,6 @@ sys.exit(m.main(["{command}"]))
         assert subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True).returncode == code
 
 
-@pytest.mark.parametrize(("folder", "fits"), [("/tmp/mpt-1", True), ("/tmp/" + 93 * "a", False)])
+@pytest.mark.parametrize(("folder", "fits"), [("/sockets", True), ("/" + 97 * "a", False)])
 def test_kernels_use_ports_where_a_path_is_too_long_for_a_socket(folder, fits):
     assert (command_line._kernel_manager(folder).ip == os.path.join(folder, "ipc")) == fits
