@@ -221,7 +221,7 @@ def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayL
 
 
 def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
-    """Return an Ahead whose sigma are random numbers, lognormal with unit parameters, and tell nothing.
+    """Return an Ahead whose sigma tell nothing: the median one of each axis times random numbers, lognormal (0, 1).
 
     A band that follows its errors holds as many of them with these. Its interval score and its coverage in states that
     are known beforehand are what a true sigma must beat. rng is a numpy Generator.
@@ -229,11 +229,13 @@ def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
     >>> placebo(a, np.random.default_rng(1)).sigma.ravel().round(2)
-    array([1.41, 2.27])
+    array([0.54, 0.87])
     """
     checks.instance("a", a, Ahead)
     checks.instance("rng", rng, np.random.Generator)
-    return a._replace(sigma=np.exp(rng.standard_normal(a.sigma.shape)), recent=np.ones(len(a.recent)))
+    # Of the size of the true ones: on a short track a band has not yet learnt its size.
+    sigma = np.median(a.sigma, axis=0) * np.exp(rng.standard_normal(a.sigma.shape))
+    return a._replace(sigma=sigma, recent=np.ones(len(a.recent)))
 
 
 class LiveBand:

@@ -5,6 +5,7 @@ It needs two packages more, the extra `tracks`: pip install "mpt_helpers[tracks]
 
 from __future__ import annotations
 
+import bisect
 import itertools
 import math
 import re
@@ -26,7 +27,7 @@ class Track(NamedTuple):
 
     t (N,): times in s since the first fix of the file
     z (N, 2) or (N, 3): metres east and north of the origin, and above it; a height is NaN where the file has none
-    origin: latitude and longitude (°) and height (m) that z counts from: the segment's first fix, or the one given
+    origin: latitude and longitude (°) and height (m) that z counts from: the segment's first ones, or those given
     start: the time of the first fix of the file
     """
 
@@ -52,12 +53,12 @@ def gpx(
     a third column has the heights.
 
     Every fix needs a time, later than that of the one before in its segment: an equal time is almost always one fix
-    written twice or the rounding of times, and would count as two independent measurements. skip=True leaves such fixes
-    out and warns how many.
+    written twice or the rounding of times, and would count as two independent measurements. skip=True leaves out as few
+    fixes as will do, and warns how many.
 
-    Raises ValueError for a file that is no GPX, holds no tracks (routes and waypoints have no times), or has a fix that
-    is not later than the one before or has no time, which is named, for a pause that is not positive and an origin that
-    is none; ImportError without gpxpy and pymap3d.
+    Raises ValueError for a file that is no GPX, holds no tracks (routes and waypoints have no times), or has fixes that
+    are out of order, have no time or no degrees, of which the first is named, for a pause that is not positive and an
+    origin that is none; ImportError without gpxpy and pymap3d.
     """
     if pause is not None:
         pause = checks.positive("pause", pause)
@@ -66,6 +67,9 @@ def gpx(
     import gpxpy
 
     data = Path(path).read_bytes()
+    prefixed = re.search(rb"<(\w+):gpx\b", data)
+    if prefixed:  # gpxpy knows names without a prefix only
+        data = re.sub(rb"(</?)" + prefixed[1] + rb":", rb"\1", data)
     declared = re.search(rb"""encoding=["']([\w-]+)""", data[:200])
     encoding = declared[1].decode() if declared else "utf-8"
     try:
@@ -77,6 +81,7 @@ def gpx(
         raise ValueError(f"{path}: needs a recorded track, got {len(segments)} track segments and no times")
     kept, left_out = [], 0
     for number, points in enumerate(segments, start=1):
+        _check_degrees(path, number, points)
         rows, wrong = _in_order(points)
         if wrong and not skip:
             row, why = wrong[0]
@@ -126,19 +131,45 @@ def _origin(origin):
     return (*values[:2].tolist(), float(values[2]) if len(values) == 3 else 0.0)
 
 
-def _in_order(points):
-    """Return the rows of the fixes whose times increase, and the other rows, each with what is wrong."""
-    rows, wrong, last = [], [], None
+def _check_degrees(path, number, points):
+    """Refuse a segment with a fix that lies nowhere on the Earth."""
     for row, point in enumerate(points):
-        if point.time is None:
-            wrong.append((row, "no time"))
-        elif last is not None and _time(point) <= last:
-            how = "again" if _time(point) == last else "after a later time"
-            wrong.append((row, f"{_time(point):%Y-%m-%d %H:%M:%S} {how}"))
-        else:
-            rows.append(row)
-            last = _time(point)
-    return rows, wrong
+        if not (abs(point.latitude) <= 90 and abs(point.longitude) <= 360):  # nor is NaN
+            got = f"{point.latitude:g} and {point.longitude:g} in fix {row + 1} of segment {number}"
+            raise ValueError(f"{path}: needs latitudes and longitudes of at most 90 and 360 degrees, got {got}")
+
+
+def _in_order(points):
+    """Return the rows of the most fixes whose times increase, and the other rows, each with what is wrong.
+
+    So one clock error does not cost all that follows it. It is the longest increasing subsequence, found from the end:
+    of all that are as long, the one that starts latest can be continued by most (Fredman 1975).
+    """
+    starts, after = [], {}  # for each length (-time, row) of the latest start; the row that follows each
+    for row in reversed(range(len(points))):
+        if points[row].time is None:
+            continue
+        turned = -_time(points[row]).timestamp()
+        length = bisect.bisect_left(starts, turned, key=lambda start: start[0])
+        after[row] = starts[length - 1][1] if length else None
+        starts[length : length + 1] = [(turned, row)]  # of two at one time the first stays
+    rows, row = [], starts[-1][1] if starts else None
+    while row is not None:
+        rows.append(row)
+        row = after[row]
+    return rows, [(row, _what_is_wrong(points, rows, row)) for row in sorted(set(range(len(points))) - set(rows))]
+
+
+def _what_is_wrong(points, rows, row):
+    """Return why a fix was left out of those that are in order."""
+    if points[row].time is None:
+        return "no time"
+    time = _time(points[row])
+    kept = bisect.bisect(rows, row)  # so many come before it
+    last = _time(points[rows[kept - 1]]) if kept else None
+    if last is None or last < time:
+        return f"{time:%Y-%m-%d %H:%M:%S} before an earlier time"
+    return f"{time:%Y-%m-%d %H:%M:%S} {'again' if last == time else 'after a later time'}"
 
 
 def _time(point):
@@ -155,14 +186,14 @@ def _apart(points, pause):
 
 
 def _track(points, start, origin, up):
-    """Return fixes as a Track; without an origin it is the first of them."""
-    first = points[0]
-    height = float(np.nan_to_num(_height(first)))
-    origin = (first.latitude, first.longitude, height) if origin is None else origin
+    """Return fixes as a Track; without an origin it is the first latitude, longitude and height of them."""
+    heights = np.array([_height(point) for point in points])
+    if origin is None:
+        known = heights[np.isfinite(heights)]
+        origin = (points[0].latitude, points[0].longitude, float(known[0]) if len(known) else 0.0)
     t = np.array([(_time(point) - start).total_seconds() for point in points])
     z = local([point.latitude for point in points], [point.longitude for point in points], origin)
     if up:
-        heights = np.array([_height(point) for point in points])
         z = np.column_stack([z, heights - origin[2]])
     return Track(t, z, origin, start)
 

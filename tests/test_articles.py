@@ -19,8 +19,9 @@ class Limits(NamedTuple):
 
 LIMITS = {
     "2007_mms_kalman": Limits(16, 1100, 70),
-    "2014_gsm_2d": Limits(14, 1100, 60),
+    "2014_gsm_2d": Limits(14, 1120, 60),
     "2015_mpt_3d": Limits(20, 700, 0),  # the whole notebook has the length of one article
+    "2016_prediction": Limits(14, 1010, 60),
 }
 USUAL = Limits(14, 1000, 60)
 FIRST_CELL = 120  # words

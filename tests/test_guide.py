@@ -204,6 +204,7 @@ OTHER_STEPS = {
         (40.0, -3.0, 160, (98, 98, 98, 98, 98, 98, 98, 98, 98, 98, 98, 98, 110, 7000))
     ],
     "equal steps of 8 s": [(57.0, 9.9, 200, (8,))],
+    "25 fixes, equal steps of 5 s": [(57.0, 9.9, 25, (5,))],
 }
 
 
@@ -232,9 +233,9 @@ def gpx_file(path, segments):
 
 @pytest.mark.parametrize("name", OTHER_STEPS)
 def test_the_blocks_run_as_they_stand_on_other_tracks(name, tmp_path):
-    """From Read to Go live with nothing but the name of the file replaced: nothing is refused, no picture is empty."""
+    """From Read to Errors that last with nothing but the name of the file replaced: no refusal, no empty picture."""
     gpx_file(tmp_path / "other.gpx", OTHER_STEPS[name])
-    text = GUIDE.partition("## A small processor")[0].replace("tracks/ride.gpx", str(tmp_path / "other.gpx"))
+    text = GUIDE.partition("## Two sensors")[0].replace("tracks/ride.gpx", str(tmp_path / "other.gpx"))
     names, printed, pictures = {}, "", []
     for part, made in run_guide.run(text, names):
         if part["name"]:
@@ -242,7 +243,7 @@ def test_the_blocks_run_as_they_stand_on_other_tracks(name, tmp_path):
         else:
             printed += made
     assert "fit: r" not in printed
-    assert "grid" not in names  # r is known, and stays
+    assert "r" in names["fit"].values  # it is known, and stays
     assert "nan" not in printed
     assert pictures == ["look", "band", "smooth"]
     t, z, near = names["t"], names["z"], names["near"]
@@ -254,9 +255,26 @@ def test_the_blocks_run_as_they_stand_on_other_tracks(name, tmp_path):
     assert len(names["due"]) > 5
     assert names["hidden"][names["rows"]].any()
     assert np.isfinite(names["expected"].half_width).all()
+    equal = "equal steps" in name
+    assert ("with the error state: position stated to 4 m" in printed) == equal  # 3 m, and what 3 m of noise leave
+    assert ("give the error state a stretch of equal ones" in printed) != equal
     before = names["before"]
     assert (t[before][1:] <= np.maximum(t[1:] - 10, t[0])).all()
     assert (t[before + 1] > t - 10).all()
+
+
+def test_the_share_inside_a_smoothed_band_counts_the_noise_of_the_fixes():
+    """On tracks of the model: 95 % of 2,400 numbers that share their errors by tens, ± 1.5. Without it two thirds."""
+    r = 9.0
+    names = blocks("def model", names={"np": np, "mpt": mpt, "t": np.arange(7200.0), "z": np.zeros((7200, 2))})
+    model = names["model"](0.05, r)
+    _, z = mpt.simulate(model, N=7200, rng=np.random.default_rng(1))
+    names |= {"kf": mpt.KalmanFilter(model), "z": z, "r": r}
+    (code,) = (part["code"] for part in run_guide.PART.finditer(GUIDE) if "hidden = (" in (part["code"] or ""))
+    ((_, made),) = run_guide.run(f"```python\n{code}```", names)
+    shares = [int(share) for share in re.findall(r"m in the gaps, (\d+)% within 1.96 sigma", made)]
+    assert len(shares) == 2
+    assert all(91 <= share <= 99 for share in shares)
 
 
 def blocks_of_states(names):

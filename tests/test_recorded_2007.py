@@ -357,7 +357,7 @@ def test_the_first_screen_says_what_the_recordings_do(cases, cells):
         assert both > smooth  # a line afterwards lost some of it
     found = re.findall(r"(?:white|tuned): error over stated after 50 minutes ([\d.]+) to ([\d.]+)", printed(cells[0]))
     low, high = min(float(low) for low, _ in found), max(float(high) for _, high in found)
-    assert f"{low:.0f} to {high:.0f} times as wrong as it stated after 50 minutes" in first
+    assert f"{low:.0f} to {high:.0f} times as wrong as stated after 50 minutes" in first
 
 
 def test_a_filter_that_is_tuned_to_its_innovations_is_wrong(cells):

@@ -1,5 +1,8 @@
 """Recorded tracks: from GPX files, and from degrees to metres."""
 
+import itertools
+import re
+import warnings
 from datetime import UTC, datetime
 from math import cos, hypot, radians, sin
 
@@ -94,8 +97,9 @@ def test_heights_are_a_column_where_they_are_wanted_and_nan_where_the_file_has_n
     (track,) = tracks.gpx(path, up=True)
     np.testing.assert_array_equal(track.z[:, 2], [0, np.nan, 12.5])
     assert tracks.gpx(path)[0].z.shape == (3, 2)
-    (track,) = tracks.gpx(written([fix(0, ele="NaN"), fix(1, ele=30)]), up=True)
-    np.testing.assert_array_equal(track.z[:, 2], [np.nan, 30])
+    (track,) = tracks.gpx(written([fix(0, ele="NaN"), fix(1, ele=30), fix(2, ele=31)]), up=True)
+    np.testing.assert_array_equal(track.z[:, 2], [np.nan, 0, 1])  # above the first height that is known
+    assert track.origin[2] == 30
 
 
 @pytest.mark.parametrize(
@@ -103,6 +107,7 @@ def test_heights_are_a_column_where_they_are_wanted_and_nan_where_the_file_has_n
     [
         ([fix(0), fix(1), fix(1)], r"got 2024-05-03 12:00:01 again in fix 3 of segment 2 \(1 such of its 3 fixes\)"),
         ([fix(0), fix(9), fix(4)], r"got 2024-05-03 12:00:04 after a later time in fix 3 of segment 2"),
+        ([fix(99), fix(1), fix(2)], r"got 2024-05-03 12:01:39 before an earlier time in fix 1 of segment 2"),
         ([fix(0), fix(None), fix(None)], r"got no time in fix 2 of segment 2 \(2 such of its 3 fixes\)"),
     ],
 )
@@ -114,7 +119,47 @@ def test_a_time_that_repeats_runs_back_or_is_missing_is_refused_by_row_with_the_
         segments = tracks.gpx(path, skip=True)
     assert len(segments) == 2
     assert (np.diff(segments[1].t) > 0).all()
-    assert len(segments[1].t) == 3 - said.count("1 such") - said.count("after") - 2 * said.count("2 such")
+    assert len(segments[1].t) == (1 if "2 such" in said else 2)
+
+
+def test_one_clock_error_does_not_cost_the_fixes_after_it(written):
+    times = [*range(10), 3000, *range(11, 60), *range(40, 70)]
+    path = written([fix(time) for time in times])
+    with pytest.raises(ValueError, match=r"got 2024-05-03 12:50:00 before an earlier time in fix 11 .*\(21 such"):
+        tracks.gpx(path)
+    with pytest.warns(UserWarning, match="21 fixes left out"):
+        (track,) = tracks.gpx(path, skip=True)
+    np.testing.assert_array_equal(track.t, [*range(10), *range(11, 70)])
+
+
+def test_the_order_that_is_kept_is_as_long_as_any(written):
+    """Against all subsequences of short tracks."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        times = rng.integers(0, 9, 7)
+        kept = [times[list(rows)] for n in range(8) for rows in itertools.combinations(range(7), n)]
+        longest = max(len(each) for each in kept if (np.diff(each) > 0).all())
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of what was left out
+            (track,) = tracks.gpx(written([fix(int(time)) for time in times]), skip=True)
+        assert len(track.t) == longest
+        assert (np.diff(track.t) > 0).all()
+
+
+def test_names_with_a_prefix_are_read(written):
+    path = written([fix(0, ele=3), fix(1)], [fix(9)])
+    plain = tracks.gpx(path, up=True)
+    path.write_text(re.sub(r"(</?)(?=[a-z])", r"\1gpx:", path.read_text()).replace("xmlns=", "xmlns:gpx="))
+    assert "<gpx:trkpt lat" in path.read_text()
+    for track, other in zip(tracks.gpx(path, up=True), plain, strict=True):
+        np.testing.assert_array_equal(track.z, other.z)
+        np.testing.assert_array_equal(track.t, other.t)
+
+
+@pytest.mark.parametrize(("lat", "lon"), [("NaN", 9.9), (150, 9.9), (57.0, 6.3e6)])
+def test_degrees_that_are_none_are_refused_by_fix(written, lat, lon):
+    with pytest.raises(ValueError, match=r"track.gpx: needs latitudes and .* in fix 2 of segment 1"):
+        tracks.gpx(written([fix(0), fix(1, lat=lat, lon=lon)]))
 
 
 def test_fractions_of_a_second_are_kept_and_a_time_without_a_zone_is_utc(written):

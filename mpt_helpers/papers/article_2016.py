@@ -72,7 +72,7 @@ def draw_table1():
         measured = table1.expected_absolute(0.0, table1.R) * np.mean([1 / each for each in positions])
         panel.semilogy(column.printed, "o", color="black", ms=5, label="printed in the paper")
         panel.semilogy(100 * table1.of_both_axes(column, STEPS), "-", label="computed: starts at rest")
-        panel.semilogy(100 * table1.settled_averages(column, STEPS), "--", label="the same filter, once settled")
+        panel.semilogy(100 * table1.settled_averages(column, STEPS), "--", label="if settled from the start")
         panel.semilogy(0, 100 * measured, "s", label="one raw measurement")
         panel.set_ylim(5e-4, 3e-2)
         panel.set_yticks([1e-3, 1e-2], ["0.001", "0.01"])
