@@ -56,6 +56,20 @@ def test_the_script_computes_what_the_page_does_by_hand(page, message):
     np.testing.assert_allclose(make_table.turned(position, travel)[0], page["satellite"], rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("clock", [900.0 * np.arange(240), make_table.C * 1e-3 * (np.arange(240) >= 239)])
+def test_a_clock_that_runs_free_or_jumps_needs_its_own_variance(page, clock):
+    """Said of 0.1 ppm and of a millisecond: tens of metres and more with the page's Q, the steered error with 1e12."""
+    day, start, axes = page["day"], page["fixes"][0], page["axes"]
+    errors = {}
+    for variance in (1.0, 1e12):
+        Q = np.diag([0.01, 0.01, 0.01, variance])
+        ranges = day.ranges[:240] + clock[:, None]
+        track = page["positioning"].position_kalman(day.satellites[:240], ranges, start.X, start.P, Q, 0.64)
+        errors[variance] = np.linalg.norm(axes @ (track.X[-1, :3] - page["station"]))
+    assert errors[1.0] > 60
+    assert errors[1e12] < 1
+
+
 class Recorded(dict):
     """What the script asks of georinex: columns with `values` and `dims`."""
 
@@ -101,6 +115,72 @@ def test_messages_of_the_evening_before_a_sunday_are_of_the_week_before():
     t = np.array([-3_700, -3_500, 590_000, 606_000, 612_000])
     found = make_table.message_at(messages, "G05", t, np.datetime64("2020-06-28"))
     assert found["M0"].tolist() == [1, 2, 3, 3, 4]
+
+
+def test_a_range_is_left_out_whose_message_is_older_than_two_hours(page, message, monkeypatch):
+    angles = np.zeros(2), np.full(2, 60.0), 0.0
+    stub = SimpleNamespace(ecef2geodetic=lambda *_: (55.49, 8.46, 59.0), ecef2aer=lambda *_: angles)
+    monkeypatch.setitem(sys.modules, "pymap3d", stub)
+    times = np.array(["2020-06-25T02:00:00", "2020-06-25T02:00:30"], "datetime64[s]")
+    messages = Recorded(time=times[:1], health=[0.0], **{name: [value] for name, value in message.items()})
+    observations = Recorded(time=times, C1C=[page["C1C"]] * 2)
+    arguments = "G05", observations, messages, page["station"], page["header"]
+    with pytest.warns(UserWarning, match=r"G05: 1 of 2 ranges left out: no message .* within two hours of them"):
+        (row,) = make_table.rows_of(*arguments)
+    assert row[0] == 7200
+    messages["time"].values -= np.timedelta64(7, "D")  # a week ago the same second of the week
+    with pytest.warns(UserWarning, match="G05: 2 of 2 ranges left out"):
+        assert len(make_table.rows_of(*arguments)) == 0
+
+
+@pytest.mark.parametrize(
+    ("last", "header", "early"),
+    [
+        ("2024-05-03T23:59:30", {"TIME OF LAST OBS": "2024 5 3 23 59 59.0 GPS", "INTERVAL": "30.000"}, 0),
+        ("2024-05-03T21:59:30", {"TIME OF LAST OBS": "2024 5 3 23 59 30.0 GPS"}, 7200),
+        ("2024-05-03T21:59:30", {"INTERVAL": "30.000"}, 0),
+    ],
+)
+def test_observations_that_end_before_their_header_says(last, header, early):
+    assert make_table.ends_early(header, np.datetime64(last)) == early
+
+
+class Read(dict):
+    """A file as georinex gives it."""
+
+    def __init__(self, attrs=(), **columns):
+        super().__init__(columns)
+        self.attrs = dict(attrs)
+
+
+STATION = {"position": [3582105.291, 532589.7313, 5232754.8054]}
+IONOSPHERE = {"ionospheric_corr_GPS": np.zeros(8)}
+
+
+@pytest.mark.parametrize(
+    ("observations", "navigation", "said"),
+    [
+        (EOFError("cut"), Read(), r"^a: needs a RINEX 3 file of observations, got one that cannot be read \(EOFError"),
+        (Read(C1C=[]), IndexError("cut"), r"^b: needs a RINEX 3 file of broadcast ephemerides, got one that cannot"),
+        (Read(Toe=[]), Read(C1C=[]), r"^a needs GPS ranges C1C, b GPS ephemerides: are they swapped\?"),
+        (Read(STATION, C1C=[]), Read(Toe=[]), "^b: needs GPSA and GPSB, the ionosphere, in its header"),
+        (Read(C1C=[]), Read(IONOSPHERE, Toe=[]), "^a: APPROX POSITION XYZ: needs a position on the Earth"),
+    ],
+)
+def test_a_file_that_will_not_do_is_named(monkeypatch, tmp_path, observations, navigation, said):
+    def load(path, **_):
+        found = {"a": observations, "b": navigation}[str(path)]
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    stub = SimpleNamespace(load=load, rinexheader=lambda path: {})
+    monkeypatch.setitem(sys.modules, "georinex", stub)
+    table = tmp_path / "table.csv.gz"
+    monkeypatch.setattr(sys, "argv", ["make_table.py", "a", "b", str(table)])
+    with pytest.raises(SystemExit, match=said):
+        make_table.main()
+    assert not table.exists()
 
 
 @pytest.mark.parametrize("header", [{"position": [0.0, 0.0, 0.0]}, {"position": [55.5, 8.5, 59.0]}, {}])

@@ -288,8 +288,9 @@ def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisation
     ranges is (N, m), with NaN, or a mask, where a satellite was not measured; satellites is (N, m, 3), or (m, 3) where
     they stand still; variance is that of a range (m²): a number, (m,) or (N, m). start (4,) and P0 (4, 4) belong to the
     step before the first epoch, and Q (4, 4) is added at each epoch, so that the last X and P of one track start the
-    next. P0 and Q may be singular: what they leave without variance stays as it is. As in `position`, there is one
-    clock, for satellites of one system.
+    next. Its last entry is the receiver's clock (m²): 1e12 for one that runs free, or the position follows it. P0 and Q
+    may be singular: what they leave without variance stays as it is. As in `position`, there is one clock, for
+    satellites of one system.
 
     H is linearised at the prediction. With more linearisations the next ones are at the estimate so far (the iterated
     filter). No range is tested: set those that `position` leaves out to NaN, or those whose innovation is too large for

@@ -91,11 +91,13 @@ class Fixes(NamedTuple):
 def fixes(day, ranges, variance=1.0):
     """Return the `Fixes` of ranges (N, 32) of a day, each as `positioning.position` makes it, all epochs at once.
 
-    variance is a number or (N, 32). The start is the station. Raises ValueError for an epoch of fewer than four.
+    variance is a number or (N, 32). The start is the station. No range is tested. Raises ValueError for an epoch of
+    fewer than four.
     """
     seen = np.isfinite(ranges)
-    if seen.sum(axis=1).min() < 4:
-        refuse("ranges", "four satellites at each epoch", f"{seen.sum(axis=1).min()} at one")
+    count = seen.sum(axis=1)
+    if count.min() < 4:
+        refuse("ranges", "four satellites at each epoch", f"{count.min()} in row {count.argmin()}")
     weight = np.where(seen, 1 / np.sqrt(variance), 0.0)
     satellites = np.where(seen[..., None], day.satellites, 0.0)
     X = np.tile(np.append(day.station, 0.0), (len(ranges), 1))

@@ -16,6 +16,9 @@ One row for each epoch and GPS satellite above 10 degrees:
     phase1        the carrier phase L1C minus C1C, as measured (m)
     phase2        the carrier phase L2W minus C1C, as measured (m)
 
+Ranges that no message is near enough to are left out, with a warning. Needed are RINEX 3 files of one day: GPS C1C and
+the station's position in the observations, GPSA and GPSB (the ionosphere) in the header of the ephemerides.
+
 So `range` is the distance to (x, y, z) plus the receiver's clock, and errors. A phase is a range that lacks a constant,
 another one after each loss of lock. What was not measured is nan. The formulas are those of IS-GPS-200
 (orbit 20.3.3.4.3, clock and group delay 20.3.3.3.3, ionosphere 20.3.3.5.2.5) and of Saastamoinen (1972).
@@ -34,6 +37,7 @@ EARTH_RATE = 7.2921151467e-5  # rad/s
 RELATIVITY = -4.442807633e-10  # s/√m
 L1, L2 = 1575.42e6, 1227.60e6  # Hz
 MASK = 10.0  # degrees
+MOST_AGE = 7_200.0  # s, from a message's time of ephemeris: half of the four hours that its numbers are fitted to
 WEEK = 604_800.0  # s
 COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual,second,phase1,phase2"
 FORMAT = "%.10g,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f,%.3f,%.3f,%.3f"
@@ -125,12 +129,13 @@ def since_sunday(time, toe, sunday):
 def message_at(navigation, satellite, t, sunday):
     """Return the message of a satellite whose time of ephemeris is nearest, for each t (N,), as name -> (N,).
 
-    t is in seconds since the midnight of that Sunday.
+    t is in seconds since the midnight of that Sunday. "age" is how far that time is from t, in seconds.
     """
     own = navigation.sel(sv=satellite).dropna("time", how="all", subset=["Toe"])
     toe = since_sunday(own["time"].values, own["Toe"].values, sunday)
     nearest = np.abs(t[:, None] - toe).argmin(axis=1)
-    return {name: own[name].values[nearest] for name in own.data_vars if own[name].dims == ("time",)}
+    numbers = {name: own[name].values[nearest] for name in own.data_vars if own[name].dims == ("time",)}
+    return numbers | {"age": np.abs(t - toe[nearest])}
 
 
 def observed(own, name, seen):
@@ -170,7 +175,42 @@ def rows_of(satellite, observations, navigation, station, coefficients):
     number = np.full(len(epoch), int(satellite[1:]))
     as_measured = np.column_stack([second, phase1, phase2]) - measured[:, None]
     rows = np.column_stack([epoch, number, position, corrected, elevation, troposphere, dual, as_measured])
-    return rows[(elevation > MASK) & (message["health"] == 0)]
+    current = message["age"] <= MOST_AGE
+    if not current.all():
+        how_many = f"{satellite}: {np.sum(~current)} of {len(current)} ranges left out"
+        warnings.warn(f"{how_many}: no message of the navigation file is within two hours of them", stacklevel=2)
+    return rows[(elevation > MASK) & (message["health"] == 0) & current]
+
+
+def ends_early(header, last):
+    """Return how many seconds before the time that its header names the observations end, 0 within one interval.
+
+    header is that of georinex, last the time of the last epoch that was read. A header may name no last time.
+
+    >>> header = {"TIME OF LAST OBS": "  2020     6    25    23    59   30.0000000     GPS", "INTERVAL": "  30.000  "}
+    >>> ends_early(header, np.datetime64("2020-06-25T21:59:30"))
+    7200.0
+    """
+    words = header.get("TIME OF LAST OBS", "").split()
+    if len(words) < 6:
+        return 0.0
+    year, month, day, hour, minute = (int(word) for word in words[:5])
+    minutes = np.datetime64(f"{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}")
+    missing = (minutes - last) / np.timedelta64(1, "s") + float(words[5])
+    interval = float((header.get("INTERVAL") or "60").split()[0])
+    return float(missing) if missing > interval else 0.0
+
+
+def load(path, what, **options):
+    """Return what georinex reads of a file, or end with a message that names it."""
+    import georinex
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # georinex: one for each message
+            return georinex.load(path, use="G", **options), georinex.rinexheader(path)
+    except Exception as error:  # a file that is cut or of another kind fails anywhere in it
+        raise SystemExit(f"{path}: needs a RINEX 3 file of {what}, got one that cannot be read ({error!r})") from None
 
 
 def main():
@@ -181,16 +221,29 @@ def main():
     parser.add_argument("table", type=Path)
     names = parser.parse_args()
 
-    import georinex
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # georinex: one for each message
-        observations = georinex.load(names.observations, use="G", meas=OBSERVED)
-        navigation = georinex.load(names.navigation, use="G")
-    station = station_of(observations.attrs)
+    observations, header = load(names.observations, "observations", meas=OBSERVED)
+    navigation, _ = load(names.navigation, "broadcast ephemerides")
+    if "C1C" not in observations or "Toe" not in navigation:
+        raise SystemExit(
+            f"{names.observations} needs GPS ranges C1C, {names.navigation} GPS ephemerides: are they swapped?"
+        )
+    if "ionospheric_corr_GPS" not in navigation.attrs:
+        raise SystemExit(f"{names.navigation}: needs GPSA and GPSB, the ionosphere, in its header")
+    try:
+        station = station_of(observations.attrs)
+    except ValueError as error:
+        raise SystemExit(f"{names.observations}: {error}") from None
+    early = ends_early(header, observations["time"].values[-1])
+    if early:
+        warnings.warn(
+            f"{names.observations}: what could be read ends {early:.0f} s before its header says", stacklevel=2
+        )
     coefficients = navigation.attrs["ionospheric_corr_GPS"]
     known = [sv for sv in observations.sv.values if sv in navigation.sv.values]
-    table = np.vstack([rows_of(sv, observations, navigation, station, coefficients) for sv in known])
+    rows = [rows_of(sv, observations, navigation, station, coefficients) for sv in known]
+    table = np.vstack([np.empty((0, len(FORMAT.split(",")))), *rows])
+    if not len(table):
+        raise SystemExit(f"{names.navigation}: needs messages of the day of {names.observations}, got none")
     table = table[np.lexsort([table[:, 1], table[:, 0]])]
     lines = [",".join(FORMAT.split(",")) % tuple(row) for row in table]
     first = ",".join(["# station", *map(str, station.tolist())])
