@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 
+from . import checks
 from .equations import corrected_covariance, gain_on_the_start
 
 # Fewer rows than this are not worth cutting, nor are tracks by the hundred, which fill the processor without. Measured.
@@ -47,24 +48,32 @@ def through(advance, rows, x0, P0, x, P):
     covariance. x0 and P0 are the start; where noises have joined the state, only its first n components are written.
     rows can be iterated, cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `columns.Rows`. Returns
     the last P, of each piece if the rows are cut.
-    They are not cut where that would cost digits.
+    They are not cut where that would cost digits. Raises ValueError where rounding takes a variance below zero.
     """
     K = rows_per_piece(len(x), x.shape[2] * x.shape[3])
     last = None if len(x) == K else _in_pieces(advance, rows, K, x0, P0, x, P)
     if last is None:
-        _, last = _each_row(advance, rows, x0, P0, x, P)
+        _, last, least = _each_row(advance, rows, x0, P0, x, P)
+        if least < 0:
+            need = "gaps and a start beside which doubles hold the variances of the measurements"
+            checks.refuse("z", need, "a variance below zero")
     return last
 
 
 def _each_row(advance, rows, x_k, P_k, x, P):
-    """Write the states to x and the covariances to P unless it is None, and return the last of both, whole."""
+    """Write the states to x and the covariances to P unless it is None.
+
+    Returns the last of both, whole, and the least variance of all.
+    """
     n = x.shape[1]
+    least = np.inf
     for k, row in enumerate(rows):
         x_k, P_k, _ = advance(row, x_k, P_k)
         x[k] = x_k[:n]
+        least = min(least, np.einsum("jj...->j...", P_k[:n, :n]).min())
         if P is not None:
             P[k] = P_k[:n, :n]
-    return x_k, P_k
+    return x_k, P_k, least
 
 
 def _in_pieces(advance, rows, K, x0, P0, x, P):
@@ -78,11 +87,11 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
     x_pieces = np.empty((K, n, *x_start.shape[1:]))
     P_pieces = None if P is None else np.empty((K, n, n, P_start.shape[2]))
     for _ in range(MOST_PASSES):
-        x_last, P_last = _each_row(advance, pieces, x_start, P_start, x_pieces, P_pieces)
+        x_last, P_last, least = _each_row(advance, pieces, x_start, P_start, x_pieces, P_pieces)
         # Each piece starts where the one before it ends, and the first one at x0.
         x_next = np.concatenate([x0, x_last[..., :-M]], axis=2)
         P_next = np.concatenate([P0, P_last[..., : -P0.shape[2]]], axis=2)
-        if _agree(x_start, P_start, x_next, P_next):
+        if least >= 0 and _agree(x_start, P_start, x_next, P_next):
             x[...] = joined(x_pieces, N, M)
             if P is not None:
                 P[...] = joined(P_pieces, N, M)

@@ -70,7 +70,7 @@ class Filter(Immutable):
         """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
 
         z[0] is z(1), NaN where a measurement is missing. Raises ValueError or TypeError for another shape, another kind
-        of data, infinite values, and for gaps over which a covariance overflows.
+        of data, infinite values, and for gaps over which covariances overflow or rounding takes a variance below zero.
         """
         z, many = self._as_tracks(z)
         x = np.empty((len(z), self.model.n, z.shape[2]))
@@ -259,9 +259,6 @@ class RecursiveFilter(Filter):
         else:
             P = np.empty((N, n, n, 1 if _alike(z, *self._conditions) else M))
             self._fill_from_columns(x, P, z)
-            if (np.einsum("kii...->ki...", P) < 0).any():
-                need = "gaps and a start beside which doubles hold the variances of the measurements"
-                checks.refuse("z", need, "a variance below zero")
         return x, P
 
     def _innovations(self, z):

@@ -655,9 +655,14 @@ def test_a_variance_below_zero_is_refused():
     model = mpt.constant_acceleration(dt=30.0, q=0.0, r=1e-4, P0=1e8 * np.eye(3))
     t = 30 * np.cumsum(np.random.default_rng(0).exponential(size=60))
     z = np.where(np.arange(60)[:, None] % 20 < 3, 1.0, np.nan)
-    for function in (mpt.KalmanFilter.estimates, mpt.KalmanFilter.smooth, metrics.log_likelihood):
+    kalman = mpt.KalmanFilter
+    for function in (kalman.filter, kalman.estimates, kalman.smooth, metrics.log_likelihood):
         with pytest.raises(ValueError, match=r"z: needs gaps and a start beside which .* got a variance below zero"):
-            function(mpt.KalmanFilter(model, t=t), z)
+            function(kalman(model, t=t), z)
+    z = np.sin(np.arange(1, 41.0))[:, None]
+    z[9:13] = np.nan
+    with pytest.raises(ValueError, match="a variance below zero"):  # 5.3 sigma wrong, without a word
+        kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=1e16 * np.eye(2))).filter(z)
 
 
 def test_a_state_that_stays_may_have_any_power():

@@ -57,6 +57,7 @@ MODELS = {
     **{f"{name}, R/Q = {r:g}": make(1.0, 1.0, r) for r in (1e-12, 1e-6, 1.0, 1e6, 1e12) for name, make in AXES.items()},
     **{f"{name}, dt = {dt:g}": make(dt, 1.0, 1.0) for dt in (1e-4, 1e-2, 1e2, 1e4) for name, make in AXES.items()},
     **{f"{name}, P0 = {p:g} I": uncertain(make, p) for p in (1.0, 1e6, 1e12) for name, make in AXES.items()},
+    "gsm, dt = 0.7, R/Q = 1e-12": mpt.gsm_axis(0.7, 1.0, 1e-12),
     **{f"6 states, R/Q = {ratio:g}": dense(ratio) for ratio in (1e-12, 1.0, 1e12)},
     "ca, in nm, km/s and m/s²": in_units(mpt.constant_acceleration(1.0, 1.0, 1.0), 1e9, 1e-3, 1.0),
     "R = diag(1, 1e-12)": mpt.LinearModel(**BOTH_SEEN, R=np.diag([1, 1e-12])),
