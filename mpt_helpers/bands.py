@@ -5,10 +5,10 @@ sets every later fix against its prediction, made some seconds before. `followin
 at every moment, from the predictions that had come due by then. Nothing in it looks ahead, so that `LiveBand` gives the
 same band fix by fix.
 
-Two numbers for each axis make the band, a prediction's half-width being f · c · sigma:
+Three numbers make the band, the half-width of a prediction being f · c · sigma on each axis:
 
     sigma   what the filter states: the root of H P(k+h/k) Hᵀ + R
-    c       sqrt(0.2 + 0.8 a), with the recent average a of NIS / m: one where the filter's model is right. A fifth
+    c       of all axes: sqrt(0.2 + 0.8 a), with the recent average a of NIS / m: one where the model is right. A fifth
             stays, so that a mobile at rest does not make the band vanish before it starts.
     f       a factor that follows the misses of its own axis: up by 0.95 gamma after a miss, down by 0.05 gamma after a
             hit, on the logarithm, for a band of 95 %. A fix that repeats the one it was predicted at is none of either:
@@ -18,9 +18,9 @@ Both remember as many fixes as fall into one horizon, and at least five: what is
 
 The rule for f is quantile tracking, the proportional part of conformal PID control (Angelopoulos, Candes and Tibshirani
 2023). Over T predictions that count, its share of misses differs from 5 % by at most the range of log f over gamma T,
-whatever the mobile does. That holds for any sigma, even for random numbers (`placebo`), so that a right share proves
-little. What tells a good band from a bad one is its `interval_score`, and its `coverage` in states that are known
-beforehand.
+whatever the mobile does, if gamma is the same for all, as on even steps. That holds for any sigma, even for random
+numbers (`placebo`), so that a right share proves little. What tells a good band from a bad one is its `interval_score`,
+and its `coverage` in states that are known beforehand.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from scipy.special import ndtri
 
 from . import checks
 from .checks import Array
-from .recursive import Filter
+from .recursive import Filter, known_variances
 
 # What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
 SHORTEST_MEMORY = 5
@@ -188,8 +188,6 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     band, where = _checked_band(a, band, where)
     errors = np.abs(a.errors[where])
     inside = np.where(np.isnan(errors), np.nan, errors <= band[where])
-    if np.isnan(inside).all(axis=0).any():
-        checks.refuse("where", "at least one prediction that is checked on each axis", "none on some")
     of_axes = np.array([_independent(a, where & ~np.isnan(errors)) for errors in a.errors.T])
     fewest = int(of_axes.min())
     if fewest < FEW:
@@ -206,7 +204,8 @@ def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayL
         2 b + 2 / (1 - level) · max(|error| - b, 0),   b the half-width
 
     It is smallest for the true quantiles (Gneiting and Raftery 2007, Eq. 43), in the units of the errors: a band that
-    is too wide pays by its width, one that is too narrow by 40 times what it misses (level 0.95). Raises as `coverage`.
+    is too wide pays by its width, one that is too narrow by 40 times what it misses (level 0.95). It does not warn of
+    few predictions; otherwise it raises as `coverage`.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
@@ -243,7 +242,8 @@ class LiveBand:
 
     estimator is a filter as in `ahead`; `before` and `level` are those of `following`. The band stands around the
     measurement exactly `seconds` after the fix. That of `following` belongs to the fix which checks the prediction, up
-    to 1.5 times as late: f and c are the same, but where steps are uneven its sigma, and with it the band, is wider.
+    to 1.5 times as late: f and c are the same, but where steps are uneven its sigma, and with it the band, is wider,
+    and where fixes have variances of their own its sigma has that of the fix to come. Here it is that of the last fix.
     `factor` (m,) is f.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
@@ -269,7 +269,7 @@ class LiveBand:
             if before.seconds != self.seconds or before.errors.shape[1] != self.model.m:
                 _refuse_before(f"{self.seconds:g} s and {self.model.m} axes", before)
             self.log_f = _end(before, self.level)
-        self.recent = 1.0  # a: the recent average of NIS / m
+        self.average = 1.0  # a: the recent average of NIS / m
         self.last = None  # the estimate of the last call: time, x, P
         self.first = self.model.x0, estimator.P0
         self.times = deque()  # of the fixes within the last horizon
@@ -308,7 +308,7 @@ class LiveBand:
             self._check(t, z, R)
             self._learn(t, z, R)
         self.last = t, x, P
-        scale = self.factor * _local(self.recent)
+        scale = self.factor * _local(self.average)
         if not np.isnan(z).all():
             self.fixes += 1
             self.times.append(t)
@@ -347,7 +347,7 @@ class LiveBand:
         last, x, P = self.last
         expected, S = _expected(self.model, x[None], P[None], np.array([t - last]), R[None])
         squared = _nis_per_number(z[None] - expected, S)[0]
-        self.recent += (squared - self.recent) / _memory(len(self.times))
+        self.average += (squared - self.average) / _memory(len(self.times))
 
     def _predicted(self, x, P, seconds, R):
         expected, S = _expected(self.model, x[None], P[None], np.array([seconds]), R[None])
@@ -525,11 +525,11 @@ def _times(estimator, N):
 
 def _noise(estimator, N):
     """Return the covariances of the measurements, (N, m, m, 1) or (N, m, m, M)."""
-    r, m = getattr(estimator, "r", None), estimator.model.m
+    r, R = getattr(estimator, "r", None), estimator.model.R
     if r is None:
-        return np.broadcast_to(estimator.model.R[..., None], (N, m, m, 1))
-    r = np.asarray(r).reshape(N, m, -1)
-    return r[:, :, None] * np.eye(m)[..., None]
+        return np.broadcast_to(R[..., None], (N, *R.shape, 1))
+    r = known_variances(np.asarray(r).reshape(N, len(R), -1), R)
+    return r[:, :, None] * np.eye(len(R))[..., None]
 
 
 def _checked_band(a, band, where):
@@ -540,8 +540,8 @@ def _checked_band(a, band, where):
     where = np.ones(len(band), bool) if where is None else np.asarray(where)
     if where.shape != (len(band),) or where.dtype != bool:
         checks.refuse("where", f"{len(band)} truth values", f"shape {where.shape} of {where.dtype}")
-    if not where.any():
-        checks.refuse("where", "at least one prediction", "none")
+    if not np.isfinite(a.errors[where]).any(axis=0).all():
+        checks.refuse("where", "at least one prediction that is checked on each axis", "none on some")
     return band, where
 
 

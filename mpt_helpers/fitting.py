@@ -21,6 +21,11 @@ from .recursive import Filter
 # How near, in natural logarithms of the parameters and in log L, the search must come: a hundredth of the error of a
 # parameter that a thousand measurements tell to some percent.
 NEAR = 1e-4
+# A search that has ended looks further along each parameter, by these factors, as long as log L does not change: with
+# a process noise far too small, the noise of the measurements explains the motion, and q changes nothing. It goes on
+# from what is better, so many times at most.
+FURTHER = tuple(math.log(factor) for factor in (3, 1e3, 1e6, 1e9, 1e12, 1e15, 1e18, 1e21, 1e24))
+MOST_SEARCHES = 10
 # Second differences of log L are taken between points 10 % of a parameter apart, two of these steps. Their rounding,
 # 1e-16 |log L| / step², is below 1e-6 of them up to a million measurements, and their bias some step².
 DIFFERENCE = 0.05
@@ -30,6 +35,9 @@ FARTHEST = math.log(1e12)
 NOTHING = 0.5
 # A parameter known to no better than this factor is not known.
 VAGUE = math.log(10)
+# A direction in which log L curves by less than this part of its largest curvature is flat, by the second differences'
+# rounding; and a parameter is known that it moves by less than this part of its length, by the end of the search.
+FLAT, APART = 1e-6, 1e-2
 # Squared distances from the start to the first measurement, in standard deviations: a fit is refused from the first on,
 # and warned of from the second on, since it explains the distance by a wrong q.
 ANOTHER_PLACE, FAR = 1e6, 100.0
@@ -51,14 +59,15 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     """Return the positive parameters that make measurements z most probable, jointly for all tracks.
 
     make(**values) returns a model, for a Kalman filter, or a filter; z is (N, m) or (N, m, M), NaN where missing; start
-    has a first guess of each parameter by its name. The search (Nelder and Mead) runs on logarithms, and its progress
-    shows on a terminal. `log_errors` are the standard errors of the natural logarithms of the values, from second
-    differences of log L: 0.1 stands for ten percent.
+    has a first guess of each parameter by its name. The search (Nelder and Mead) runs on logarithms, looks further
+    along each parameter where it ends, and shows its progress on a terminal. `log_errors` are the standard errors of
+    the natural logarithms of the values, from second differences of log L: 0.1 stands for ten percent.
 
     Warns (UserWarning) where log L does not fall as a parameter goes to zero, where a direction is flat, and where the
     first measurements are far from the start of the model, so that the fit explains the distance as motion. Raises
-    ValueError for guesses that are not positive, for fewer measurements than parameters, for a start far from all
-    measurements, and where no guess has a likelihood; TypeError where make returns something else.
+    ValueError for guesses that are not positive, for no more measurements than parameters, for a Kalman filter whose
+    start is far from the first measurement of a track, and where no guess has a likelihood; TypeError where make
+    returns something else.
 
     >>> from mpt_helpers.model import constant_velocity, simulate
     >>> make = lambda q, r: constant_velocity(dt=1.0, q=q, r=r, P0=np.eye(2))
@@ -114,16 +123,36 @@ def _filter(make, values):
 
 
 def _lowest(function, origin):
-    d = len(origin)
-    simplex = origin + np.vstack([np.zeros(d), np.eye(d)])  # from each guess to e times it
+    """Return the lowest point that is found from the origin."""
     with tqdm(desc="fit", unit=" filters", disable=None, leave=False) as bar:
 
         def counted(point):
             bar.update()
             return function(point)
 
-        options = {"initial_simplex": simplex, "xatol": NEAR, "fatol": NEAR, "maxfev": 400 * d}
-        return minimize(counted, origin, method="Nelder-Mead", options=options).x
+        d, point = len(origin), origin
+        for _ in range(MOST_SEARCHES):
+            simplex = point + np.vstack([np.zeros(d), np.eye(d)])  # from each guess to e times it
+            options = {"initial_simplex": simplex, "xatol": NEAR, "fatol": NEAR, "maxfev": 400 * d}
+            found = minimize(counted, point, method="Nelder-Mead", options=options)
+            point = _lower_further_on(counted, found)
+            if point is None:
+                break
+        return found.x
+
+
+def _lower_further_on(function, found):
+    """Return a point along one parameter that is lower than what was found, or None."""
+    for unit in np.eye(len(found.x)):
+        for sign in (1, -1):
+            for far in FURTHER:
+                point = found.x + sign * far * unit
+                change = function(point) - found.fun
+                if change < -NOTHING:
+                    return point
+                if change > NOTHING:
+                    break
+    return None
 
 
 def _second_differences(function, point):
@@ -139,11 +168,15 @@ def _second_differences(function, point):
     return H
 
 
-def _inverse(H):
-    """Return the inverse of a matrix, infinite variances where it is not positive definite."""
-    if np.isfinite(H).all() and np.linalg.eigvalsh(H)[0] > 0:
-        return np.linalg.inv(H)
-    return np.full_like(H, math.inf)
+def _variances(H):
+    """Return the diagonal of the inverse of a matrix (d, d), infinite for what a flat direction moves."""
+    if not np.isfinite(H).all():
+        return np.full(len(H), math.inf)
+    curvatures, directions = np.linalg.eigh(H)
+    flat = curvatures <= FLAT * max(curvatures[-1], 0)
+    squares = directions**2
+    variances = (squares[:, ~flat] / curvatures[~flat]).sum(axis=1)
+    return np.where(squares[:, flat].sum(axis=1) > APART**2, math.inf, variances)
 
 
 def _runs_to_zero(surprise, origin, best, i):
@@ -164,7 +197,7 @@ def _log_errors(surprise, best, known):
     errors = np.full(len(best), math.inf)
     if len(known) == 0:
         return errors
-    errors[known] = np.sqrt(np.diag(_inverse(_second_differences(of_known, best[known]))))
+    errors[known] = np.sqrt(_variances(_second_differences(of_known, best[known])))
     return errors
 
 

@@ -23,8 +23,8 @@ from .equations import corrected_covariance, gain_on_the_start
 LEAST_ROWS = 30
 MOST_TRACKS = 64
 # The starts of pieces lose digits where a piece holds several long gaps. So each piece must start where the one before
-# it ends, to this part of a sigma (ordinary tracks reach 1e-8) or to the rounding of the states. Where one does not,
-# all pieces run again from these ends, MOST_PASSES times at most. Then the track is not cut.
+# it ends, to this part of a sigma (tracks with pauses of an hour reach 1e-7) or to the rounding of the states. If one
+# does not, all pieces run again from these ends, MOST_PASSES times in all. Then the track is not cut.
 AGREED = 1e-6
 ROUNDING = 16 * np.finfo(float).eps
 MOST_PASSES = 3
@@ -101,13 +101,23 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
 
 
 def _agree(x, P, x_next, P_next):
-    """Say whether pieces start at x (n, c, M) and P (n, n, M) where the ones before them end, at x_next and P_next."""
+    """Say whether pieces start at x (n, c, M) and P (n, n, M) where the ones before them end, at x_next and P_next.
+
+    They are compared along the axes of P_next, each in its own sigma: after a gap a sum of states can be known far
+    better than any state, and is what counts at the next measurement.
+    """
+    if not (np.isfinite(x_next).all() and np.isfinite(P_next).all()):
+        return False
     sigma = np.sqrt(np.maximum(np.einsum("jj...->j...", P_next), 0))
-    rounding = ROUNDING * np.abs(x_next)
-    same_x = np.abs(x - x_next) <= AGREED * sigma[:, None] + rounding
-    same_P = np.abs(P - P_next) <= AGREED * sigma * sigma[:, None]
-    finite = np.isfinite(x_next).all() and np.isfinite(P_next).all()
-    return bool(finite and same_x.all() and same_P.all())
+    unit = np.where(sigma > 0, sigma, 1)
+    apart = np.abs(x - x_next)
+    apart = np.where(apart > ROUNDING * np.abs(x_next), x - x_next, 0) / unit[:, None]
+    units = unit * unit[:, None]
+    variances, axes = np.linalg.eigh(np.moveaxis(P_next / units, 2, 0))
+    axes = axes / np.sqrt(np.maximum(variances, ROUNDING))[:, None]
+    of_x = axes.swapaxes(1, 2) @ np.moveaxis(apart, 2, 0)
+    of_P = axes.swapaxes(1, 2) @ np.moveaxis((P - P_next) / units, 2, 0) @ axes
+    return bool((np.abs(of_x) <= AGREED).all() and (np.abs(of_P) <= AGREED).all())
 
 
 def cut(array, K):

@@ -1,6 +1,6 @@
-"""How every filter runs: estimates, covariances, one step at a time, and smoothing.
+"""What every filter offers, and how the recursive ones run: estimates, covariances, one step, and smoothing.
 
-There are two ways through, and no third:
+Whole tracks go one of two ways:
 
 - Tracks without gaps, at steps of one length, share A_k, B_k and P. Where few of these differ, they are made once, by
   the filter's `next_step`, and `recursion.run` takes all tracks through several steps at a time.
@@ -179,6 +179,7 @@ class RecursiveFilter(Filter):
 
     def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
         """Yield x(k/k) and P(k/k) as in Filter, for tracks of any length in little memory."""
+        checks.no_infinity(z)
         self._require_conditions_of(z)
         shared = _alike(z, *self._conditions)
         columns, rows, x, P = self._in_columns(_rows(z, *self._conditions, shared))
@@ -297,10 +298,7 @@ class RecursiveFilter(Filter):
             S[part] = np.moveaxis(S_part, 2, 0)
         if variances is None:
             return values, S + self.model.R[..., None]
-        # A measurement that is missing may have no variance of its own: then it has the model's.
-        own = np.isfinite(variances) & (variances > 0)
-        variances = np.where(own, variances, np.diag(self.model.R)[:, None])
-        return values, S + variances[:, :, None] * np.eye(m)[..., None]
+        return values, S + known_variances(variances, self.model.R)[:, :, None] * np.eye(m)[..., None]
 
     def _smoothed_tile(self, z):
         lengths, _ = self._conditions
@@ -347,6 +345,12 @@ class RecursiveFilter(Filter):
                 converged = _has_not_moved(P, step.P)
                 P = step.P
             yield step
+
+
+def known_variances(variances, R):
+    """Return variances (N, m, M), those of R (m, m) where there are none: a measurement that is missing needs none."""
+    known = np.isfinite(variances) & (variances > 0)
+    return np.where(known, variances, np.diag(R)[:, None])
 
 
 def _alike(z, lengths, variances):

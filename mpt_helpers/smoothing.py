@@ -57,7 +57,9 @@ def smoothed(motion, lengths, x, P):
     modes = _undriven(motion.F, motion.Q, P[0])
     if modes:
         text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
-        warnings.warn(f"{text}: covariances may be wrong. Process noise of a millionth mends it", stacklevel=2)
+        warnings.warn(
+            f"{text}: covariances may be wrong. Process noise of a millionth of the variances mends it", stacklevel=7
+        )
     (N, n, M), width = x.shape, P.shape[3]
     C, d, D = np.empty((N - 1, n, n, width)), np.empty((N - 1, n, M)), np.empty((N - 1, n, n, width))
     for part in epochs_at_a_time(N - 1, n * n * width) if N > 1 else ():

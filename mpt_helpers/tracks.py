@@ -6,6 +6,7 @@ It needs two packages more, the extra `tracks`: pip install "mpt_helpers[tracks]
 from __future__ import annotations
 
 import bisect
+import codecs
 import itertools
 import math
 import re
@@ -25,10 +26,10 @@ from .checks import Array
 class Track(NamedTuple):
     """A segment of a recorded track.
 
-    t (N,): times in s since the first fix of the file
+    t (N,): times in s since `start`
     z (N, 2) or (N, 3): metres east and north of the origin, and above it; a height is NaN where the file has none
     origin: latitude and longitude (°) and height (m) that z counts from: the segment's first ones, or those given
-    start: the time of the first fix of the file
+    start: the time of the first fix of the file that was kept
     """
 
     t: Array
@@ -67,13 +68,12 @@ def gpx(
     import gpxpy
 
     data = Path(path).read_bytes()
-    prefixed = re.search(rb"<(\w+):gpx\b", data)
-    if prefixed:  # gpxpy knows names without a prefix only
-        data = re.sub(rb"(</?)" + prefixed[1] + rb":", rb"\1", data)
-    declared = re.search(rb"""encoding=["']([\w-]+)""", data[:200])
-    encoding = declared[1].decode() if declared else "utf-8"
     try:
-        document = gpxpy.parse(data.decode(encoding))
+        text = data.decode(_encoding(data))
+        prefixed = re.search(r"<(\w+):gpx\b", text)
+        if prefixed:  # gpxpy knows names without a prefix only
+            text = re.sub(f"(</?){prefixed[1]}:", r"\1", text)
+        document = gpxpy.parse(text)
     except (gpxpy.gpx.GPXException, UnicodeDecodeError, LookupError) as error:
         raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from error
     segments = [segment.points for track in document.tracks for segment in track.segments]
@@ -113,7 +113,7 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
     lat, lon = checks.real_numbers("lat", lat, "latitudes"), checks.real_numbers("lon", lon, "longitudes")
     if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
         checks.refuse("lat, lon", "as many latitudes as longitudes, in one dimension", f"{lat.shape} and {lon.shape}")
-    (there,) = np.nonzero(np.isfinite(lat) & np.isfinite(lon))
+    (there,) = np.nonzero(~np.isnan(lat) & ~np.isnan(lon))
     if not there.size or np.abs(lat[there]).max() > 90 or np.abs(lon[there]).max() > 360:
         checks.refuse("lat, lon", "degrees of at most 90 and 360", "others: none, metres, or the two exchanged")
     lat_0, lon_0, height = _origin((lat[there[0]], lon[there[0]]) if origin is None else origin)
@@ -121,6 +121,14 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
 
     east, north, _ = pymap3d.geodetic2enu(lat, lon, height, lat_0, lon_0, height)
     return np.column_stack([east, north]) + 0.0  # without -0.0
+
+
+def _encoding(data):
+    """Return the encoding of an XML file: UTF-16 by its mark, what it declares, or UTF-8."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    declared = re.search(rb"""encoding\s*=\s*["']([\w-]+)""", data[:200])
+    return declared[1].decode() if declared else "utf-8"
 
 
 def _origin(origin):

@@ -394,6 +394,29 @@ def test_coverage_and_score_leave_out_what_was_not_measured():
     np.testing.assert_allclose(interval_score(a, a.sigma), [2 + 40 * 0.2, 2])
 
 
+@pytest.mark.parametrize("r", [np.nan, -1.0])
+def test_a_measurement_that_is_missing_needs_no_variance(r):
+    """Its sigma is that of the model's noise, as in `innovations`; it made every sigma of a placebo NaN."""
+    t, z = recorded(100)
+    z[51] = 1.0, np.nan
+    given = np.full(z.shape, 4.0)
+    given[51, 1] = r
+    a = ahead(mpt.KalmanFilter(PLANE, t=t, r=given), z, seconds=1.0)
+    given[51, 1] = PLANE.R[1, 1]
+    np.testing.assert_array_equal(a.sigma, ahead(mpt.KalmanFilter(PLANE, t=t, r=given), z, seconds=1.0).sigma)
+    assert 51 in a.due_row
+
+
+def test_an_axis_that_is_never_measured_has_no_score():
+    t, z = recorded(50)
+    z[:, 1] = np.nan
+    a = ahead(mpt.KalmanFilter(PLANE, t=t), z, seconds=1.0)
+    band = following(a)
+    for judged in (coverage, interval_score):
+        with pytest.raises(ValueError, match="where: needs at least one prediction that is checked on each axis"):
+            judged(a, band)
+
+
 def test_the_score_is_least_for_the_true_quantiles():
     errors = np.random.default_rng(0).standard_normal((200_000, 1))
     a = an_ahead(errors)

@@ -168,11 +168,13 @@ def test_fractions_of_a_second_are_kept_and_a_time_without_a_zone_is_utc(written
 
 
 @pytest.mark.parametrize(
-    ("encoding", "name"), [("utf-8", "UTF-8"), ("utf-8-sig", "UTF-8"), ("latin-1", "ISO-8859-1"), ("utf-8", None)]
+    ("encoding", "name"),
+    [("utf-8", "UTF-8"), ("utf-8-sig", "UTF-8"), ("latin-1", "ISO-8859-1"), ("utf-8", None), ("utf-16", "UTF-16")],
 )
 def test_files_of_other_encodings_are_read(written, encoding, name):
     head = f'<?xml version="1.0" encoding="{name}"?><!-- Ålborg -->' if name else "<!-- Ålborg -->"
-    assert len(tracks.gpx(written([fix(0), fix(1)], encoding=encoding, head=head))[0].t) == 2
+    for each in (head, head.replace("encoding=", "encoding = ")):
+        assert len(tracks.gpx(written([fix(0), fix(1)], encoding=encoding, head=each))[0].t) == 2
 
 
 @pytest.mark.parametrize(
@@ -247,3 +249,8 @@ def test_the_track_of_the_guide_is_read():
     (ride,) = tracks.gpx(ROOT / "docs" / "tracks" / "ride.gpx")
     assert ride.z.shape == (4559, 2)
     np.testing.assert_array_equal(np.diff(ride.t), 1)
+
+
+def test_an_infinite_latitude_is_no_position():
+    with pytest.raises(ValueError, match="lat, lon: needs degrees"):
+        tracks.local([57.0, np.inf], [9.9, 9.9])
