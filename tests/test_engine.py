@@ -496,7 +496,7 @@ def test_epochs_refuse_infinity_as_estimates_do():
     kf = mpt.KalmanFilter(make_axis(0.04, 0.5))
     z = np.array([[1.0], [np.inf]])
     for function in (kf.estimates, lambda z: list(kf.epochs(z[..., None]))):
-        with pytest.raises(ValueError, match="z: .*infin"):
+        with pytest.raises(ValueError, match=r"z: .*infin"):
             function(z)
 
 
