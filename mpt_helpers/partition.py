@@ -16,7 +16,6 @@ from functools import partial
 
 import numpy as np
 
-from . import checks
 from .equations import corrected_covariance, gain_on_the_start
 
 # Fewer rows than this are not worth cutting, nor are tracks by the hundred, which fill the processor without. Measured.
@@ -46,18 +45,16 @@ def through(advance, rows, x0, P0, x, P):
 
     advance(row, x, P) returns columns x (n, c, M) and P (n, n, M) one row further, and the innovations at unit
     covariance. x0 and P0 are the start; where noises have joined the state, only its first n components are written.
-    rows can be iterated, cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `columns.Rows`. Returns
-    the last P, of each piece if the rows are cut.
-    They are not cut where that would cost digits. Raises ValueError where rounding takes a variance below zero.
+    rows can be iterated, cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `columns.Rows`. They are
+    not cut where that would cost digits. Returns the last P, of each piece if the rows are cut, and the least variance
+    of all.
     """
     K = rows_per_piece(len(x), x.shape[2] * x.shape[3])
-    last = None if len(x) == K else _in_pieces(advance, rows, K, x0, P0, x, P)
-    if last is None:
+    found = None if len(x) == K else _in_pieces(advance, rows, K, x0, P0, x, P)
+    if found is None:
         _, last, least = _each_row(advance, rows, x0, P0, x, P)
-        if least < 0:
-            need = "gaps and a start beside which doubles hold the variances of the measurements"
-            checks.refuse("z", need, "a variance below zero")
-    return last
+        found = last, least
+    return found
 
 
 def _each_row(advance, rows, x_k, P_k, x, P):
@@ -95,7 +92,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
             x[...] = joined(x_pieces, N, M)
             if P is not None:
                 P[...] = joined(P_pieces, N, M)
-            return P_last
+            return P_last, least
         x_start, P_start = x_next, P_next
     return None
 

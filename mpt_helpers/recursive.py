@@ -313,7 +313,10 @@ class RecursiveFilter(Filter):
             columns, rows, x_0, P_0 = self._in_columns(rows)
             x_part = np.expand_dims(x[..., part], 3 if shared else 2)
             P_part = P if P is None or shared else P[..., part]
-            last = through(columns.advance, rows, x_0, P_0, x_part, P_part)
+            last, least = through(columns.advance, rows, x_0, P_0, x_part, P_part)
+            if least < 0:
+                need = "gaps and a start beside which doubles hold the variances of the measurements"
+                checks.refuse("z", need, "a variance below zero")
             if not np.isfinite(last).all():
                 _refuse_overflow()
 

@@ -105,7 +105,7 @@ def test_an_epoch_of_three_satellites_is_refused(days):
     day = days["ESBC"]
     few = day.ranges.copy()
     few[7, np.flatnonzero(np.isfinite(few[7]))[3:]] = np.nan
-    with pytest.raises(ValueError, match="ranges: needs four satellites at each epoch, got 3 at one"):
+    with pytest.raises(ValueError, match="ranges: needs four satellites at each epoch, got 3 in row 7"):
         recorded.fixes(day, few)
 
 
