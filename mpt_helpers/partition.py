@@ -26,6 +26,9 @@ MOST_TRACKS = 64
 # does not, all pieces run again from these ends, MOST_PASSES times in all. Then the track is not cut.
 AGREED = 1e-6
 ROUNDING = 16 * np.finfo(float).eps
+# Variances along the axes of correlations that are smaller than this count as this: P rounds to some 1e-14, which is no
+# disagreement.
+NARROWEST = 1e-7
 MOST_PASSES = 3
 
 
@@ -111,7 +114,7 @@ def _agree(x, P, x_next, P_next):
     apart = np.where(apart > ROUNDING * np.abs(x_next), x - x_next, 0) / unit[:, None]
     units = unit * unit[:, None]
     variances, axes = np.linalg.eigh(np.moveaxis(P_next / units, 2, 0))
-    axes = axes / np.sqrt(np.maximum(variances, ROUNDING))[:, None]
+    axes = axes / np.sqrt(np.maximum(variances, NARROWEST))[:, None]
     of_x = axes.swapaxes(1, 2) @ np.moveaxis(apart, 2, 0)
     of_P = axes.swapaxes(1, 2) @ np.moveaxis((P - P_next) / units, 2, 0) @ axes
     return bool((np.abs(of_x) <= AGREED).all() and (np.abs(of_P) <= AGREED).all())
