@@ -380,11 +380,7 @@ def _repeats(z, before):
 
 def _expected(model, x, P, seconds, R):
     """Return the mean (K, m) and covariance (K, m, m) of measurements some seconds (K,) after x (K, n), P (K, n, n)."""
-    e = model.powers
-    s = (seconds / model.dt)[:, None, None]
-    # F_ij is zero where e_i < e_j, and Q_ij where e_i + e_j < 0: no step of length zero is divided by.
-    F = model.F * s ** np.maximum(e[:, None] - e, 0)
-    Q = model.Q * s ** np.maximum(e[:, None] + e, 0)
+    F, Q = model.over(seconds / model.dt)
     P = F @ P @ F.swapaxes(1, 2) + Q
     x = (F @ x[..., None])[..., 0]
     return x @ model.H.T, model.H @ P @ model.H.T + R

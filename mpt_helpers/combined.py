@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from . import checks
 from .checks import Array
 from .filters import KalmanFilter, LainiotisFilter
-from .model import LinearModel, stack
+from .model import LinearModel, same, stack
 from .recursive import Estimates, Filter, RecursiveFilter, one_measurement, one_state
 from .steady import SteadyStateFilter
 
@@ -232,7 +232,7 @@ def _require_equal_conditions(first, second):
         one, *others = (getattr(each, name, None) for each in (*_leaves(first), *_leaves(second)))
         if name == "r" and not (isinstance(first, RecursiveFilter) and isinstance(second, RecursiveFilter)):
             others = []  # of filters of some rows of z each
-        if not all(_same(one, other) for other in others):
+        if not all(same(one, other) for other in others):
             checks.refuse("second", f"a filter of the same {what} as the first", "one of others")
 
 
@@ -241,12 +241,6 @@ def _leaves(estimator):
     parts = getattr(estimator, "filters", ())
     parts += tuple(vars(estimator)[name] for name in ("first", "second", "estimator") if name in vars(estimator))
     return [leaf for part in parts for leaf in _leaves(part)] or [estimator]
-
-
-def _same(a, b):
-    if a is None or b is None:
-        return a is b
-    return np.array_equal(a, b, equal_nan=True)
 
 
 def six_filters(model: LinearModel) -> dict[str, Filter]:

@@ -28,7 +28,7 @@ class Immutable:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return all(map(_same, self._held(), other._held()))
+        return all(map(same, self._held(), other._held()))
 
     def __hash__(self) -> int:
         # Of an array its numbers; + 0.0 makes 0 of -0, which is equal to it.
@@ -42,7 +42,7 @@ class Immutable:
         return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()
 
 
-def _same(a, b):
+def same(a, b):
     """Tell whether two fields are equal: arrays where all their numbers are."""
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return np.array_equal(a, b, equal_nan=True)
@@ -128,8 +128,8 @@ class LinearModel(Immutable):
         same_Q = np.abs(half @ noise @ half.T + noise - Q) <= rounding * size
         return bool(same_F.all() and same_Q.all())
 
-    def over(self, length: float) -> tuple[Array, Array]:
-        """Return F and Q of a step of this length, in units of dt, a number that is not negative.
+    def over(self, length: ArrayLike) -> tuple[Array, Array]:
+        """Return F and Q of a step of this length, in units of dt, a number that is not negative; (K, n, n) of K steps.
 
         Raises ValueError for a model that knows one length only: then its dt is None.
 
@@ -141,8 +141,8 @@ class LinearModel(Immutable):
             checks.refuse("model", "powers that say what a step of another length is", "none")
         # Where a power is below zero there is no F_ij or no Q_ij: no step of length zero is divided by.
         differences, sums = self.powers[:, None] - self.powers, self.powers[:, None] + self.powers
-        F = self.F * float(length) ** np.maximum(differences, 0)
-        return F, self.Q * float(length) ** np.maximum(sums, 0)
+        s = np.asarray(length, dtype=float)[..., None, None]
+        return self.F * s ** np.maximum(differences, 0), self.Q * s ** np.maximum(sums, 0)
 
     @property
     def n(self) -> int:

@@ -54,10 +54,10 @@ def through(advance, rows, x0, P0, x, P):
     """
     K = rows_per_piece(len(x), x.shape[2] * x.shape[3])
     found = None if len(x) == K else _in_pieces(advance, rows, K, x0, P0, x, P)
-    if found is None:
-        _, last, least = _each_row(advance, rows, x0, P0, x, P)
-        found = last, least
-    return found
+    if found is not None:
+        return found
+    _, last, least = _each_row(advance, rows, x0, P0, x, P)
+    return last, least
 
 
 def _each_row(advance, rows, x_k, P_k, x, P):
@@ -110,8 +110,8 @@ def _agree(x, P, x_next, P_next):
         return False
     sigma = np.sqrt(np.maximum(np.einsum("jj...->j...", P_next), 0))
     unit = np.where(sigma > 0, sigma, 1)
-    apart = np.abs(x - x_next)
-    apart = np.where(apart > ROUNDING * np.abs(x_next), x - x_next, 0) / unit[:, None]
+    apart = x - x_next
+    apart = np.where(np.abs(apart) > ROUNDING * np.abs(x_next), apart, 0) / unit[:, None]
     units = unit * unit[:, None]
     variances, axes = np.linalg.eigh(np.moveaxis(P_next / units, 2, 0))
     axes = axes / np.sqrt(np.maximum(variances, NARROWEST))[:, None]

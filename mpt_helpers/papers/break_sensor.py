@@ -143,7 +143,7 @@ def walks(count, rng):
 
 
 def fixes(scene, track):
-    """Return the fixes of a scene as errors in metres, NaN where they are lost; shape as those of the track."""
+    """Return the fixes of a scene as errors in metres, NaN where they are lost, in the shape of the track's."""
     errors = track.noise + (track.lasting if scene.lasts else 0)
     for fix, off in scene.pulled.items():
         errors[fix - 1] = off
