@@ -1,20 +1,27 @@
 """Make a table of corrected GPS ranges from a day of RINEX: observations and broadcast ephemerides of one station.
 
     python -m pip install ".[gps]"
-    python make_table.py OBSERVATIONS.crx.gz NAVIGATION.rnx.gz table.csv.gz
+    python make_table.py OBSERVATIONS.crx.gz NAVIGATION.rnx.gz table.csv.gz [--biases BIASES]
 
 One row for each epoch and GPS satellite above 10 degrees:
 
     epoch         seconds of the receiver's clock since the first epoch's midnight (GPS time)
     satellite     its number
     x, y, z       where it was at transmission (m), turned with the Earth until reception
-    range         C1C, corrected for satellite clock, group delay, ionosphere and troposphere (m)
+    range         C1C, corrected for satellite clock, group delay, code bias, ionosphere and troposphere (m)
     elevation     degrees above the ellipsoid's horizon
     troposphere   what was taken from `range` for it (m): add it for the range without that correction
     dual          what to add to `range` for the ionosphere-free combination of C1C and C2W (m); nan without C2W
     second        C2W minus C1C, as measured (m)
     phase1        the carrier phase L1C minus C1C, as measured (m)
     phase2        the carrier phase L2W minus C1C, as measured (m)
+    bias          what was taken from `range` for the code bias (m): 0 where it is not known
+
+**The code bias.** The broadcast clock is defined for the P(Y) codes, C1W and C2W; C1C differs from C1W by a constant of
+each satellite, up to a metre. Where the observations have C1W too, it is the mean of C1C - C1W of the day. Where they
+have not, name a file of biases: Bias-SINEX (DSB of C1C and C1W, or OSB of both), as the analysis centres of the IGS
+publish for each day, or a CSV with the columns satellite and C1C_minus_C1W_ns. Only differences between satellites
+count, so that the mean over all is taken off.
 
 Ranges that no message is near enough to are left out, with a warning. Needed are RINEX 3 files of one day: GPS C1C and
 the station's position in the observations, GPSA and GPSB (the ionosphere) in the header of the ephemerides.
@@ -25,6 +32,7 @@ another one after each loss of lock. What was not measured is nan. The formulas 
 """
 
 import argparse
+import csv
 import gzip
 import warnings
 from pathlib import Path
@@ -39,9 +47,15 @@ L1, L2 = 1575.42e6, 1227.60e6  # Hz
 MASK = 10.0  # degrees
 MOST_AGE = 7_200.0  # s, from a message's time of ephemeris: half of the four hours that its numbers are fitted to
 WEEK = 604_800.0  # s
-COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual,second,phase1,phase2"
-FORMAT = "%.10g,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f,%.3f,%.3f,%.3f"
-OBSERVED = ["C1C", "C2W", "L1C", "L2W"]
+COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual,second,phase1,phase2,bias"
+FORMAT = "%.10g,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f,%.3f,%.3f,%.3f,%.3f"
+OBSERVED = ["C1C", "C1W", "C2W", "L1C", "L2W"]
+CSV_COLUMN = "C1C_minus_C1W_ns"
+OLD = 31  # days between biases and observations, from which on it is said: they drift within months
+NO_BIASES = (
+    "the observations have no C1W, and no --biases are given: the satellites' code biases stay in the ranges. At three "
+    "stations that made the error that lasts, of two frequencies, 1.4 to 1.6 times as large"
+)
 
 
 def orbit(message, t):
@@ -146,8 +160,108 @@ def observed(own, name, seen):
     return np.where(values == 0, np.nan, values)  # a missing observation is zero or NaN
 
 
-def rows_of(satellite, observations, navigation, station, coefficients):
-    """Return the table's rows (N, 12) of one satellite."""
+def about_their_mean(biases):
+    """Return the values of a mapping less their mean: what all satellites share goes into the receiver's clock.
+
+    >>> about_their_mean({"G01": 1.0, "G02": 3.0})
+    {'G01': -1.0, 'G02': 1.0}
+    """
+    mean = sum(biases.values()) / max(len(biases), 1)
+    return {satellite: value - mean for satellite, value in biases.items()}
+
+
+def own_biases(observations):
+    """Return {satellite: C1C - C1W in metres}, means over the observations that have both; {} where none has."""
+    if "C1W" not in observations:
+        return {}
+    found = {}
+    for satellite in observations.sv.values:
+        own = observations.sel(sv=satellite)
+        both = (own["C1C"].values > 0) & (own["C1W"].values > 0)
+        if both.any():
+            found[str(satellite)] = float(np.mean((own["C1C"].values - own["C1W"].values)[both]))
+    return about_their_mean(found)
+
+
+def read_biases(path, day):
+    """Return {satellite: C1C - C1W in metres} of a file, and how many days (or None) it lies from a day.
+
+    The file is Bias-SINEX or a CSV, gzipped or not, day a numpy.datetime64. Raises ValueError for a file without them.
+    """
+    raw = Path(path).read_bytes()
+    text = (gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw).decode("ascii", errors="replace")
+    if text.startswith("%=BIA"):
+        nanoseconds, days = _bias_sinex(text.splitlines(), day)
+    else:
+        rows = list(csv.DictReader(text.splitlines()))
+        if not rows or not {"satellite", CSV_COLUMN} <= set(rows[0]):
+            raise ValueError(f"{path}: needs Bias-SINEX, or a CSV with the columns satellite and {CSV_COLUMN}")
+        nanoseconds, days = {row["satellite"]: float(row[CSV_COLUMN]) for row in rows}, None
+    if not nanoseconds:
+        raise ValueError(f"{path}: needs biases of C1C and C1W of GPS satellites, got none")
+    return about_their_mean({satellite: C * 1e-9 * value for satellite, value in nanoseconds.items()}), days
+
+
+def _bias_sinex(lines, day):
+    """Return C1C - C1W in ns of each GPS satellite by the lines nearest to a day, and how many days that is."""
+    single, found = {}, {}  # OSB of one code each, and their differences, as {satellite: (days, ns)}
+    for line in lines:
+        kind, satellite, station = line[1:4], line[11:14].strip(), line[15:24].strip()
+        codes, unit = (line[25:29].strip(), line[30:34].strip()), line[65:69].strip()
+        if kind not in ("DSB", "OSB") or not satellite.startswith("G") or len(satellite) != 3 or station or unit != "ns":
+            continue
+        value, away = float(line[70:91]), _days_outside(day, line[35:49], line[50:64])
+        if kind == "OSB" and codes[0] in ("C1C", "C1W"):
+            _keep_nearest(single, (satellite, codes[0]), away, value)
+        elif codes in (("C1C", "C1W"), ("C1W", "C1C")):
+            _keep_nearest(found, satellite, away, value if codes[0] == "C1C" else -value)
+    for satellite, code in single:
+        if code == "C1C" and (satellite, "C1W") in single and satellite not in found:
+            (away, one), (_, other) = single[satellite, "C1C"], single[satellite, "C1W"]
+            found[satellite] = away, one - other
+    days = max((away for away, _ in found.values()), default=0.0)
+    return {satellite: value for satellite, (_, value) in found.items()}, days
+
+
+def _keep_nearest(found, key, away, value):
+    """Keep of several lines for one key the one nearest in time."""
+    if key not in found or away < found[key][0]:
+        found[key] = away, value
+
+
+def _days_outside(day, start, end):
+    """Return how many days a day lies outside of a span of Bias-SINEX, 0 within it.
+
+    >>> _days_outside(np.datetime64("2024-05-03"), "2024:010:00000", "2024:011:00000")
+    113.0
+    """
+    first, last = (
+        np.datetime64(f"{each[:4]}-01-01") + np.timedelta64(int(each[5:8]) - 1, "D") for each in (start, end)
+    )
+    return float(max((first - day) / np.timedelta64(1, "D"), (day - last) / np.timedelta64(1, "D"), 0))
+
+
+def biases_of(observations, path):
+    """Return {satellite: C1C - C1W in metres} of the observations themselves or of a file, and where they are from.
+
+    {} and a warning stand for neither.
+    """
+    found = own_biases(observations)
+    if found:
+        return found, "of the observations"
+    if path is None:
+        warnings.warn(NO_BIASES, stacklevel=2)
+        return {}, "none"
+    found, days = read_biases(path, observations["time"].values[0].astype("datetime64[D]"))
+    if days is None:
+        warnings.warn(f"{path} does not say of which day its biases are; they drift within months", stacklevel=2)
+    elif days > OLD:
+        warnings.warn(f"{path} is {days:.0f} days from the observations; biases drift within months", stacklevel=2)
+    return found, f"of {path}"
+
+
+def rows_of(satellite, observations, navigation, station, coefficients, bias=0.0):
+    """Return the table's rows (N, 13) of one satellite, whose C1C is `bias` metres longer than C1W."""
     from pymap3d import ecef2aer, ecef2geodetic
 
     own = observations.sel(sv=satellite)
@@ -169,12 +283,13 @@ def rows_of(satellite, observations, navigation, station, coefficients):
     azimuth, elevation, _ = ecef2aer(*position.T, latitude, longitude, height)
     ionosphere = klobuchar(coefficients, latitude, longitude, azimuth, elevation, epoch)
     troposphere = saastamoinen(height, elevation)
-    corrected = measured + C * (clock - message["TGD"]) - ionosphere - troposphere
-    free = (L1**2 * measured - L2**2 * second) / (L1**2 - L2**2)
+    corrected = measured - bias + C * (clock - message["TGD"]) - ionosphere - troposphere
+    free = (L1**2 * (measured - bias) - L2**2 * second) / (L1**2 - L2**2)
     dual = free + C * clock - troposphere - corrected
     number = np.full(len(epoch), int(satellite[1:]))
     as_measured = np.column_stack([second, phase1, phase2]) - measured[:, None]
-    rows = np.column_stack([epoch, number, position, corrected, elevation, troposphere, dual, as_measured])
+    biases = np.full(len(epoch), bias)
+    rows = np.column_stack([epoch, number, position, corrected, elevation, troposphere, dual, as_measured, biases])
     current = message["age"] <= MOST_AGE
     if not current.all():
         how_many = f"{satellite}: {np.sum(~current)} of {len(current)} ranges left out"
@@ -201,32 +316,67 @@ def ends_early(header, last):
     return float(missing) if missing > interval else 0.0
 
 
-def load(path, what, **options):
-    """Return what georinex reads of a file, or end with a message that names it."""
+def load(path, what, need, **options):
+    """Return what georinex reads of a file, and its header, or end with a message that says what it lacks.
+
+    `need` tells from the header what is missing, or nothing.
+    """
     import georinex
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)  # georinex: one for each message
-            return georinex.load(path, use="G", **options), georinex.rinexheader(path)
+            header = georinex.rinexheader(path)
+            missing = need(header)
+            if not missing:
+                return georinex.load(path, use="G", **options), header
     except Exception as error:  # a file that is cut or of another kind fails anywhere in it
         raise SystemExit(f"{path}: needs a RINEX 3 file of {what}, got one that cannot be read ({error!r})") from None
+    raise SystemExit(f"{path}: needs {missing}")
+
+
+def lacking_in_observations(header):
+    """Tell what observations lack by their header, or return None.
+
+    >>> lacking_in_observations({"rinextype": "obs", "version": 3.05, "fields": {"E": ["C1C"], "R": ["C1C"]}})
+    'GPS observations, got those of E, R only'
+    """
+    if header["rinextype"] != "obs":
+        return "observations, got another kind of file: are the two swapped?"
+    if header["version"] < 3:  # also that of the Hatanaka compression, which is 1 for RINEX 2
+        return "RINEX 3, got RINEX 2, whose names of ranges say less (C1, P2): convert it first"
+    fields = header["fields"]
+    if "G" not in fields:
+        return f"GPS observations, got those of {', '.join(sorted(fields))} only"
+    if "C1C" not in fields["G"]:
+        return f"GPS ranges C1C, got the observations {' '.join(fields['G'])}"
+    return None
+
+
+def lacking_in_navigation(header):
+    """Tell what a navigation file lacks by its header, or return None."""
+    if header["rinextype"] != "nav":
+        return "broadcast ephemerides, got another kind of file: are the two swapped?"
+    if header["version"] < 3:
+        return "RINEX 3, got RINEX 2: convert it first"
+    return None
 
 
 def main():
-    """Read the two files that the command line names and write the table."""
+    """Read the files that the command line names and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("observations", type=Path)
     parser.add_argument("navigation", type=Path)
     parser.add_argument("table", type=Path)
+    parser.add_argument("--biases", type=Path, help="C1C - C1W of each satellite, where the observations have no C1W")
     names = parser.parse_args()
 
-    observations, header = load(names.observations, "observations", meas=OBSERVED)
-    navigation, _ = load(names.navigation, "broadcast ephemerides")
-    if "C1C" not in observations or "Toe" not in navigation:
-        raise SystemExit(
-            f"{names.observations} needs GPS ranges C1C, {names.navigation} GPS ephemerides: are they swapped?"
-        )
+    observations, header = load(names.observations, "observations", lacking_in_observations, meas=OBSERVED)
+    navigation, _ = load(names.navigation, "broadcast ephemerides", lacking_in_navigation)
+    if "C1C" not in observations or not (observations["C1C"].values > 0).any():
+        raise SystemExit(f"{names.observations}: needs GPS ranges C1C, got none in its epochs")
+    if "Toe" not in navigation or not len(navigation.sv.values):
+        raise SystemExit(f"{names.navigation}: needs ephemerides of GPS satellites, got none")
     if "ionospheric_corr_GPS" not in navigation.attrs:
         raise SystemExit(f"{names.navigation}: needs GPSA and GPSB, the ionosphere, in its header")
     try:
@@ -238,9 +388,16 @@ def main():
         warnings.warn(
             f"{names.observations}: what could be read ends {early:.0f} s before its header says", stacklevel=2
         )
+    try:
+        biases, source = biases_of(observations, names.biases)
+    except (OSError, ValueError) as error:
+        raise SystemExit(f"--biases: {error}") from None
     coefficients = navigation.attrs["ionospheric_corr_GPS"]
     known = [sv for sv in observations.sv.values if sv in navigation.sv.values]
-    rows = [rows_of(sv, observations, navigation, station, coefficients) for sv in known]
+    without = [str(sv) for sv in known if sv not in biases]
+    if biases and without:
+        warnings.warn(f"no code bias of {', '.join(without)}: taken for the mean of all", stacklevel=2)
+    rows = [rows_of(sv, observations, navigation, station, coefficients, biases.get(sv, 0.0)) for sv in known]
     table = np.vstack([np.empty((0, len(FORMAT.split(",")))), *rows])
     if not len(table):
         raise SystemExit(f"{names.navigation}: needs messages of the day of {names.observations}, got none")
@@ -250,6 +407,7 @@ def main():
     text = "\n".join([first, COLUMNS, *lines, ""])
     names.table.write_bytes(gzip.compress(text.encode(), mtime=0))
     print(f"{names.table}: {len(table)} rows, {len(np.unique(table[:, 0]))} epochs, {len(known)} satellites")
+    print(f"code biases: {source}")
 
 
 if __name__ == "__main__":
