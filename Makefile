@@ -8,14 +8,14 @@ NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 .PHONY: reproduce test nbval site site-test build extras bench clock mutants seeds test-all workflows lock
 
 reproduce: $(VENV)/.ok
-	$(PY) -m mpt_helpers reproduce
-	$(PY) -m mpt_helpers readme
+	$(PY) -m reproduction reproduce
+	$(PY) -m reproduction readme
 
 test: $(VENV)/.ok
 	@echo "all of the tests; a part of them: $(PY) -m pytest tests/test_filters.py -k lainiotis"
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(PY) -m pytest -n auto -p tests.exact $(NBVAL) mpt_helpers tests notebooks
+	$(PY) -m pytest -n auto -p tests.exact $(NBVAL) mpt_helpers reproduction docs/break_sensor.py tests notebooks
 
 # The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.
 nbval: $(VENV)/.ok

@@ -15,6 +15,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from reproduction import figures
+
 TESTS = Path(__file__).parent
 NOT_SEEN = ("execution_count", "prompt_number", "traceback")  # the count is tested where nothing runs
 DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
@@ -39,7 +41,7 @@ def talk_through_files():
     """
     from jupyter_client import KernelManager
 
-    from mpt_helpers.__main__ import LONGEST_SOCKET
+    from reproduction.__main__ import LONGEST_SOCKET
 
     made = KernelManager.__init__
 
@@ -72,7 +74,7 @@ def is_cell(item):
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item):
     """Let the kernel of a notebook, which its first cell starts, run `watch`; kernels of other tests must not."""
-    from mpt_helpers.__main__ import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
+    from reproduction.__main__ import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
 
     with pytest.MonkeyPatch.context() as here:
         if is_cell(item):
@@ -106,33 +108,33 @@ def watch():
     from mpt_helpers import plots
 
     os.chdir("..")
-    save = plots.save_figure
+    save = figures.save_figure
 
     def save_figure(fig, name):
         plots.project()  # is found from here too
         every_change_is_described(fig, plots)
         return save(fig, name, os.environ[DRAWN])
 
-    plots.save_figure = save_figure
+    figures.save_figure = save_figure
 
 
 def every_change_is_described(fig, plots):
     """Scale each line, area, bar and image by 1.01, one at a time: the description, which nbval compares, must change.
 
-    Drawn values below plots.QUANTUM are described with one digit, and left out here; of many bars, twenty are tried.
+    Drawn values below figures.QUANTUM are described with one digit, and left out here; of many bars, twenty are tried.
     """
     for outer in fig.axes:
         alone = SimpleNamespace(axes=[outer], texts=[], legends=[])  # faster than the whole figure each time
-        before = plots.describe(alone)
+        before = figures.describe(alone)
         for ax in (outer, *outer.child_axes):
             for artist in (*ax.lines, *ax.collections, *ax.patches[:20], *ax.images):
                 for values, put in drawn_numbers(artist):
-                    if max(map(abs, values.ravel()), default=0) > plots.QUANTUM:
+                    if max(map(abs, values.ravel()), default=0) > figures.QUANTUM:
                         put(1.01 * values)
-                        changed = plots.describe(alone) != before
+                        changed = figures.describe(alone) != before
                         assert changed, f"1 % more is not described: {artist} {artist.get_label()}"
                         put(values)
-        assert plots.describe(alone) == before
+        assert figures.describe(alone) == before
 
 
 def drawn_numbers(artist):

@@ -188,7 +188,7 @@ def test_the_second_part_begins_at_its_heading():
         ("ax['a'].plot(x)", True),
         ("plt.show()", True),
         ("fig, ax = plots.panels([['a']])", True),
-        ("fig = article.draw_start()\nplots.save_figure(fig, 'x')", False),
+        ("fig = article.draw_start()\nfigures.save_figure(fig, 'x')", False),
         ("relax.go()", False),
     ],
 )

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mpt_helpers import plots
-from mpt_helpers.ledger import Item
-from mpt_helpers.papers import burden, table4
+from reproduction import burden, figures
+from reproduction.ledger import Item
+from reproduction.papers_2014_2015 import table4
 
 
 class Counted(float):
@@ -143,7 +144,7 @@ def test_the_description_of_the_map_tells_its_states():
     fig, ax = plots.panels([["map"]])
     states = np.array([[table4.NONE, table4.WRONG], [table4.LOST, table4.NONE]])
     table4.draw(ax["map"], states, ["KF", "JKLF"], {"JKLF": "1, not 2"}, framed=[(0, 1)])
-    told = plots.describe(fig)
+    told = figures.describe(fig)
     assert all(text in told for text in ("'?'", "'1, not 2'", "patch"))
     other, ax = plots.panels([["map"]])
     table4.draw(
@@ -153,4 +154,4 @@ def test_the_description_of_the_map_tells_its_states():
         {"JKLF": "1, not 2"},
         [(0, 1)],
     )
-    assert plots.describe(other) != told
+    assert figures.describe(other) != told

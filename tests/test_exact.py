@@ -11,11 +11,11 @@ from conftest import ROOT, write_notebook
 from exact import every_change_is_described
 
 from mpt_helpers import plots
-from mpt_helpers.__main__ import main
+from reproduction.__main__ import main
 
 FIRST = """\
 from mpt_helpers import plots
-from mpt_helpers.ledger import Table
+from reproduction.ledger import Table
 def draw(name):
     fig, ax = plots.panels([["a"]])
     ax["a"].plot([1, 2, 3], label="a")
@@ -25,7 +25,7 @@ TABLE = 'Table(["a"], [["one"]])'
 
 
 def figure(name):
-    return f'fig = draw("{name}")\nplots.save_figure(fig, "small_{name}")'
+    return f'fig = draw("{name}")\nfigures.save_figure(fig, "small_{name}")'
 
 
 # What a cell holds, and what is done to it after it was executed.

@@ -14,10 +14,10 @@ from test_articles import FIRST_CELL, FIRST_PICTURE, PICTURES, USUAL
 from test_articles import LINES as TEACHES
 from test_notebooks import LINES
 
-from mpt_helpers.__main__ import main
-from mpt_helpers.ledger import keys, published, stored_verdicts
-from mpt_helpers.ledger.paper import KINDS
-from mpt_helpers.ledger.verdicts import BASES, CAUSE_KINDS
+from reproduction.__main__ import main
+from reproduction.ledger import keys, published, stored_verdicts
+from reproduction.ledger.paper import KINDS
+from reproduction.ledger.verdicts import BASES, CAUSE_KINDS
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 KEY = re.search(r"The key is .*, here `(\w+)`", PAGE)[1]
@@ -57,7 +57,7 @@ def copy(tmp_path_factory):
     shutil.copytree(ROOT, copy, ignore=IGNORED)
     ledger, words = blocks("toml")
     (copy / "mpt_helpers" / "ledger" / f"{KEY}.toml").write_text(ledger, encoding="utf-8")
-    (name,) = re.findall(rf"`(mpt_helpers/papers/\w+_{KEY[:4]}\.py)`", PAGE)
+    (name,) = re.findall(rf"`(reproduction/\w+_{KEY[:4]}\.py)`", PAGE)
     (copy / name).write_text(f"{MODULE}\n", encoding="utf-8")
     path = copy / "docs" / "papers.toml"
     path.write_text(f"{path.read_text(encoding='utf-8')}\n{words}", encoding="utf-8")
@@ -66,8 +66,8 @@ def copy(tmp_path_factory):
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("\n\n## Your own track", f"\n{line}\n## Your own track", 1), encoding="utf-8")
     write_the_notebook(copy / "notebooks" / f"{KEY}.ipynb")
-    run(copy, "-m", "mpt_helpers", "reproduce", KEY)
-    run(copy, "-m", "mpt_helpers", "readme")
+    run(copy, "-m", "reproduction", "reproduce", KEY)
+    run(copy, "-m", "reproduction", "readme")
     return copy
 
 
@@ -88,7 +88,7 @@ def said(copy, monkeypatch, capsys):
     """What the command line says of the copy's verdicts."""
 
     def said(*arguments):
-        monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", copy / "mpt_helpers" / "ledger")
+        monkeypatch.setattr("reproduction.ledger.paper.FOLDER", copy / "mpt_helpers" / "ledger")
         assert main(["verdicts", *arguments]) == 0
         return capsys.readouterr().out
 
@@ -129,7 +129,7 @@ def test_the_site_has_the_new_paper(copy):
 
 
 def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
-    monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", copy / "mpt_helpers" / "ledger")
+    monkeypatch.setattr("reproduction.ledger.paper.FOLDER", copy / "mpt_helpers" / "ledger")
     verdicts = stored_verdicts(copy / "notebooks" / f"{KEY}.ipynb")
     with pytest.raises(ValueError, match=f"{KEY}.toml and its notebook: no verdict on units"):
         published(KEY).complete([each for each in verdicts if each.id != "units"])

@@ -10,9 +10,9 @@ import pytest
 from conftest import NOTEBOOKS, ROOT, source
 from matplotlib.image import imread
 
-from mpt_helpers.__main__ import tidied
-from mpt_helpers.ledger.verdicts import MIME
 from mpt_helpers.plots import SavedFigure
+from reproduction.__main__ import tidied
+from reproduction.ledger.verdicts import MIME
 
 FIGURES = ROOT / "figures"
 LINES = 15  # of code in a cell

@@ -116,7 +116,7 @@ def test_importing_costs_what_the_libraries_cost_and_no_matplotlib():
     """
     cost, loaded = imported()
     assert "mpt_helpers.metrics" in loaded
-    assert not {"matplotlib", "mpt_helpers.plots", "mpt_helpers.papers"} & loaded
+    assert not {"matplotlib", "mpt_helpers.plots", "reproduction"} & loaded
     assert cost <= 1.15 or any(imported()[0] <= 1.15 for _ in range(2))
 
 

@@ -10,7 +10,9 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from mpt_helpers import plots
-from mpt_helpers.plots import alt_text, describe, finish, panels, save_figure, visible_gap
+from mpt_helpers.plots import finish, panels
+from reproduction import figures
+from reproduction.figures import alt_text, describe, save_figure, visible_gap
 
 
 def line(ax, y):
@@ -356,5 +358,5 @@ def test_axes_drawn_to_scale_are_described_without_the_limits_that_fill_their_pa
         ax["a"].plot([0.0, 1.0], [0.0, 1.0])
         ax["a"].set_aspect("equal", "datalim")
         fig.draw_without_rendering()
-        described.add(plots.describe(fig))
+        described.add(figures.describe(fig))
     assert len(described) == 1

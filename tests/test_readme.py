@@ -8,8 +8,8 @@ import pytest
 from conftest import NOTEBOOKS, ROOT, part_one, parts, source
 from tools import shipped
 
-from mpt_helpers.__main__ import BLOCK, readme
-from mpt_helpers.ledger import shipped_verdicts
+from reproduction.__main__ import BLOCK, readme
+from reproduction.ledger import shipped_verdicts
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -54,7 +54,7 @@ def test_the_code_does_what_its_comments_say(names):
 def test_the_counts_are_those_of_the_verdicts():
     verdicts = shipped_verdicts()
     (block,) = BLOCK.finditer(README)
-    assert block[0] == f"{block[1]}\n{readme(verdicts)}\n\n{block[2]}", "stale: python -m mpt_helpers readme"
+    assert block[0] == f"{block[1]}\n{readme(verdicts)}\n\n{block[2]}", "stale: python -m reproduction readme"
 
 
 def test_the_list_of_papers_is_that_of_the_notebooks():

@@ -23,15 +23,15 @@ from nbformat.v4 import new_output
 
 import mpt_helpers as mpt
 from mpt_helpers import __main__ as command_line
-from mpt_helpers.__main__ import as_json, as_text, main, readme
-from mpt_helpers.ledger import Verdicts, keys, shipped_verdicts, stored_verdicts
-from mpt_helpers.ledger.verdicts import FIELDS, MIME
+from reproduction.__main__ import as_json, as_text, main, readme
+from reproduction.ledger import Verdicts, keys, shipped_verdicts, stored_verdicts
+from reproduction.ledger.verdicts import FIELDS, MIME
 
 PLOTS = """\
 from mpt_helpers import plots
 fig, ax = plots.panels([["a"]])
 ax["a"].plot([1, 2])
-plots.save_figure(fig, "small_fig1")"""
+figures.save_figure(fig, "small_fig1")"""
 # A figure in no time.
 MAKES_FIGURE = "open('../figures/small_fig1.png', 'wb').write(b'PNG');"
 # What a cell does: it waits at most a minute for another notebook, or tells its process's number and sleeps.
@@ -58,7 +58,7 @@ def test_reproduce_executes_in_place_stores_the_verdicts_and_again_changes_no_by
     shown = capfd.readouterr()
     assert shown.out.splitlines() == ["small: 2 cells executed"]
     assert shown.err == ""
-    made = ["figures/small_fig1.png", "figures/small_fig1.svg", "mpt_helpers/ledger/small.json"]
+    made = ["figures/small_fig1.png", "figures/small_fig1.svg", "reproduction/ledger/small.json"]
     assert sorted(files(project)) == sorted([*before, *made])
     notebook = json.loads((project / SMALL).read_text())
     assert notebook["metadata"]["language_info"] == {"name": "python"}
@@ -121,7 +121,7 @@ def copied(tmp_path, monkeypatch):
 
 
 def reproduce_in(folder):
-    command = [sys.executable, "-m", "mpt_helpers", "reproduce"]
+    command = [sys.executable, "-m", "reproduction", "reproduce"]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True)
 
 
@@ -144,7 +144,7 @@ def test_a_copied_project_is_refused_to_another_package(copied):
 def test_a_kernel_that_was_never_ready_leaves_no_message_at_exit(project):
     """nbclient has ended it already, and would end it once more."""
     shutil.rmtree(project / "mpt_helpers")  # which is not the package that the command runs
-    ends = "import nbclient, sys; from mpt_helpers.__main__ import main\n"
+    ends = "import nbclient, sys; from reproduction.__main__ import main\n"
     ends += "async def never_ready(*args, **kwargs): raise RuntimeError('Kernel died before replying')\n"
     ends += "import jupyter_client; jupyter_client.AsyncKernelClient.wait_for_ready = never_ready\n"
     ends += "sys.exit(main(['reproduce']))"
@@ -207,7 +207,7 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, 
     # Whatever started the tests may ignore these, as a job in the background ignores an interrupt.
     listens = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
     listens += "signal.signal(signal.SIGHUP, signal.SIG_DFL);"
-    runs = f"{listens} import sys; from mpt_helpers.__main__ import main; sys.exit(main(['reproduce']))"
+    runs = f"{listens} import sys; from reproduction.__main__ import main; sys.exit(main(['reproduce']))"
     command = [sys.executable, "-c", runs]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         # A sign is written when its text is there.
@@ -245,7 +245,7 @@ def finished(project, monkeypatch):
         notebook.cells.clear()
         notebook.metadata.clear()
 
-    monkeypatch.setattr("mpt_helpers.__main__._execute", execute)
+    monkeypatch.setattr("reproduction.__main__._execute", execute)
     return project
 
 
@@ -329,7 +329,7 @@ def test_a_copy_that_fails_is_named(project):
     for name in ("a", "b"):
         (project / "notebooks" / name).write_bytes(bytes(100_000))
     shutil.rmtree(project / "mpt_helpers")  # which is not the package that the command runs
-    code = "import resource, sys; from mpt_helpers.__main__ import main;"
+    code = "import resource, sys; from reproduction.__main__ import main;"
     code += "resource.setrlimit(resource.RLIMIT_FSIZE, 2 * (50_000,)); sys.exit(main(['reproduce']))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert run.returncode == 1
@@ -347,7 +347,7 @@ def test_a_folder_in_the_place_of_a_figure_is_refused_before_any_file_is_moved(f
 
 
 def test_figures_that_are_a_file_or_read_only_are_refused_before_anything_runs(project, monkeypatch, capsys):
-    monkeypatch.setattr("mpt_helpers.__main__._execute", None)
+    monkeypatch.setattr("reproduction.__main__._execute", None)
     with monkeypatch.context() as patch:
         patch.setattr("os.access", lambda path, mode: path.name != "figures")
         assert main(["reproduce"]) == 1
@@ -390,7 +390,7 @@ def test_help(arguments, capsys):
     with pytest.raises(SystemExit) as done:
         main([*arguments, "--help"])
     assert done.value.code == 0
-    assert "usage: python -m mpt_helpers" in capsys.readouterr().out
+    assert "usage: python -m reproduction" in capsys.readouterr().out
 
 
 def test_the_version(capsys):
@@ -414,7 +414,7 @@ def test_verdicts_that_do_not_cover_the_paper_are_refused(project, reported, mon
         records = [each for each in reported._repr_mimebundle_()[MIME] if each["id"] != "count"]
         notebook.cells[0].outputs = [new_output("display_data", {MIME: records})]
 
-    monkeypatch.setattr("mpt_helpers.__main__._execute", execute)
+    monkeypatch.setattr("reproduction.__main__._execute", execute)
     before = files(project)
     assert main(["reproduce"]) == 1
     assert capsys.readouterr().err == "error: small.toml and its notebook: no verdict on count\n"
@@ -424,7 +424,7 @@ def test_verdicts_that_do_not_cover_the_paper_are_refused(project, reported, mon
 @pytest.fixture
 def shipped(project, reported):
     """The same, as the package ships them."""
-    (project / "mpt_helpers/ledger/small.json").write_text(as_json(reported))
+    (project / "reproduction/ledger/small.json").write_text(as_json(reported))
     return shipped_verdicts()
 
 
@@ -476,7 +476,7 @@ def test_a_paper_that_is_named_twice_is_counted_once(shipped, capsys):
 
 
 def test_verdicts_of_another_version_are_an_error_that_names_their_file(shipped, project, capsys):
-    path = project / "mpt_helpers/ledger/small.json"
+    path = project / "reproduction/ledger/small.json"
     path.write_text(path.read_text().replace("one-missing", "another"))
     for command in ("verdicts", "readme"):
         assert main([command]) == 1
@@ -557,7 +557,7 @@ def test_the_readme_counts_claims_that_cannot_be_checked(shipped):
 
 
 def test_verdicts_into_a_file_are_utf_8_whatever_the_terminal_has():
-    command = [sys.executable, "-m", "mpt_helpers", "verdicts", "--json"]
+    command = [sys.executable, "-m", "reproduction", "verdicts", "--json"]
     ran = subprocess.run(command, capture_output=True, env=os.environ | {"PYTHONIOENCODING": "cp1252"}, cwd=ROOT)
     assert ran.returncode == 0, ran.stderr
     assert "σ" in str(json.loads(ran.stdout.decode("utf-8")))
@@ -568,7 +568,7 @@ def test_a_reader_that_closes_the_pipe_leaves_reproduce_unfinished():
     for command, code in (("reproduce", 1), ("verdicts", 0)):
         text = f"""
 import sys
-import mpt_helpers.__main__ as m
+import reproduction.__main__ as m
 def closed(*_):
     raise BrokenPipeError
 m.reproduce = m.show_verdicts = closed

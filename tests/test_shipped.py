@@ -9,7 +9,7 @@ from conftest import ROOT
 from tools import shipped
 
 import mpt_helpers
-from mpt_helpers.ledger import keys
+from reproduction.ledger import keys
 
 MAKEFILE = (ROOT / "Makefile").read_text()
 COMMANDS = re.search(r"(?m)^\.PHONY: (.*)", MAKEFILE)[1].split()
@@ -26,7 +26,7 @@ def test_the_wheel_has_the_package_and_what_the_papers_print_and_nothing_else(wh
     folder = ROOT / "mpt_helpers"
     kinds = (".py", ".toml", ".json", ".typed")
     assert names == {str(path.relative_to(ROOT)) for path in folder.rglob("*") if path.suffix in kinds}
-    assert {f"mpt_helpers/ledger/{key}.toml" for key in keys()} <= names
+    assert {f"reproduction/ledger/{key}.toml" for key in keys()} <= names
 
 
 def test_the_version_stands_in_one_place_and_is_that_of_the_citation():

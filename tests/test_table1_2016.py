@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 import mpt_helpers as mpt
 from mpt_helpers import ledger
-from mpt_helpers.papers import table1_2016 as table1
+from reproduction.paper_2016 import table1
 
 COLUMNS = table1.columns()
 PRINTED = {key: column.printed for key, column in COLUMNS.items()}

@@ -87,15 +87,15 @@ def use_base(there):
     """Run the README's code and the command line; the package itself loads no library for pictures or notebooks."""
     there.script(README_CODE)
     there.script(LIGHT)
-    there.run("-m", "mpt_helpers", "--version")
-    there.run("-m", "mpt_helpers", "verdicts")
+    there.run("-m", "reproduction", "--version")
+    there.run("-m", "reproduction", "verdicts")
 
 
 def use_notebooks(there):
     """Execute a notebook and see its figures."""
     shutil.copytree(ROOT / "notebooks", there.here / "notebooks")
     there.here.joinpath("figures").mkdir()
-    there.run("-m", "mpt_helpers", "reproduce", "2015_mpt_3d")
+    there.run("-m", "reproduction", "reproduce", "2015_mpt_3d")
     made = {path.name for path in there.here.joinpath("figures").iterdir()}
     assert made == {path.name for path in ROOT.glob("figures/2015_mpt_3d_*")}, made
 

@@ -13,7 +13,7 @@ import re
 from collections import deque
 from fractions import Fraction
 
-from .. import checks
+from mpt_helpers import checks
 
 EXPONENTS = {"²": 2, "³": 3}
 END = "its end"  # stands after the last token of a formula
