@@ -17,11 +17,11 @@ studies of many runs, `checks` refuses bad input.
 
 __version__ = "0.3.0"
 
-from . import metrics, riccati
+from . import lasting, metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit
-from .lasting import lasting_error
+from .lasting import fit_lasting, lasting_error
 from .model import (
     LinearModel,
     constant_acceleration,
@@ -52,8 +52,10 @@ __all__ = [
     "exact_motion",
     "fir_order",
     "fit",
+    "fit_lasting",
     "gps_ins",
     "gsm_axis",
+    "lasting",
     "lasting_error",
     "mean_track",
     "metrics",

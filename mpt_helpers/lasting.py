@@ -1,13 +1,23 @@
-"""The error state: a model whose measurements also have an error that lasts."""
+"""Errors that last: a model that has them, their size and duration from fixes at rest, and what averaging leaves."""
 
 from __future__ import annotations
+
+import math
+import warnings
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
+from .fitting import fit
 from .model import LinearModel
+
+MOST_FIXES = 3000  # of a log that is fitted: a day each 30 s, some seconds for an axis; more tell little of what lasts
+PARAMETERS = ("r", "sigma", "tau")
+UNKNOWN = 0.5  # a standard error of log tau: from there on its span of 95 % covers a factor of e², seven
+LEAST_FIXES = 100  # a log of fewer says nothing of three unknowns
 
 
 def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: float | None = None) -> LinearModel:
@@ -64,3 +74,195 @@ def _of_each(name, value, m, accept):
     if values.shape not in ((), (m,)):
         checks.refuse(name, f"a number, or {m} numbers", f"shape {values.shape}")
     return np.array([accept(name, each) for each in np.broadcast_to(values, (m,)).tolist()])
+
+
+class LastingFit(NamedTuple):
+    """What logs of fixes at rest say of their errors: the result of `fit_lasting`, one number for each of m axes.
+
+    r (m²) is the variance of what is new at each fix, sigma (m) the size of what lasts, tau (s) the time in which its
+    correlation falls to 1/e. known has {"r", "sigma", "tau"}: (m, 2) each, from where to where 95 % of such estimates
+    lie. floor (m) is the size of what lasts in the worst half of the worst log.
+    """
+
+    r: np.ndarray
+    sigma: np.ndarray
+    tau: np.ndarray
+    known: dict[str, np.ndarray]
+    floor: np.ndarray
+
+
+def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
+    """Return r, sigma and tau of `lasting_error`, and a floor, from fixes of a receiver that did not move.
+
+    A log is a pair (t, z): times (N,) in seconds, at one step, and positions (N,) or (N, m) in metres, about any
+    point; missing fixes are left out, or NaN. Days may be given one by one, `fit_lasting(day1, day2)`: they share r,
+    sigma and tau, and each has its own unknown mean. No true position is needed: the three are those that make the
+    fixes most probable (`fit`), one axis after the other. A log of more than 3,000 fixes is thinned.
+
+    What lasts is larger in some hours than in others, and fades differently. So `known` is the wider of two spans: the
+    one by which the likelihood falls, and the one between the halves of the log (of several logs, between the first
+    and the last of them), each fitted apart. Where a standard error of log tau is above 0.5, the logs do not determine
+    it: a UserWarning gives the span, and asks for more days. The floor is the root mean square about the log's mean,
+    less r, in the worst half of a log: a filter should state no less. A constant error is in no number here: it looks
+    like another position. To a floor add that of your receiver, in squares.
+
+    Raises ValueError for a log of fewer than 100 fixes, for times that do not increase or have no common step, and for
+    logs that differ in step or axes.
+
+    >>> from mpt_helpers.model import LinearModel, simulate
+    >>> still = LinearModel(F=[[1]], H=[[1]], Q=[[0]], R=[[0.25]])
+    >>> _, z = simulate(lasting_error(still, sigma=1.0, tau=600.0, dt=30.0), 2880, np.random.default_rng(1))
+    >>> found = fit_lasting((30.0 * np.arange(2880), z))
+    >>> [float(each[0].round(1)) for each in (found.r, found.sigma, found.tau / 60, found.floor)]
+    [0.2, 0.9, 9.2, 0.9]
+    >>> (found.known["tau"][0] / 60).round().tolist()
+    [7.0, 12.0]
+    """
+    if not logs:
+        checks.refuse("logs", "at least one pair (t, z)", "none")
+    grids = [_on_a_grid(log) for log in logs]
+    steps, axes = [step for step, _ in grids], {z.shape[1] for _, z in grids}
+    if max(steps) > 1.01 * min(steps) or len(axes) > 1:
+        got = f"steps of {min(steps):g} to {max(steps):g} s and {', '.join(map(str, sorted(axes)))} axes"
+        checks.refuse("logs", "one step and one number of axes", got)
+    every = math.ceil(max(len(z) for _, z in grids) / MOST_FIXES)
+    step = every * steps[0]
+    centred = [z - np.nanmean(z, axis=0) for _, z in grids]
+    thinned = np.full((max(len(z[::every]) for z in centred), len(centred), axes.pop()), np.nan)
+    for j, z in enumerate(centred):
+        thinned[: len(z[::every]), j] = z[::every]
+    values, spans, floors = [], [], []
+    for axis in range(thinned.shape[2]):
+        best, errors = _fit_axis_and_halves(thinned[:, None, :, axis], step)
+        with np.errstate(over="ignore"):
+            spans.append(best * np.exp(np.multiply.outer([-1.96, 1.96], errors)))
+        values.append(best)
+        floors.append(max(_of_lasting(half[:, axis], best[0]) for z in centred for half in np.array_split(z, 2)))
+        if errors[2] > UNKNOWN:
+            low, high = spans[-1][:, 2] / 60
+            warnings.warn(
+                f"fit_lasting: axis {axis}: tau is {low:.0f} to {high:.0f} min, which the logs do not determine: "
+                "give more days",
+                UserWarning,
+                stacklevel=2,
+            )
+    r, sigma, tau = np.transpose(values)
+    known = dict(zip(PARAMETERS, np.transpose(spans, (2, 0, 1)), strict=True))
+    return LastingFit(r, sigma, tau, known, np.array(floors))
+
+
+def _fit_axis_and_halves(z, step):
+    """Return r, sigma and tau of logs (N, 1, M) of one axis, (3,), and standard errors of their logarithms, (3,).
+
+    Half the distance between two halves is a standard error of one value from two.
+    """
+    best, errors = _fit_axis(z, step)
+    many = z.shape[2] > 1
+    halves = [_fit_axis(half, step)[0] for half in np.array_split(z, 2, axis=2 if many else 0)]
+    return best, np.maximum(errors, np.abs(np.log(halves[0] / halves[1])) / 2)
+
+
+def _fit_axis(z, step):
+    """Return r, sigma and tau of a receiver at rest, (3,), and standard errors of their logarithms, (3,)."""
+    variance = float(np.nanvar(z))
+
+    def make(r, sigma, tau):
+        still = LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[r]], P0=[[10 * variance]])
+        return lasting_error(still, sigma, tau, dt=step)
+
+    new = float(np.nanmean(np.square(np.diff(z, axis=0)))) / 2
+    start = {"r": max(new, 0.01 * variance), "sigma": math.sqrt(variance), "tau": 60 * step}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # what is not known is told by fit_lasting
+        found = fit(make, z, **start)
+    return tuple(np.array([each[name] for name in PARAMETERS]) for each in (found.values, found.log_errors))
+
+
+def _of_lasting(errors, r):
+    """Return the size of what lasts in errors (N,) of which r (m²) is new at each fix."""
+    return math.sqrt(max(float(np.nanmean(np.square(errors))) - r, 0.0))
+
+
+class Memory(NamedTuple):
+    """How much of an error is left after a span: the result of `memory`.
+
+    correlation is that of two errors a span apart. mean is the error of the mean of the fixes of a span, newest that of
+    the newest point of a line through them, both over the error of one fix.
+    """
+
+    correlation: float
+    mean: float
+    newest: float
+
+
+def memory(log: tuple[ArrayLike, ArrayLike], span: float) -> Memory:
+    """Return how much an average over `span` seconds leaves of the errors of a receiver that did not move.
+
+    The log is a pair (t, z) as in `fit_lasting`; errors count from its mean, all axes together. A span of n fixes whose
+    errors are independent has a correlation of 0, a mean of 1/√n and a newest point of nearly 2/√n. One whose errors
+    last has 1 for all three: then no average of that length gains anything. The log should be ten times as long as the
+    span, or its own mean has taken the error along. Averages use stretches without a missing fix.
+
+    Raises ValueError for a span of fewer than two fixes, and for a log without a stretch of that length.
+
+    >>> t, rng = np.arange(5000.0), np.random.default_rng(1)
+    >>> new = memory((t, rng.standard_normal(5000)), 100.0)
+    >>> slow = memory((t, np.sin(t / 800)), 100.0)
+    >>> [(round(each.correlation, 1), round(each.mean, 1), round(each.newest, 1)) for each in (new, slow)]
+    [(0.0, 0.1, 0.2), (1.0, 1.0, 1.0)]
+    """
+    step, z = _on_a_grid(log)
+    n = round(checks.positive("span", span) / step)
+    if n < 2:
+        checks.refuse("span", f"at least two fixes, of {step:g} s each", f"{span:g} s")
+    errors = z - np.nanmean(z, axis=0)
+    i = np.arange(1, n + 1) - (n + 1) / 2
+    weights = {"mean": np.full(n, 1 / n), "newest": 1 / n + 12 * i[-1] * i / (n * (n**2 - 1))}
+    ratios = {name: _averaged(errors, each) for name, each in weights.items()}
+    return Memory(_correlation(errors, n), **ratios)
+
+
+def _averaged(errors, weights):
+    """Return the size of weighted sums of successive errors (N, m) over that of their last ones."""
+    sums = np.transpose([np.convolve(axis, weights[::-1], "valid") for axis in errors.T])
+    whole = np.isfinite(sums).all(axis=1)
+    if not whole.any():
+        checks.refuse("log", f"a stretch of {len(weights)} fixes without a gap", "none")
+    last = errors[len(weights) - 1 :]
+    return float(np.linalg.norm(sums[whole]) / np.linalg.norm(last[whole]))
+
+
+def _correlation(errors, lag):
+    """Return the correlation of errors (N, m) that many steps apart, of all axes together."""
+    pairs = errors[:-lag] * errors[lag:]
+    return float(np.nanmean(pairs) / np.nanmean(np.square(errors)))
+
+
+def _on_a_grid(log):
+    """Return the step of a log (t, z) in seconds and its positions (N, m), a row for each step, or raise."""
+    try:
+        t, z = log
+    except (TypeError, ValueError):
+        checks.refuse("log", "a pair (t, z)", type(log).__name__, TypeError)
+    t, z = checks.real_numbers("t", t, "times in seconds"), checks.real_numbers("z", z, "positions in metres")
+    z = z[:, None] if z.ndim == 1 else z
+    if t.ndim != 1 or z.ndim != 2 or len(t) != len(z):
+        checks.refuse("log", "times (N,) and positions (N,) or (N, m)", f"shapes {t.shape} and {z.shape}")
+    checks.no_infinity(z)
+    if not np.isfinite(t).all():
+        checks.refuse("t", "a time of each fix", "nan or infinity")
+    if len(t) < LEAST_FIXES:
+        checks.refuse("log", f"at least {LEAST_FIXES} fixes", len(t))
+    gaps = np.diff(t)
+    if not (gaps > 0).all():
+        checks.refuse("t", "times that increase", f"{t[gaps.argmin()]:g} and then {t[gaps.argmin() + 1]:g}")
+    step = float(np.median(gaps))
+    row = np.round((t - t[0]) / step).astype(int)
+    if (np.diff(row) == 0).any():
+        k = int(np.flatnonzero(np.diff(row) == 0)[0])
+        checks.refuse("t", f"times at one step, here {step:g} s", f"{t[k]:g} and {t[k + 1]:g}")
+    rows = np.full((row[-1] + 1, z.shape[1]), np.nan)
+    rows[row] = z
+    if not np.isfinite(rows).any(axis=0).all():
+        checks.refuse("z", "fixes on each axis", "none")
+    return step, rows

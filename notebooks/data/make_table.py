@@ -208,7 +208,13 @@ def _bias_sinex(lines, day):
     for line in lines:
         kind, satellite, station = line[1:4], line[11:14].strip(), line[15:24].strip()
         codes, unit = (line[25:29].strip(), line[30:34].strip()), line[65:69].strip()
-        if kind not in ("DSB", "OSB") or not satellite.startswith("G") or len(satellite) != 3 or station or unit != "ns":
+        if (
+            kind not in ("DSB", "OSB")
+            or not satellite.startswith("G")
+            or len(satellite) != 3
+            or station
+            or unit != "ns"
+        ):
             continue
         value, away = float(line[70:91]), _days_outside(day, line[35:49], line[50:64])
         if kind == "OSB" and codes[0] in ("C1C", "C1W"):

@@ -143,8 +143,8 @@ class Fix(NamedTuple):
     P (4, 4) holds for the variances that were stated. used (m,) says which satellites made the fix. residuals (m,) are
     measured minus computed ranges, of excluded satellites too. chi_square is the sum of the squared residuals of the
     satellites used, over their variances. probability is the probability that chance alone gives a sum at least this
-    large, NaN with four satellites. trusted is True where a test was asked for and the satellites used have passed it:
-    not without a false_alarm, nor with four satellites, which always agree.
+    large, NaN with four satellites. trusted is True where a test was asked for, the satellites used have passed it, and
+    enough of them are to spare: two beyond four, and more than were left out.
     """
 
     X: np.ndarray
@@ -171,8 +171,10 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
 
     `trusted` is False, and P says nothing about the error, where the test fails to the end: then the fix of all
     satellites is returned. It is False too where another set passes the test and gives another position, so that nobody
-    knows which one is right. The test sees faults of some satellites, not errors that all ranges share with their
-    neighbours, such as the ionosphere.
+    knows which one is right. And it is False where so few satellites are to spare that a wrong set passes by luck: with
+    five satellites one in a hundred does, if their ranges are wrong by kilometres at a variance of (4.5 m)². So two
+    satellites beyond four have to agree, and more of them than were left out. The test sees faults of some satellites,
+    not errors that all ranges share with their neighbours, such as the ionosphere.
 
     Raises ValueError for fewer than four satellites, for ranges that are zero, missing or absurd, for a false_alarm
     that is no probability, and where the iteration does not converge or the satellites do not determine a position.
@@ -193,7 +195,7 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
     if false_alarm is None:
         return fix
     if fix.probability >= false_alarm:
-        return fix._replace(trusted=True)
+        return fix._replace(trusted=_enough_to_spare(fix))
     for count in range(1, (len(ranges) - 4) // 2 + 1):
         passing = []
         for used in _without(len(ranges), count):
@@ -202,8 +204,15 @@ def position(satellites, ranges, start=(0.0, 0.0, 0.0, 0.0), *, variance=1.0, fa
         passing = [each for each in passing if each.probability >= false_alarm]
         if passing:
             best = min(passing, key=lambda each: each.chi_square)
-            return best._replace(trusted=all(_agree(best, each, false_alarm) for each in passing))
+            alone = all(_agree(best, each, false_alarm) for each in passing)
+            return best._replace(trusted=alone and _enough_to_spare(best))
     return fix
+
+
+def _enough_to_spare(fix):
+    """Tell whether two satellites beyond four made a fix, and more than were left out."""
+    to_spare = fix.used.sum() - 4
+    return bool(to_spare >= 2 and to_spare > (~fix.used).sum())
 
 
 def _without(m, count):
