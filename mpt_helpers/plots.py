@@ -7,10 +7,23 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 # Colours: Okabe and Ito, with blue and green darker, so that the first four differ in grey too.
 COLOURS = ["#0060A0", "#D55E00", "#008060", "#CC79A7", "#56B4E9", "#E69F00"]
+# One colour for one filter, in every figure; Kalman and Lainiotis are one estimate, and so have one.
+COLOUR_OF = {
+    "kalman": COLOURS[0],
+    "lainiotis": COLOURS[0],
+    "steady": COLOURS[1],
+    "fir": COLOURS[2],
+    "predictor": COLOURS[3],
+    "line": COLOURS[4],
+    "mean": COLOURS[5],
+    "measured": "0.55",
+    "truth": "black",
+}
 # 11 pt in a figure 5.2 inches wide are 11 pixels on a phone that shows it 380 pixels wide.
 SIZES = ["font.size", "axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize"]
 STYLE = dict.fromkeys(SIZES, 11) | {
@@ -55,6 +68,23 @@ def finish(ax: Axes, xlabel: str, title: str) -> None:
         ax.legend()
     if isinstance(ax.xaxis.get_major_locator(), MaxNLocator) and np.ptp(ax.get_xlim()) > 2:
         ax.xaxis.get_major_locator().set_params(integer=True)
+
+
+def label_line(line: Line2D, text: str, at: float, **placing) -> None:
+    """Write a text in a line's own colour at its point whose x is nearest to `at`, in place of a legend.
+
+    placing goes to `Axes.annotate`: xytext (in points, from the line), ha, va.
+
+    >>> fig, ax = panels([["a"]])
+    >>> (line,) = ax["a"].plot([0, 1, 2], [0, 1, 4])
+    >>> label_line(line, "Kalman", at=1.2, xytext=(4, -4))
+    >>> ax["a"].texts[0].xy
+    (1.0, 1.0)
+    """
+    x, y = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+    nearest = np.nanargmin(np.abs(x - at))
+    placing = {"xytext": (0, 4), "textcoords": "offset points", "color": line.get_color()} | placing
+    line.axes.annotate(text, (float(x[nearest]), float(y[nearest])), **placing)
 
 
 def legend_below(ax: Axes, columns: int) -> None:

@@ -26,7 +26,7 @@ from mpt_helpers.files import write_together, write_whole
 from . import ledger
 from .ledger import keys, published, shipped_verdicts, stored_verdicts
 from .ledger.tables import Table
-from .ledger.verdicts import CANNOT_BE_CHECKED, FAILS, FIELDS, HOLDS, WRONG
+from .ledger.verdicts import CANNOT_BE_CHECKED, FAILS, FIELDS, HOLDS, OF_CLAIMS, WRONG
 from .project import project
 
 NOTEBOOKS, FIGURES, LEDGER = Path("notebooks"), Path("figures"), Path("reproduction") / "ledger"
@@ -321,7 +321,8 @@ def as_text(verdicts, every, width):
         for each in own if every else []:
             why = ", ".join(part for part in (each.basis, each.cause) if part)
             row = f"{each.id}: {each.where}: printed {each.printed}; computed {each.computed}"
-            rows.append(f"{row}; {each.verdict} ({why}). {each.reason}")
+            beyond = f" Beyond: {each.beyond}" if each.beyond else ""
+            rows.append(f"{row}; {each.verdict} ({why}). {each.reason}{beyond}")
         lines += [wrapped(row, initial_indent="  ", subsequent_indent="    ") for row in rows]
     return "\n".join(lines or ["no verdicts are stored yet: run `make reproduce`"])
 
@@ -341,29 +342,29 @@ def show_verdicts(some, form):
 
 
 def readme(verdicts):
-    """Return the README's block on Verdicts: what was found and what holds in words, then a row for each paper."""
+    """Return the README's block on Verdicts: what was found in words, then what holds, a row for each paper."""
     tally = verdicts.tally()
     lost = tally.causes["copy"].total()
-    others = "".join(f", {count} {words}" for words, count in tally.claims_bar() if words != "hold")
-    disagree = sum(tally.values[each] for each in FAILS)
-    unchecked_values = tally.values[CANNOT_BE_CHECKED]
-    unchecked = tally.claims[CANNOT_BE_CHECKED] + unchecked_values
+    unchecked = tally.claims[CANNOT_BE_CHECKED] + tally.values[CANNOT_BE_CHECKED]
     sentences = [
         f"**What we found: {tally.wrong_text()}.**",
-        f"{tally.claims_text()}{others}.",
-        f"{tally.values_text()}, {disagree} do not, {unchecked_values} cannot be checked.",
-        f"Of the {unchecked} that cannot be checked, {lost} are missing or illegible in our copy;",
+        f"Of the {unchecked} cells that cannot be checked, {lost} are missing or illegible in our copy;",
         f"for {unchecked - lost} the paper leaves something out.",
     ]
-    rows = []
+    claims, values = [], []
     for paper in [*dict.fromkeys(each.paper for each in verdicts), "all"]:
         own = tally if paper == "all" else verdicts.of(paper).tally()
-        row = [paper if paper == "all" else f"[{paper}]({NOTEBOOKS}/{paper}.ipynb)"]
-        row += [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in WRONG]
-        row += [f"{sum(counts[each] for each in HOLDS)} of {counts.total()}" for counts in (own.claims, own.values)]
-        rows.append([*row, own.claims[CANNOT_BE_CHECKED] + own.values[CANNOT_BE_CHECKED]])
-    header = ["paper", *(f"{kind}s (cells)" for kind in WRONG), "claims hold", "numbers, formulas, figures agree"]
-    return f"{' '.join(sentences)}\n\n{Table([*header, 'cannot be checked'], rows).markdown()}"
+        name = paper if paper == "all" else f"[{paper}]({NOTEBOOKS}/{paper}.ipynb)"
+        claims.append([name, own.claims.total(), *(own.claims[verdict] for verdict in OF_CLAIMS)])
+        agree, disagree = (sum(own.values[each] for each in some) for some in (HOLDS, FAILS))
+        causes = [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in WRONG]
+        values.append([name, own.values.total(), agree, disagree, own.values[CANNOT_BE_CHECKED], *causes])
+    of_values = ["numbers, formulas, figures", "agree", "do not", "cannot be checked"]
+    tables = [
+        Table(["paper", "claims", *OF_CLAIMS.values()], claims),
+        Table(["paper", *of_values, *(f"{kind}s (cells)" for kind in WRONG)], values),
+    ]
+    return "\n\n".join([" ".join(sentences), *(table.markdown() for table in tables)])
 
 
 def write_readme():

@@ -230,7 +230,7 @@ def test_the_bar_of_claims_has_every_claim_once(paper):
     given.append(paper.claim("equal", False, "", basis="exact", cause="one-missing", against=["count"]))
     given.append(paper.cannot_check("equal", "It does not say when."))
     bar = Verdicts(given, paper.report().causes).tally().claims_bar()
-    words = ["hold", "hold in part", "fail", "contradict their own paper", "cannot be checked"]
+    words = ["hold", "hold under a condition", "fail", "contradict their own paper", "cannot be checked"]
     assert bar == list(zip(words, [2, 1, 1, 1, 1], strict=True))
 
 
