@@ -81,7 +81,8 @@ class LastingFit(NamedTuple):
 
     r (m²) is the variance of what is new at each fix, sigma (m) the size of what lasts, tau (s) the time in which its
     correlation falls to 1/e. known has {"r", "sigma", "tau"}: (m, 2) each, from where to where 95 % of such estimates
-    lie. floor (m) is the size of what lasts in the worst half of the worst log.
+    lie. floor (m) is the size of what lasts in the worst half of the worst log. halves (2, m, 3) are r, sigma and
+    tau of both halves of the log, or of the logs, each fitted apart.
     """
 
     r: np.ndarray
@@ -89,6 +90,7 @@ class LastingFit(NamedTuple):
     tau: np.ndarray
     known: dict[str, np.ndarray]
     floor: np.ndarray
+    halves: np.ndarray
 
 
 def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
@@ -131,9 +133,10 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     thinned = np.full((max(len(z[::every]) for z in centred), len(centred), axes.pop()), np.nan)
     for j, z in enumerate(centred):
         thinned[: len(z[::every]), j] = z[::every]
-    values, spans, floors = [], [], []
+    values, spans, floors, halves = [], [], [], []
     for axis in range(thinned.shape[2]):
-        best, errors = _fit_axis_and_halves(thinned[:, None, :, axis], step)
+        best, errors, apart = _fit_axis_and_halves(thinned[:, None, :, axis], step)
+        halves.append(apart)
         with np.errstate(over="ignore"):
             spans.append(best * np.exp(np.multiply.outer([-1.96, 1.96], errors)))
         values.append(best)
@@ -148,18 +151,18 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
             )
     r, sigma, tau = np.transpose(values)
     known = dict(zip(PARAMETERS, np.transpose(spans, (2, 0, 1)), strict=True))
-    return LastingFit(r, sigma, tau, known, np.array(floors))
+    return LastingFit(r, sigma, tau, known, np.array(floors), np.swapaxes(halves, 0, 1))
 
 
 def _fit_axis_and_halves(z, step):
-    """Return r, sigma and tau of logs (N, 1, M) of one axis, (3,), and standard errors of their logarithms, (3,).
+    """Return r, sigma and tau of logs (N, 1, M) of one axis (3,), standard errors of their logarithms, and two halves.
 
     Half the distance between two halves is a standard error of one value from two.
     """
     best, errors = _fit_axis(z, step)
     many = z.shape[2] > 1
     halves = [_fit_axis(half, step)[0] for half in np.array_split(z, 2, axis=2 if many else 0)]
-    return best, np.maximum(errors, np.abs(np.log(halves[0] / halves[1])) / 2)
+    return best, np.maximum(errors, np.abs(np.log(halves[0] / halves[1])) / 2), np.array(halves)
 
 
 def _fit_axis(z, step):

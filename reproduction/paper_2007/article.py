@@ -1,11 +1,12 @@
 """The drawings and tables of the notebook on the paper of 2007: one function for each."""
 
+import warnings
 from itertools import permutations
 
 import numpy as np
 
 from mpt_helpers import plots
-from mpt_helpers.lasting import lasting_error
+from mpt_helpers.lasting import lasting_error, memory
 from mpt_helpers.metrics import rms
 
 from . import recorded
@@ -13,87 +14,209 @@ from .positioning import line_sigma
 
 LENGTHS = np.array([2, 3, 5, 10, 20, 35, 50, 75, 100])
 STYLES = ("-", "--")  # of the kinds of range
-COLOURS = ("C0", "C1", "C2", "C3")  # of the stations
+COLOURS = ("C0", "C1", "C2", "C3", "C4", "C5")  # of the stations
+# One colour for one filter, here and in Part II.
+FILTERS = {"white": plots.COLOURS[1], "tuned": plots.COLOURS[2], "aware": plots.COLOUR_OF["kalman"]}
+SPAN = 3000.0  # s, of the averages that are tabled: a hundred fixes 30 s apart, the paper's n
+ELLIPSE = 2.4477  # sigmas that hold 95 % in the plane: sqrt(-2 ln 0.05)
 
 
 def cases(tables=None):
-    """Return the recorded cases, by "station, kind", of tables {name: file}, by default of both stations."""
+    """Return the recorded cases, by "station, kind", of tables {name: file}, by default of all stations shipped."""
     return recorded.cases(recorded.recorded_days(tables))
+
+
+def cases_without_biases(tables=None):
+    """Return the `cases` whose ranges keep the satellites' code biases."""
+    days = recorded.recorded_days(tables)
+    return recorded.cases({name: recorded.without_biases(day) for name, day in days.items()})
+
+
+def filtered(cases):
+    """Return the `recorded.Filtered` of each case; what a fit warns of is for the reader's own recordings."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return {name: recorded.filtered(case) for name, case in cases.items()}
 
 
 def looks(cases):
     """Return the colour and the style of each case, by its name: a colour for a station, a style for a kind."""
     stations = list(dict.fromkeys(case.station for case in cases.values()))
     return {
-        name: {"color": COLOURS[stations.index(case.station)], "linestyle": STYLES[recorded.KINDS.index(case.kind)]}
+        name: {
+            "color": COLOURS[stations.index(case.station) % len(COLOURS)],
+            "linestyle": STYLES[recorded.KINDS.index(case.kind)],
+        }
         for name, case in cases.items()
     }
+
+
+def titled(fig, finding):
+    """Give a figure its finding as a title."""
+    fig.suptitle(finding, x=0.02, ha="left", fontsize=12)
+
+
+def draw_waves(cases, names, hours=4):
+    """Draw the errors of the height over some hours, as single fixes and without their noise: a panel for each name."""
+    plots.use_style()
+    fig, ax = plots.panels([[name] for name in names], height=2.0)
+    titled(fig, "An error of GPS is a slow wave with noise on it")
+    for name in names:
+        case = cases[name]
+        k = case.seconds <= 3600 * hours
+        ax[name].plot(case.seconds[k] / 3600, case.errors[k, 2], ".", ms=2, color="0.6")
+        ax[name].plot(case.seconds[k] / 3600, case.lasting[k, 2], color=plots.COLOURS[0])
+        ax[name].set_ylim(-9, 9)
+        plots.finish(ax[name], "hour" if name == names[-1] else "", f"error of the height (m), {name}")
+    return fig
+
+
+def draw_biases(case, raw):
+    """Draw the lasting error of the height over a day, with the satellites' code biases left in (raw) and corrected."""
+    plots.use_style()
+    fig, ax = plots.panels([["up"]], height=2.8)
+    titled(fig, "A third of the lasting error was ours to correct")
+    for each, colour, label in ((raw, plots.COLOURS[1], "biases left in"), (case, plots.COLOURS[0], "corrected")):
+        ax["up"].plot(each.seconds / 3600, each.lasting[:, 2], color=colour, lw=1.2, label=label)
+    plots.finish(ax["up"], "hour of the day", f"lasting error of the height (m), {case.station}, {case.kind}")
+    plots.legend_below(ax["up"], 2)
+    return fig
 
 
 def draw_recorded(cases):
     """Draw how far a line through n fixes reduces their error: as a whole, and of noise and lasting error apart."""
     plots.use_style()
-    fig, ax = plots.panels([["whole", "parts"]], height=3.2)
+    fig, ax = plots.panels([["whole", "parts"]], height=3.4)
+    titled(fig, "Averaging works on the noise, and on nothing else")
     independent = [line_sigma(n, n) for n in LENGTHS]
     for name, look in looks(cases).items():
         case = cases[name]
-        parts = {"errors": case.errors, "noise": case.noise, "lasting": case.lasting}
-        ratios = {part: [recorded.newest_ratio(each, n) for n in LENGTHS] for part, each in parts.items()}
-        ax["whole"].plot(LENGTHS, ratios["errors"], label=name, **look)
-        ax["parts"].plot(LENGTHS, ratios["noise"], **look)
-        ax["parts"].plot(LENGTHS, ratios["lasting"], **look)
-    ax["whole"].plot(LENGTHS, independent, "k:", label="if errors were independent")
-    ax["parts"].plot(LENGTHS, independent, "k:")
-    ax["parts"].text(55, 1.13, "what lasts")
-    ax["parts"].text(55, 0.42, "noise")
+        ax["whole"].plot(LENGTHS, [recorded.newest_ratio(case.errors, n) for n in LENGTHS], label=name, **look)
+        for part in (case.noise, case.lasting):
+            if part is not None:
+                ax["parts"].plot(LENGTHS, [recorded.newest_ratio(part, n) for n in LENGTHS], **look)
     for panel in ax.values():
+        panel.plot(LENGTHS, independent, "k:")
         panel.set_ylim(0, 1.25)
+    ax["whole"].text(35, 0.09, "if independent")
+    ax["parts"].text(30, 1.14, "lasting error")
+    ax["parts"].text(55, 0.42, "noise")
     plots.finish(ax["whole"], "fixes n in the line", "error (one fix = 1)")
-    plots.finish(ax["parts"], "fixes n in the line", "taken apart")
+    plots.finish(ax["parts"], "fixes n in the line", "its two parts")
     plots.legend_below(ax["whole"], 2)
     return fig
 
 
-def draw_stated(cases, filtered):
-    """Draw what three filters are wrong by, and what they state, over a window: a panel for each case."""
-    names = list(cases)
-    fig, ax = plots.panels([names[i : i + 2] for i in range(0, len(names), 2)], height=2.5)
-    minutes = 0.5 * np.arange(1, recorded.WINDOW + 1)
-    for name, each in filtered.items():
-        for judged, colour, label in (
-            (each.white, "C1", "white"),
-            (each.tuned, "C2", "tuned"),
-            (each.aware, "C0", "aware"),
-        ):
-            error, stated = (
-                np.sqrt(np.sum(np.square(axes), axis=0)) for axes in zip(*[j[:2] for j in judged], strict=True)
-            )
-            ax[name].plot(minutes, error, color=colour, label=f"{label}: error")
-            ax[name].plot(minutes, stated, "--", color=colour, label=f"{label}: stated")
-        ax[name].set_ylim(0, None)
-        plots.finish(ax[name], "minutes", f"{name} (m)")
-    plots.legend_below(ax[names[0]], 3)
+def in_space(judged, what):
+    """Return the last error or stated sigma of three axes, together in space, in metres."""
+    return float(np.sqrt(sum(getattr(axis, what)[-1] ** 2 for axis in judged)))
+
+
+def draw_stated(filtered):
+    """Draw what three filters make and what they state at the end of a window: a pair of dots for each case."""
+    plots.use_style()
+    fig, ax = plots.panels([["metres"]], height=0.72 * len(filtered) + 1.2)
+    titled(fig, "All three filters are about equally wrong. One says so")
+    panel, ticks, right = ax["metres"], [], 0
+    for j, (name, each) in enumerate(filtered.items()):
+        for i, (word, colour) in enumerate(FILTERS.items()):
+            made, stated = (in_space(getattr(each, word), what) for what in ("error", "stated"))
+            y = -j - 0.27 * i
+            panel.plot([stated, made], [y, y], "-", color=colour, lw=2)
+            label = {"label": f"{word}: states ○, makes ●"} if j == 0 else {}
+            panel.plot(stated, y, "o", color=colour, mfc="white", ms=6)
+            panel.plot(made, y, "o", color=colour, ms=6, **label)
+            panel.annotate(f"{made / stated:.1f} x", (max(made, stated), y), (6, -4), textcoords="offset points")
+            right = max(right, made, stated)
+        ticks.append((-j - 0.27, name.replace(", ", "\n")))
+    panel.set_yticks(*zip(*ticks, strict=True))
+    panel.set_xlim(0, 1.18 * right)
+    minutes = recorded.WINDOW * next(iter(filtered.values())).step / 60
+    plots.finish(panel, "error in space (m); the number is made over stated", f"after {minutes:.0f} minutes")
+    plots.legend_below(panel, 1)
     return fig
 
 
-def remedies(cases):
-    """Return a row for each case: the error (m) of one fix, of mean and line of 100, smoothed, and both.
+def parts(cases, raw):
+    """Return a row for each case: one fix, its noise, its lasting error (m); fix and lasting with biases left in."""
+    return [
+        [
+            name,
+            metres(case.errors),
+            metres(case.noise),
+            metres(case.lasting),
+            metres(raw[name].errors),
+            metres(raw[name].lasting),
+        ]
+        for name, case in cases.items()
+    ]
 
-    Behind those of mean and line stand, in brackets, their ratios to that of one fix.
+
+def metres(errors):
+    """Return the size of errors (N, 3) as a text, "-" where there are none."""
+    return "-" if errors is None else f"{recorded.size(errors):.2f}"
+
+
+def remedies(cases):
+    """Return a row for each case: the error (m) of one fix, of the line of 100, smoothed, and of the mean of 100.
+
+    All are over the same epochs, from the hundredth on.
     """
     n, rows = recorded.WINDOW, []
     for name, case in cases.items():
-        line, both = (recorded.size(recorded.newest_points(errors, n)) for errors in (case.errors, case.smooth))
-        fix, smooth = recorded.size(case.errors[n - 1 :]), recorded.size(case.smooth[n - 1 :])
-        ratio = recorded.mean_ratio(case.errors, n)
-        rows.append([
-            name,
-            f"{fix:.2f}",
-            f"{ratio * fix:.2f} ({ratio:.2f})",
-            f"{line:.2f} ({line / fix:.2f})",
-            f"{smooth:.2f}",
-            f"{both:.2f}",
-        ])  # fmt: skip
+        last = case.errors[n - 1 :]
+        whole = np.isfinite(recorded.newest_points(case.errors, n)).all(axis=1)
+        sets = [last, recorded.newest_points(case.errors, n)]
+        sets += [None if case.smooth is None else case.smooth[n - 1 :], recorded.means(case.errors, n)]
+        rows.append([name, *(metres(None if each is None else each[whole]) for each in sets)])
+    return rows
+
+
+def gains(cases):
+    """Return what each remedy takes off, in percent over all cases: {what: (least, most)}."""
+    rows = np.array([[float(text) for text in row[1:]] for row in remedies(cases) if "-" not in row[1:]])
+    fix, line, smooth, mean = rows.T
+    pairs = {
+        "smoothing, of one fix": (smooth, fix),
+        "smoothing, of the line": (smooth, line),
+        "the mean, of the smoothed fix": (mean, smooth),
+    }
+    return {
+        what: 100 * (1 - np.array([np.max(one / other), np.min(one / other)])) for what, (one, other) in pairs.items()
+    }
+
+
+def how_far(cases, raw):
+    """Return rows of the 95 % error (m) horizontally and up, one fix and smoothed, the constant of the day included.
+
+    There is a row for each station and way: one frequency, two with the satellites' biases left in, two corrected.
+    """
+    one, two = recorded.KINDS
+    ways = {one: (cases, one), f"{two}, biases left in": (raw, two), f"{two}, corrected": (cases, two)}
+    rows = []
+    for way, (of, kind) in ways.items():
+        for case in of.values():
+            if case.kind == kind:
+                texts = []
+                for errors in (case.errors, case.smooth):
+                    found = ["-", "-"] if errors is None else [f"{each:.1f}" for each in of_95(errors + case.offset)]
+                    texts += found
+                rows.append([f"{case.station}, {way}", *texts])
+    return rows
+
+
+def of_95(errors):
+    """Return within how many metres 95 % of errors (N, 3) lie, horizontally and up."""
+    horizontal = np.linalg.norm(errors[:, :2], axis=1)
+    return np.nanpercentile(horizontal, 95), np.nanpercentile(np.abs(errors[:, 2]), 95)
+
+
+def memories(cases):
+    """Return a row for each case: how alike errors are a span apart, and what mean and line of the span leave."""
+    rows = []
+    for name, case in cases.items():
+        found = memory((case.seconds, case.errors), recorded.WINDOW * case.step)
+        rows.append([name, *(f"{each:.2f}" for each in found)])
     return rows
 
 
@@ -115,16 +238,31 @@ def spread(values, form="{:.2f}"):
     return f"{form.format(np.min(values))} to {form.format(np.max(values))}"
 
 
+def judgements(filtered):
+    """Return a row for each of three filters: ranges over all axes of all cases."""
+    rows = []
+    for word in FILTERS:
+        judged = [axis for each in filtered.values() for axis in getattr(each, word)]
+        rows.append([
+            word,
+            spread([axis.error[-1] / axis.stated[-1] for axis in judged], "{:.1f}"),
+            spread([100 * axis.within for axis in judged], "{:.0f}"),
+            spread([axis.nees for axis in judged], "{:.2g}"),
+            spread([axis.nis for axis in judged]),
+        ])  # fmt: skip
+    return rows
+
+
 def statements(cases, filtered):
     """Return a row for each case: true and fitted size of what lasts, its duration, and how right each filter is."""
     rows = []
     for name, each in filtered.items():
-        values = [found.values for found in each.fits]
+        true = cases[name].lasting
         rows.append([
             name,
-            three(cases[name].lasting.std(axis=0)),
-            three(value["sigma"] for value in values),
-            three((value["tau"] / 60 for value in values), "{:.0f}"),
+            "-" if true is None else three(np.nanstd(true, axis=0)),
+            three(each.fit.sigma),
+            three(each.fit.tau / 60, "{:.0f}"),
             three((judged.nees for judged in each.white), "{:.0f}"),
             three((judged.nees for judged in each.tuned), "{:.0f}"),
             three((judged.nees for judged in each.aware), "{:.1f}"),
@@ -136,20 +274,49 @@ def statements(cases, filtered):
 def exchanged(cases, filtered):
     """Judge the error state by constants that were fitted to the other stations, for ranges of the same kind.
 
-    Returns {"NEES", "percent within 2σ", "NEES of the white filter": (axes of all pairs,)}. The white filter
-    takes the variance of the other station's fixes. With one station there is nothing to exchange: {}.
+    Returns {"NEES", "percent within 2σ", "... with a floor", "NEES of the white filter": (axes of all pairs,)}. The
+    white filter takes the variance of the other station's fixes; the floor is that of the other station's log, and a
+    filter states the larger. With one station there is nothing to exchange: {}.
     """
-    found = {"NEES": [], "percent within 2σ": [], "NEES of the white filter": []}
+    found = {"NEES": [], "percent within 2σ": [], "the same with its floor": [], "NEES of the white filter": []}
     for name, other in permutations(cases, 2):
-        if cases[name].kind == cases[other].kind:
-            known = zip(filtered[other].fits, cases[other].errors.T, cases[name].errors.T, strict=True)
-            for fit, elsewhere, errors in known:
+        case = cases[name]
+        if case.kind == cases[other].kind:
+            filters = recorded.aware_filters(case.step, filtered[other].fit)
+            known = zip(filters, filtered[other].fit.floor, cases[other].errors.T, case.errors.T, strict=True)
+            for filter, floor, elsewhere, errors in known:
                 tracks = recorded.windows(errors)
-                aware = recorded.judged(fit.filter, tracks)
+                aware = recorded.judged(filter, tracks)
                 found["NEES"].append(aware.nees)
                 found["percent within 2σ"].append(100 * aware.within)
-                found["NEES of the white filter"].append(recorded.judged(recorded.white(elsewhere.var()), tracks).nees)
+                found["the same with its floor"].append(100 * within_floor(filter, tracks, floor))
+                white = recorded.white(case.step, np.nanvar(elsewhere))
+                found["NEES of the white filter"].append(recorded.judged(white, tracks).nees)
     return found if found["NEES"] else {}
+
+
+def other_half(cases, filtered):
+    """Judge the error state on each half of a day by constants of the other half: {"percent within 2σ": (axes,), ...}.
+
+    With the floor a filter states at least what lasts in the half that gave the constants.
+    """
+    found = {"percent within 2σ": [], "the same with its floor": []}
+    for name, case in cases.items():
+        halves = np.array_split(case.errors, 2)
+        for j, constants in enumerate(filtered[name].fit.halves):
+            for (r, sigma, tau), own, errors in zip(constants, halves[j].T, halves[1 - j].T, strict=True):
+                filter, tracks = recorded.with_lasting(case.step, r, sigma, tau), recorded.windows(errors)
+                found["percent within 2σ"].append(100 * recorded.judged(filter, tracks).within)
+                floor = np.sqrt(max(np.nanmean(np.square(own)) - r, 0))
+                found["the same with its floor"].append(100 * within_floor(filter, tracks, floor))
+    return found
+
+
+def within_floor(filter, tracks, floor):
+    """Return the share of errors within 2σ where σ is the filter's or the floor, whichever is larger."""
+    estimates = filter.estimates(tracks)
+    variance = np.maximum(estimates.P[:, 0, 0].reshape(len(tracks), -1), floor**2)
+    return float(np.mean(np.square(estimates.x[recorded.SETTLED :, 0]) < 4 * variance[recorded.SETTLED :]))
 
 
 def with_ins(cases, filtered):
@@ -160,11 +327,10 @@ def with_ins(cases, filtered):
     """
     found = {"error": [], "alone": [], "nees": [], "aware": []}
     for name, each in filtered.items():
-        for errors, fit, white in zip(cases[name].errors.T, each.fits, each.white, strict=True):
-            model = recorded.ins_model(errors.var())
-            known = lasting_error(
-                recorded.ins_model(fit.values["r"]), (fit.values["sigma"], 0.0), fit.values["tau"], dt=30.0
-            )
+        case, fit = cases[name], each.fit
+        for errors, r, sigma, tau, white in zip(case.errors.T, fit.r, fit.sigma, fit.tau, each.white, strict=True):
+            model = recorded.ins_model(case.step, np.nanvar(errors))
+            known = lasting_error(recorded.ins_model(case.step, r), (sigma, 0.0), tau, dt=case.step)
             without, aware = recorded.with_ins(model, errors), recorded.with_ins(known, errors)
             found["error"].append(without.position / without.fix)
             found["alone"].append(rms(white.error[recorded.WINDOW // 2 :]) / without.fix)
@@ -176,45 +342,64 @@ def with_ins(cases, filtered):
 def draw_iterations(curves):
     """Draw the error of the position over the iteration: {panel: {start: errors (steps + 1, M)}} (Figure 1)."""
     fig, ax = plots.panels([list(curves)], height=3)
+    titled(fig, "From 300 km away two steps are enough, from the Earth's centre four")
     for name, starts in curves.items():
         for (label, curve), style in zip(starts.items(), ("o-", "s--"), strict=False):
-            ax[name].semilogy(np.median(curve, axis=1), style, ms=4, label=label)
+            (line,) = ax[name].semilogy(np.median(curve, axis=1), style, ms=4)
             ax[name].fill_between(range(len(curve)), curve.min(axis=1), curve.max(axis=1), alpha=0.2, lw=0)
+            plots.label_line(line, label, at=1, xytext=(6, 6))
         ax[name].set_ylim(0.02, 1e10)
         plots.finish(ax[name], "step", f"error (m), {name}")
     return fig
 
 
-def draw_fixes(local, seconds):
-    """Draw fixes {station: (N, 3)} about the headers' positions: in the plane, and up over the day (Figure 2)."""
-    fig, ax = plots.panels([["plane", "up"]], height=3)
+def draw_fixes(local):
+    """Draw fixes {station: (N, 3)} in the plane about their means, with the ellipse of 95 % (Figure 2)."""
+    plots.use_style()
+    fig, ax = plots.panels([list(local)], height=2.6)
+    titled(fig, "Fixes scatter by metres, and not in a cloud: they wander")
+    angle = np.linspace(0, 2 * np.pi, 121)
     for name, fixes in local.items():
-        ax["plane"].plot(*fixes[::6, :2].T, ".", ms=2, label=name)
-        ax["up"].plot(seconds[name][::6] / 3600, fixes[::6, 2], lw=0.7)
-    ax["plane"].set_aspect("equal")
-    plots.finish(ax["plane"], "east (m)", "north (m)")
-    plots.finish(ax["up"], "hour of the day", "up (m)")
-    plots.legend_below(ax["plane"], 2)
+        about = fixes[:, :2] - np.nanmean(fixes[:, :2], axis=0)
+        about = about[np.isfinite(about).all(axis=1)]
+        root = np.linalg.cholesky(np.cov(about.T))
+        ax[name].plot(*about[::12].T, "-", lw=0.4, color="0.75")
+        ax[name].plot(*about[::6].T, ".", ms=1.5, color=plots.COLOUR_OF["measured"])
+        ax[name].plot(*(ELLIPSE * root @ [np.cos(angle), np.sin(angle)]), color="black", lw=1.2)
+        ax[name].set(xlim=(-4, 4), ylim=(-4, 4), aspect="equal", xticks=(-3, 0, 3), yticks=(-3, 0, 3))
+        plots.finish(ax[name], "east (m)", name)
     return fig
 
 
 def draw_tracks(t, wrong, sigma):
-    """Draw the errors of line and Kalman filter, {name: (N, 2)} in x and V, with 2 sigma (N, 2) of the line."""
-    fig, ax = plots.panels([["x", "V"]], height=3)
+    """Draw the errors of the line, {name: (N, 2)} in x and V, and how far the Kalman filter is from it.
+
+    wrong has two names, the line first. sigma (N, 2) is that of the line: grey is ± 2 of it on the left, and a tenth
+    of it on the right, which would hardly matter.
+    """
+    (line, first), (kalman, second) = wrong.items()
+    fig, ax = plots.panels([["x", "x gap"], ["V", "V gap"]], height=2.2)
+    titled(fig, "At constant velocity the two differ by less than their error")
     for j, (name, unit) in enumerate((("x", "m"), ("V", "m/s"))):
         ax[name].fill_between(t, -2 * sigma[:, j], 2 * sigma[:, j], color="0.85", lw=0)
-        for (label, errors), style in zip(wrong.items(), ("-", "--"), strict=True):
-            ax[name].plot(t, errors[:, j], style, label=label)
-        plots.finish(ax[name], "time (s)", f"error of {name} ({unit})")
-    plots.legend_below(ax["x"], 2)
+        ax[name].plot(t, first[:, j], color=plots.COLOUR_OF["line"])
+        gap = ax[f"{name} gap"]
+        gap.fill_between(t, -2 * sigma[:, j], 2 * sigma[:, j], color="0.85", lw=0)
+        gap.plot(t, second[:, j] - first[:, j], color=plots.COLOUR_OF["kalman"])
+        gap.set_ylim(ax[name].get_ylim())
+        plots.finish(ax[name], "time (s)", f"{line}: error of {name} ({unit})")
+        plots.finish(gap, "time (s)", f"{kalman} less line")
     return fig
 
 
 def draw_rough_kalman(medians):
     """Draw the median error of rough positions by Kalman filters, {name: (epochs,)}."""
     fig, ax = plots.panels([["error"]], height=3.3)
-    for (name, errors), style in zip(medians.items(), ("-", "--", "-.", "k-"), strict=True):
-        ax["error"].loglog(np.arange(1, len(errors) + 1), errors, style, label=name)
+    titled(fig, "A filter that linearises once pays for a bad start")
+    at = (20, 4, 1.5, 4)
+    for (name, errors), style, epoch in zip(medians.items(), ("-", "--", "-.", "k-"), at, strict=True):
+        (line,) = ax["error"].loglog(np.arange(1, len(errors) + 1), errors, style)
+        plots.label_line(line, name, at=epoch, xytext=(6, 5))
     ax["error"].set_ylim(0.3, 1e4)
     plots.finish(ax["error"], "epoch, 30 s each", "median error of the position (m)")
     return fig
@@ -223,26 +408,34 @@ def draw_rough_kalman(medians):
 def draw_changing(durations, filters, window):
     """Draw errors after a change over its duration: {panel: {family: (durations,)}}, and of the window by panel."""
     fig, ax = plots.panels([list(filters)], height=3.2)
+    titled(fig, "With the noise of an acceleration the filter beats the window")
     for panel, families in filters.items():
-        for (family, errors), colour in zip(families.items(), ("C1", "C0"), strict=True):
-            ax[panel].plot(durations, errors, "o-", color=colour, ms=4, label=f"Q: {family}")
-        ax[panel].plot(durations, window[panel], "k--", label="adaptive window")
+        for (family, errors), style in zip(families.items(), ("--", "-"), strict=True):
+            colour = plots.COLOUR_OF["kalman"]
+            ax[panel].plot(durations, errors, "o" + style, color=colour, ms=4, label=f"Kalman with INS, Q: {family}")
+        ax[panel].plot(durations, window[panel], "-", color=plots.COLOUR_OF["line"], label="adaptive line, GPS alone")
         ax[panel].set_ylim(0, 1.2 * max(window[panel].max(), *(errors.max() for errors in families.values())))
         plots.finish(ax[panel], "change takes (s)", f"error (m), {panel}")
-    plots.legend_below(ax[panel], 2)
+    plots.legend_below(ax[panel], 1)
     return fig
 
 
-def draw_third_row(R33, maps):
-    """Draw the error over the line's, and the NEES, of readings {name: (len(R33), 2 or more)} of the third row of H."""
-    fig, ax = plots.panels([["ratio", "nees"]], height=3.4)
-    ax["ratio"].axhspan(0.95, 1.05, color="0.85", lw=0)
-    for (reading, values), style in zip(maps.items(), ("k-", "-", "--", "-.", ":"), strict=True):
-        width = 4 if reading == "no third row" else 1.6  # seen under the others
-        ax["ratio"].loglog(R33, values[:, 0], style)
-        ax["nees"].loglog(R33, values[:, 1], style, lw=width, label=reading)
-    ax["ratio"].set_ylim(0.1, 300)
-    plots.finish(ax["ratio"], "R_33 (m²)", "error of x over the line's")
-    plots.finish(ax["nees"], "R_33 (m²)", "NEES (should be 3)")
-    plots.legend_below(ax["nees"], 3)
+def draw_third_row(readings, maps):
+    """Draw what each reading of the third row makes of the error: over that without the row, a dot at R_33 = 1 m².
+
+    readings is {name: (ratio, NEES)} at 1 m², maps {name: ratios over all R_33}, which are drawn as a thin line.
+    """
+    plots.use_style()
+    fig, ax = plots.panels([["ratio"]], height=2.6)
+    titled(fig, "Only a second receiver makes the third row pay")
+    panel = ax["ratio"]
+    panel.axvline(1, color="0.6", lw=0.8)
+    for j, (name, (ratio, _)) in enumerate(readings.items()):
+        panel.plot([maps[name].min(), maps[name].max()], [-j, -j], "-", color="0.75", lw=1)
+        panel.plot(ratio, -j, "o", color=plots.COLOUR_OF["kalman"], ms=7)
+        panel.annotate(f"{ratio:.2f}", (ratio, -j), (0, 6), textcoords="offset points", ha="center")
+    panel.set_xscale("log")
+    panel.set(xlim=(0.1, 200), ylim=(0.7 - len(readings), 0.8))
+    panel.set_yticks([-j for j in range(len(readings))], list(readings))
+    plots.finish(panel, "times the error without the row (log scale); line: R_33 from 0.01 to 100 m²", "error of x")
     return fig

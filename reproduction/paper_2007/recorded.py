@@ -483,9 +483,10 @@ class Filtered(NamedTuple):
     """Three axes of a case: the constants of `fit_lasting`, and three filters `judged` over windows.
 
     The white filter takes the variance of the fixes for that of independent errors, the tuned one has the constants of
-    `fit_tracker`, the aware one those of `fit_lasting`.
+    `fit_tracker`, the aware one those of `fit_lasting`. step is the time between fixes in seconds.
     """
 
+    step: float
     fit: LastingFit
     white: tuple
     tuned: tuple
@@ -506,7 +507,7 @@ def filtered(case):
         "tuned": [fit_tracker(case.step, errors).filter for errors in case.errors.T],
         "aware": aware_filters(case.step, found),
     }
-    return Filtered(found, *(tuple(map(judged, each, tracks)) for each in filters.values()))
+    return Filtered(case.step, found, *(tuple(map(judged, each, tracks)) for each in filters.values()))
 
 
 def half_days(case):
