@@ -14,7 +14,7 @@ from . import checks
 from .fitting import fit
 from .model import LinearModel
 
-MOST_FIXES = 3000  # of a log that is fitted: a day each 30 s, some seconds for an axis; more tell little of what lasts
+MOST_FIXES = 1500  # of a log that is fitted: a day, one a minute; more tell little of what lasts and take longer
 PARAMETERS = ("r", "sigma", "tau")
 UNKNOWN = 0.5  # a standard error of log tau: from there on its span of 95 % covers a factor of e², seven
 LEAST_FIXES = 100  # a log of fewer says nothing of three unknowns
@@ -99,7 +99,8 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     A log is a pair (t, z): times (N,) in seconds, at one step, and positions (N,) or (N, m) in metres, about any
     point; missing fixes are left out, or NaN. Days may be given one by one, `fit_lasting(day1, day2)`: they share r,
     sigma and tau, and each has its own unknown mean. No true position is needed: the three are those that make the
-    fixes most probable (`fit`), one axis after the other. A log of more than 3,000 fixes is thinned.
+    fixes most probable (`fit`), one axis after the other. Of a log of more than 1,500 fixes every second or third is
+    taken, or fewer.
 
     What lasts is larger in some hours than in others, and fades differently. So `known` is the wider of two spans: the
     one by which the likelihood falls, and the one between the halves of the log (of several logs, between the first

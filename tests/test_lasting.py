@@ -7,7 +7,8 @@ import pytest
 from conftest import AXIS
 
 import mpt_helpers as mpt
-from mpt_helpers import lasting_error
+from mpt_helpers import fit_lasting, lasting_error
+from mpt_helpers.lasting import memory
 
 CV = mpt.constant_velocity(dt=30.0, q=0.0, r=0.04, P0=np.diag([100.0, 1.0]))
 GPS_INS = mpt.gps_ins(30.0, 0.0, (1.0, 1e-4), P0=np.diag([100.0, 1.0, 1.0]))
@@ -114,3 +115,128 @@ def test_only_a_model_gets_an_error_state():
 def test_a_filter_with_times_refuses_it():
     with pytest.raises((TypeError, ValueError), match="t: needs a model that says what a step of another length is"):
         mpt.KalmanFilter(lasting_error(CV, 1.0, 600.0), t=[0.0, 30.0, 50.0])
+
+
+STILL = mpt.LinearModel(F=[[1]], H=[[1]], Q=[[0]], R=[[0.25]])
+
+
+def log_at_rest(seed, sigma=1.0, tau=600.0, N=400, dt=60.0):
+    """Times and positions, to the east of a point 100 m away, of a receiver that does not move."""
+    _, z = mpt.simulate(lasting_error(STILL, sigma, tau, dt=dt), N, np.random.default_rng(seed))
+    return dt * np.arange(N), 100 + z
+
+
+@pytest.mark.filterwarnings("ignore:fit_lasting")
+def test_logs_at_rest_tell_r_sigma_and_tau_within_the_errors_that_they_state():
+    """Six logs, three numbers each: five of 18 outside their spans of 95 % have a probability of 0.2 %."""
+    logs = [log_at_rest(seed) for seed in range(6)]
+    true = {"r": 0.25, "sigma": 1.0, "tau": 600.0}
+    fits = [fit_lasting(log) for log in logs]
+    outside = [not low < true[name] < high for each in fits for name in true for low, high in each.known[name]]
+    assert sum(outside) <= 4
+    assert min(each.floor[0] for each in fits) > 0.6
+    # Six together tell more than each by itself.
+    spans = [np.log(np.divide(*each.known["tau"][0, ::-1])) for each in (*fits, fit_lasting(*logs))]
+    assert spans[-1] < 0.7 * np.median(spans[:-1])
+
+
+def test_each_log_has_its_own_mean_and_may_have_its_own_length():
+    t, z = log_at_rest(1)
+    two = fit_lasting((t, z), (t[:300] + 1e6, z[:300] - 5000))
+    same = fit_lasting((t, z), (t[:300], z[:300]))
+    np.testing.assert_allclose(two.sigma, same.sigma, rtol=1e-3)
+    assert two.sigma[0] < 2
+
+
+@pytest.mark.filterwarnings("ignore:fit_lasting")
+def test_missing_fixes_are_left_out_or_nan_and_axes_stay_apart():
+    t, z = log_at_rest(2)
+    both = np.column_stack([z, 3 * z])
+    gap = np.full(both.shape, np.nan)
+    gap[:], gap[100:130] = both, np.nan
+    keep = np.isfinite(gap).all(axis=1)
+    one, other = fit_lasting((t, gap)), fit_lasting((t[keep], both[keep]))
+    for name in ("r", "sigma", "tau", "floor"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_allclose(one.sigma[1], 3 * one.sigma[0], rtol=2e-3)
+    np.testing.assert_allclose(one.tau[1], one.tau[0], rtol=4e-3)
+    assert one.halves.shape == (2, 2, 3)
+
+
+def test_a_log_too_short_for_its_memory_is_told():
+    with pytest.warns(
+        UserWarning, match=r"axis 0: tau is \d+ to \d+ min, which the logs do not determine: give more days"
+    ):
+        found = fit_lasting(log_at_rest(3, tau=30_000.0))
+    low, high = found.known["tau"][0]
+    assert high > 7 * low
+
+
+@pytest.mark.filterwarnings("ignore:fit_lasting")
+def test_a_bad_half_makes_the_floor_and_widens_what_is_known():
+    t, z = log_at_rest(4)
+    loud = 100 + (z - 100) * np.where(np.arange(len(z)) < 200, 1.0, 4.0)[:, None]
+    calm, found = fit_lasting((t, z)), fit_lasting((t, loud))
+    assert found.floor[0] > 2.5 * calm.floor[0]
+    assert np.divide(*found.known["sigma"][0, ::-1]) > 2 * np.divide(*calm.known["sigma"][0, ::-1])
+
+
+@pytest.mark.filterwarnings("ignore:fit_lasting")
+def test_a_long_log_is_thinned(monkeypatch):
+    monkeypatch.setattr(mpt.lasting, "MOST_FIXES", 200)
+    t, z = log_at_rest(5, N=600)
+    found, every_third = fit_lasting((t, z)), fit_lasting((t[::3], (z - z.mean() + z[::3].mean())[::3]))
+    np.testing.assert_allclose(found.tau, every_third.tau, rtol=1e-3)
+
+
+def test_what_an_average_leaves_is_what_theory_says():
+    rng = np.random.default_rng(6)
+    t = np.arange(200_000.0)
+    new = memory((t, rng.standard_normal((len(t), 3))), span=50)
+    assert new.correlation == pytest.approx(0, abs=0.01)
+    assert new.mean == pytest.approx(1 / np.sqrt(50), rel=0.05)
+    assert new.newest == pytest.approx(np.sqrt(1 / 50 + 3 * 49 / (50 * 51)), rel=0.05)  # the closed form at the end
+    _, slow = mpt.simulate(lasting_error(replace(STILL, R=[[1e-6]]), 1.0, 50.0, dt=1.0), 200_000, rng)
+    found = memory((t, slow), span=50)
+    assert found.correlation == pytest.approx(np.exp(-1), abs=0.04)
+    age = np.abs(np.subtract.outer(np.arange(50), np.arange(50)))
+    assert found.mean == pytest.approx(np.sqrt(np.exp(-age / 50).mean()), rel=0.03)
+
+
+def test_an_average_skips_stretches_with_a_missing_fix():
+    t, z = np.arange(300.0), np.random.default_rng(7).standard_normal((300, 1))
+    cut = z.copy()
+    cut[150] = np.nan
+    whole = [memory((t[part], z[part]), 100) for part in (slice(0, 150), slice(151, 300))]
+    found = memory((t, cut), 100)
+    assert min(each.mean for each in whole) * 0.5 < found.mean < max(each.mean for each in whole) * 2
+    with pytest.raises(ValueError, match="log: needs a stretch of 200 fixes without a gap, got none"):
+        memory((t, cut), 200)
+
+
+BAD_LOGS = [
+    ((), "logs: needs at least one pair"),
+    (([1, 2, 3],), r"log: needs a pair \(t, z\), got list"),
+    (((np.arange(50.0), np.ones(50)),), "log: needs at least 100 fixes, got 50"),
+    (
+        ((np.arange(200.0), np.ones(100)),),
+        r"log: needs times \(N,\) and positions .* got shapes \(200,\) and \(100, 1\)",
+    ),
+    (((np.arange(200.0)[::-1], np.ones(200)),), "t: needs times that increase, got 199 and then 198"),
+    (((np.where(np.arange(200) == 7, np.nan, np.arange(200)), np.ones(200)),), "t: needs a time of each fix"),
+    (((np.cumsum(np.where(np.arange(200) == 50, 0.1, 1.0)), np.ones(200)),), "t: needs times at one step, here 1 s"),
+    (((np.arange(200.0), np.full(200, np.nan)),), "z: needs fixes on each axis"),
+    ((log_at_rest(0), log_at_rest(0, dt=30.0)), "logs: needs one step and one number of axes, got steps of 30 to 60 s"),
+]
+
+
+@pytest.mark.parametrize(("logs", "message"), BAD_LOGS)
+def test_bad_logs_are_refused_by_name(logs, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        fit_lasting(*logs)
+
+
+@pytest.mark.parametrize("span", [0, -1.0, 1.0, np.nan])
+def test_a_span_holds_two_fixes(span):
+    with pytest.raises(ValueError, match="span: needs"):
+        memory((np.arange(200.0), np.arange(200.0)), span)

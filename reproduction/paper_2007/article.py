@@ -341,8 +341,9 @@ def with_ins(cases, filtered):
 
 def draw_iterations(curves):
     """Draw the error of the position over the iteration: {panel: {start: errors (steps + 1, M)}} (Figure 1)."""
+    plots.use_style()
     fig, ax = plots.panels([list(curves)], height=3)
-    titled(fig, "From 300 km away two steps are enough, from the Earth's centre four")
+    titled(fig, "From 300 km away two steps are enough")
     for name, starts in curves.items():
         for (label, curve), style in zip(starts.items(), ("o-", "s--"), strict=False):
             (line,) = ax[name].semilogy(np.median(curve, axis=1), style, ms=4)
@@ -357,7 +358,7 @@ def draw_fixes(local):
     """Draw fixes {station: (N, 3)} in the plane about their means, with the ellipse of 95 % (Figure 2)."""
     plots.use_style()
     fig, ax = plots.panels([list(local)], height=2.6)
-    titled(fig, "Fixes scatter by metres, and not in a cloud: they wander")
+    titled(fig, "More steps would not help: fixes scatter by metres")
     angle = np.linspace(0, 2 * np.pi, 121)
     for name, fixes in local.items():
         about = fixes[:, :2] - np.nanmean(fixes[:, :2], axis=0)
@@ -374,12 +375,12 @@ def draw_fixes(local):
 def draw_tracks(t, wrong, sigma):
     """Draw the errors of the line, {name: (N, 2)} in x and V, and how far the Kalman filter is from it.
 
-    wrong has two names, the line first. sigma (N, 2) is that of the line: grey is ± 2 of it on the left, and a tenth
-    of it on the right, which would hardly matter.
+    wrong has two names, the line first. sigma (N, 2) is that of the line: grey is ± 2 of it, on both sides.
     """
     (line, first), (kalman, second) = wrong.items()
+    plots.use_style()
     fig, ax = plots.panels([["x", "x gap"], ["V", "V gap"]], height=2.2)
-    titled(fig, "At constant velocity the two differ by less than their error")
+    titled(fig, "Line and filter agree about position, less about velocity")
     for j, (name, unit) in enumerate((("x", "m"), ("V", "m/s"))):
         ax[name].fill_between(t, -2 * sigma[:, j], 2 * sigma[:, j], color="0.85", lw=0)
         ax[name].plot(t, first[:, j], color=plots.COLOUR_OF["line"])
@@ -394,12 +395,13 @@ def draw_tracks(t, wrong, sigma):
 
 def draw_rough_kalman(medians):
     """Draw the median error of rough positions by Kalman filters, {name: (epochs,)}."""
+    plots.use_style()
     fig, ax = plots.panels([["error"]], height=3.3)
     titled(fig, "A filter that linearises once pays for a bad start")
     at = (20, 4, 1.5, 4)
     for (name, errors), style, epoch in zip(medians.items(), ("-", "--", "-.", "k-"), at, strict=True):
         (line,) = ax["error"].loglog(np.arange(1, len(errors) + 1), errors, style)
-        plots.label_line(line, name, at=epoch, xytext=(6, 5))
+        plots.label_line(line, name, at=epoch, xytext=(6, -14 if style == "k-" else 5))
     ax["error"].set_ylim(0.3, 1e4)
     plots.finish(ax["error"], "epoch, 30 s each", "median error of the position (m)")
     return fig
@@ -407,8 +409,9 @@ def draw_rough_kalman(medians):
 
 def draw_changing(durations, filters, window):
     """Draw errors after a change over its duration: {panel: {family: (durations,)}}, and of the window by panel."""
+    plots.use_style()
     fig, ax = plots.panels([list(filters)], height=3.2)
-    titled(fig, "With the noise of an acceleration the filter beats the window")
+    titled(fig, "With an acceleration's Q the filter beats the line")
     for panel, families in filters.items():
         for (family, errors), style in zip(families.items(), ("--", "-"), strict=True):
             colour = plots.COLOUR_OF["kalman"]
@@ -435,7 +438,8 @@ def draw_third_row(readings, maps):
         panel.plot(ratio, -j, "o", color=plots.COLOUR_OF["kalman"], ms=7)
         panel.annotate(f"{ratio:.2f}", (ratio, -j), (0, 6), textcoords="offset points", ha="center")
     panel.set_xscale("log")
+    panel.set_xticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
     panel.set(xlim=(0.1, 200), ylim=(0.7 - len(readings), 0.8))
     panel.set_yticks([-j for j in range(len(readings))], list(readings))
-    plots.finish(panel, "times the error without the row (log scale); line: R_33 from 0.01 to 100 m²", "error of x")
+    plots.finish(panel, "times the error without the row", "error of x; grey: other R_33")
     return fig

@@ -26,7 +26,7 @@ from mpt_helpers.model import constant_velocity, gps_ins
 from . import positioning
 from .experiments import exact_moments
 
-TABLES = {"ESBC": "esbc_2020_177.csv.gz", "NYA1": "nya1_2024_124.csv.gz", "Belem": "bele_2024_010.csv.gz"}
+TABLES = {"ESBC": "esbc_2020_177.csv.gz", "Belem": "bele_2024_010.csv.gz", "NYA1": "nya1_2024_124.csv.gz"}
 KINDS = ("one frequency", "two frequencies")
 AXES = ("east", "north", "up")
 LAMBDA = 1.6469444  # (f1/f2)² of GPS: the delay in the ionosphere goes with 1/f²

@@ -6,9 +6,9 @@
 It runs where cssrlib is installed, once for each station, and writes that station's lines. The tests read the file and
 need none of these packages. For every 193rd epoch and each GPS satellite above 10 degrees a line holds, in metres: C1C,
 the distance from the station with the turn of the Earth, the satellite's clock, the group delay, the ionosphere
-(Klobuchar), the troposphere (zenith delays of Saastamoinen, half saturated, over the sine of the elevation, and by the mapping
-functions of Niell, which cssrlib uses itself), the bias C1C - C1W of a Bias-SINEX file, without one the day's mean, and the
-elevation in degrees. georinex only reads the observations.
+(Klobuchar), the troposphere (zenith delays of Saastamoinen, half saturated, over the sine of the elevation, and by
+the mapping functions of Niell, which cssrlib uses itself), the bias C1C - C1W of a Bias-SINEX file, without one the
+day's mean, and the elevation in degrees. georinex only reads the observations.
 """
 
 import argparse
