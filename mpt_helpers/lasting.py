@@ -117,9 +117,9 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     >>> _, z = simulate(lasting_error(still, sigma=1.0, tau=600.0, dt=30.0), 2880, np.random.default_rng(1))
     >>> found = fit_lasting((30.0 * np.arange(2880), z))
     >>> [float(each[0].round(1)) for each in (found.r, found.sigma, found.tau / 60, found.floor)]
-    [0.2, 0.9, 9.2, 0.9]
+    [0.3, 0.9, 10.2, 0.9]
     >>> (found.known["tau"][0] / 60).round().tolist()
-    [7.0, 12.0]
+    [7.0, 14.0]
     """
     if not logs:
         checks.refuse("logs", "at least one pair (t, z)", "none")

@@ -78,8 +78,8 @@ def test_the_two_frequencies_of_the_table_are_one_combination(days):
         by_second = -day.second / (recorded.LAMBDA - 1)
         gap = day.dual - by_second
         steps = np.diff(gap, axis=0)
-        # The model moves by centimetres from epoch to epoch, the noise of C2W by decimetres; dual has centimetres.
-        assert np.nanmax(np.abs(steps)) < 0.3
+        # From epoch to epoch the model moves by centimetres (more at the equator), the noise of C2W by decimetres.
+        assert np.nanmax(np.abs(steps)) < 0.5
         assert np.nanstd(np.diff(by_second, axis=0)) > 3 * np.nanstd(steps)
 
 
@@ -98,7 +98,7 @@ def test_fixes_of_a_day_are_those_of_position(days, station, kind):
         np.testing.assert_allclose(found.P[k], axes @ fix.P[:3, :3] @ axes.T, rtol=1e-6, atol=1e-9)
         assert found.chi_square[k] == pytest.approx(fix.chi_square, abs=1e-6)
         assert found.redundant[k] == s.sum() - 4
-    assert np.linalg.norm(found.local, axis=1).max() < 15
+    assert np.linalg.norm(found.local, axis=1).max() < 20
 
 
 def test_an_epoch_of_three_satellites_is_missing(days):
@@ -112,7 +112,7 @@ def test_an_epoch_of_three_satellites_is_missing(days):
 
 def write_table(path, rows):
     """A table of make_table.py with the columns that matter: (epoch, satellite, range)."""
-    lines = [f"{epoch:g},{satellite},1e7,1e7,2e7,{value:g},45,2.5,0,0,0,0,0.1" for epoch, satellite, value in rows]
+    lines = [f"{epoch:g},{satellite},1e7,1e7,2e7,{value:.2f},45,2.5,0,0,0,0,0.1" for epoch, satellite, value in rows]
     text = "\n".join(["# station,1,2,3", make_table.COLUMNS, *lines, ""])
     path.write_bytes(gzip.compress(text.encode()))
 
@@ -123,7 +123,7 @@ def test_epochs_that_are_missing_become_rows_and_those_out_of_step_are_refused(t
     assert day.step == 1
     np.testing.assert_array_equal(day.seconds, np.arange(3, 10))
     np.testing.assert_array_equal(day.ranges[:, 4] - 2e7, [3, 4, 5, np.nan, np.nan, 8, 9])
-    write_table(tmp_path / "odd.csv.gz", [(k, 5, 2e7) for k in (0, 30, 60, 61, 90)])
+    write_table(tmp_path / "odd.csv.gz", [(k, 5, 2e7) for k in (0, 30, 60, 90, 91, 120)])
     with pytest.raises(ValueError, match="path: needs epochs of one step, here 30 s, got epochs 1 s apart"):
         recorded.recorded_day(tmp_path / "odd.csv.gz")
 
@@ -236,7 +236,7 @@ def invented_day(rng, N=400):
     values = {"second": code2 - code1, "phase1": phase1 - code1, "phase2": phase2 - code1}
     values["ranges"] = code1
     values["dual"] = (recorded.LAMBDA * code1 - code2) / (recorded.LAMBDA - 1) - code1
-    columns = {name: column.copy() for name in ("ranges", "troposphere", "dual", "second", "phase1", "phase2")}
+    columns = {name: column.copy() for name in recorded.Day._fields[3:]}
     for name, value in values.items():
         columns[name][:, 4] = value
     day = recorded.Day(np.zeros(3), 30.0 * np.arange(N), np.full((N, 32, 3), np.nan), **columns)
