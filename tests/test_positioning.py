@@ -1,5 +1,6 @@
 """Least-squares positioning, the line fit, its adaptive window, and GPS/INS: theorems and oracles."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -319,7 +320,35 @@ def test_faulty_satellites_are_left_out_while_enough_remain(faults):
     fix = positioning.position(satellites, ranges, false_alarm=1e-3)
     assert list(np.flatnonzero(~fix.used)) == sorted(faults)
     np.testing.assert_allclose(fix.X, X, rtol=0, atol=EXACT)
+    assert not fix.trusted  # as many agree beyond four as were left out
+
+
+@pytest.mark.parametrize("faults", [{3: 100}, {0: 300, 3: -500}])
+def test_a_fix_is_trusted_where_more_are_to_spare_than_were_left_out(faults):
+    satellites, X = positioning.sky(RIGA, 0.0, mask=-5), np.append(RIGA, 0.0)
+    for count in range(6, 11):
+        ranges = positioning.pseudoranges(satellites[:count], X)
+        ranges[list(faults)] += list(faults.values())
+        fix = positioning.position(satellites[:count], ranges, false_alarm=1e-3)
+        to_spare, left_out = fix.used.sum() - 4, (~fix.used).sum()
+        assert fix.trusted == (left_out == len(faults) and to_spare >= 2 and to_spare > left_out)
     assert fix.trusted
+
+
+def test_ranges_that_are_all_wrong_are_hardly_ever_trusted():
+    """A jammed receiver: with one satellite to spare one set in a hundred passes by luck, kilometres off."""
+    rng, X = np.random.default_rng(14), np.append(RIGA, 0.0)
+    satellites = positioning.sky(RIGA, 0.0)
+    trusted = passed = 0
+    for run in range(600):
+        some = satellites[rng.permutation(len(satellites))[: 5 + run % 3]]
+        wrong = positioning.pseudoranges(some, X) + 2000 * rng.standard_normal(len(some))
+        with suppress(ValueError):  # some do not converge
+            fix = positioning.position(some, wrong, X, variance=20.0, false_alarm=1e-5)
+            passed += fix.probability >= 1e-5
+            trusted += fix.trusted
+    assert passed >= 8
+    assert trusted <= 1
 
 
 def test_what_cannot_be_excluded_is_not_trusted():

@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT, parts, source
 
 import mpt_helpers as mpt
-from mpt_helpers import plots
+from reproduction import figures, ledger
 from reproduction.paper_2007 import article, positioning, recorded
 from reproduction.paper_2007.positioning import line_sigma
 
@@ -491,11 +491,11 @@ def test_the_verdicts_are_the_same_with_the_stations_exchanged(cells, monkeypatc
     """All of Part II runs once more, on the same tables in the other order."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(recorded, "TABLES", dict(reversed(recorded.TABLES.items())))
-    monkeypatch.setattr(plots, "save_figure", lambda fig, name: None)
+    monkeypatch.setattr(figures, "save_figure", lambda fig, name: None)
     names = {}
     for cell in cells[1]:
         if cell["cell_type"] == "code":
             exec(source(cell), names)
     assert next(iter(names["days"])) == "NYA1"
-    shipped = mpt.ledger.shipped_verdicts("2007_mms_kalman")
+    shipped = ledger.shipped_verdicts("2007_mms_kalman")
     assert names["paper"]._outcomes == {each.id: each.verdict for each in shipped}

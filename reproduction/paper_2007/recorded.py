@@ -252,7 +252,7 @@ def arcs(day):
 def arc_means(values, arc):
     """Return the mean of values (N, 32) over each arc, in the shape of values; NaN where there is no arc.
 
-    >>> arc_means(np.array([[1.0], [3.0], [5.0]]), np.array([[1], [1], [2]]), 10).ravel()
+    >>> arc_means(np.array([[1.0], [3.0], [5.0]]), np.array([[1], [1], [2]])).ravel()
     array([2., 2., 5.])
     """
     label = np.where(arc >= 0, arc + (len(arc) + 1) * np.arange(arc.shape[1]), -1)
