@@ -17,7 +17,7 @@ studies of many runs, `checks` refuses bad input. The rest reproduces the papers
 
 __version__ = "0.3.0"
 
-from . import metrics, riccati
+from . import bands, metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit
@@ -49,6 +49,7 @@ __all__ = [
     "SteadyStateFilter",
     "SteadyStatePredictor",
     "Table",
+    "bands",
     "constant_acceleration",
     "constant_velocity",
     "exact_motion",

@@ -27,7 +27,7 @@ from .model import LinearModel
 MODE_ROUNDING = 1e-12
 # Rounding turns a double eigenvalue into two at a relative distance of 1e-8, a triple one into three at 6e-6. Computed
 # eigenvalues that are nearer than this may be one: their mean, as accurate as a simple eigenvalue, is tried too.
-NEAR = 1e-4
+ONE_EIGENVALUE = 1e-4
 # Rounding moves a double eigenvalue on the unit circle by up to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
 # By how much a solution P may miss its equation, relative to the standard deviations: six digits hold.
@@ -199,7 +199,7 @@ def _margins(model):
     H = np.array([_at_the_size_of(F, row) for row in H])  # the unit of a measurement changes nothing
     G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
-    means = [modes[np.abs(modes - mode) <= NEAR * abs(mode)].mean() for mode in modes]
+    means = [modes[np.abs(modes - mode) <= ONE_EIGENVALUE * abs(mode)].mean() for mode in modes]
     for mode in [*means, *modes]:  # eigenvalues near each other may be one or several: both are tried
         if abs(mode) >= ON_CIRCLE:
             shifted = mode * np.eye(model.n) - F
