@@ -227,29 +227,36 @@ def one_measurement(z_k: object, m: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def state(x: object, P: object, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return x (n,) and P (n, n) as arrays of finite floats, or raise. P is symmetric, with no variance below zero.
+    """Return x (n,) and P (n, n) as arrays of finite floats, or raise. P is a covariance, looked at by pairs.
 
-    Its eigenvalues are not looked at: that would cost as much as a step.
+    Its eigenvalues are not looked at: that would cost a large part of a step.
     """
     if np.shape(x) == (n,) and np.shape(P) == (n, n):
         x_array, P_array = np.asarray(x), np.asarray(P)
         if x_array.dtype == P_array.dtype == float and math.isfinite(x_array.sum() + P_array.sum()):
-            _require_symmetry(P_array)
+            _require_covariances(P_array)
             return x_array, P_array
     x_array, P_array = array("x", x, (n,)), array("P", P, (n, n))
-    _require_symmetry(P_array)
+    _require_covariances(P_array)
     return x_array, P_array
 
 
-def _require_symmetry(P):
+def _require_covariances(P):
+    """Refuse a P (n, n) with a negative variance, an asymmetry, or a P_ij larger than two states can have in common."""
     rows = P.tolist()  # Python's numbers are faster than numpy's, where there are few
+    variances = [row[i] for i, row in enumerate(rows)]
+    least, largest = min(variances), max(variances)
+    if least < -ROUNDING * largest or largest < 0:
+        refuse("P", "a covariance", f"a variance of {least:.6g}")
+    rounding = SOLVED * math.sqrt(largest)
+    sigmas = [math.sqrt(max(variance, 0.0)) + rounding for variance in variances]
     for i, row in enumerate(rows):
-        if row[i] < 0:
-            refuse("P", "a covariance", f"a variance of {row[i]:.6g}")
         for j in range(i):
-            allowed = SOLVED * math.sqrt(row[i] * rows[j][j])
-            if abs(row[j] - rows[j][i]) > allowed + ROUNDING * abs(row[j]):
-                refuse("P", "a covariance", f"a matrix that is not symmetric, {row[j]:.6g} and {rows[j][i]:.6g}")
+            most = sigmas[i] * sigmas[j]
+            if abs(row[j] - rows[j][i]) > SOLVED * most:
+                refuse("P", "a covariance", f"a matrix that is not symmetric: {row[j]:.6g} and {rows[j][i]:.6g}")
+            if abs(row[j]) > (1 + SOLVED) * most:
+                refuse("P", "a covariance", f"a covariance of {row[j]:.6g}, too large beside its variances")
 
 
 def times(name: str, value: object) -> Array:

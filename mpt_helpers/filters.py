@@ -7,7 +7,7 @@ also when all measurements of an epoch are missing.
 
 from __future__ import annotations
 
-import copy
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +26,9 @@ from .model import LinearModel
 from .recursive import RecursiveFilter
 from .steps import Step
 
+# How many times as large as the variance of a measurement that of its prediction may be: filterpy's P rounds to some
+# 1e-31 of it, so that here a hundredth of the variance after the measurement is wrong.
+LARGEST = 1e29
 # Patterns of missing measurements whose constants a Lainiotis filter keeps.
 MOST_PATTERNS = 64
 
@@ -64,6 +67,10 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse("t", need, "one whose F and Q are for one length only")
         object.__setattr__(self, "t", None if t is None else checks.times("t", t))
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
+        if r is not None and model.m > 1 and self.r.shape[2:] == (model.m,) and _are_covariances(self.r):
+            need = f"variances, (N, {model.m}) or (N, {model.m}, M)"
+            got = f"what looks like covariances; variances of {model.m} tracks that look so are taken track by track"
+            checks.refuse("r", need, got)
 
     def coefficients(self, N: int) -> Step:
         """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing.
@@ -82,7 +89,9 @@ class KalmanFilter(RecursiveFilter):
 
         length is that of the step in units of the model's dt, r (m,) the variances; the model's where None.
         """
-        kf = copy.copy(self._filterpy)  # predict and update change the object, so each step takes a copy
+        # predict and update give the object new attributes, so each step takes a copy of it; copy.copy is slower.
+        kf = object.__new__(filterpy.kalman.KalmanFilter)
+        vars(kf).update(vars(self._filterpy))
         kf.P = P
         W = self._units[1]
         if length is not None:
@@ -93,7 +102,10 @@ class KalmanFilter(RecursiveFilter):
             kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
-        return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
+        if length is not None and not kf.S.max() < LARGEST:
+            need = "a time after which doubles hold the variances of the measurements beside that of the prediction"
+            checks.refuse("dt", need, f"{length * self.model.dt:.6g} s")
+        return (self._identity - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
 
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
@@ -102,8 +114,9 @@ class KalmanFilter(RecursiveFilter):
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter
         with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances
-        of the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a
-        negative dt, and for states and covariances that are not finite.
+        of the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, for a
+        dt that is negative or so large that doubles do not hold the step, for states and covariances that are not
+        finite, and for a P that is no covariance.
         """
         n, m = self.model.n, self.model.m
         x, P = checks.state(x, P, n)
@@ -115,7 +128,10 @@ class KalmanFilter(RecursiveFilter):
         length = None if dt is None else self._length_of(checks.not_negative("dt", dt))
         if r is not None:
             r = checks.variances_of_one("r", r, seen)
-        A, B, P = self.next_step(P, seen, length, r)
+        with np.errstate(over="ignore", invalid="ignore"):  # the largest times are refused by what they make
+            A, B, P = self.next_step(P, seen, length, r)
+        if length is not None and not math.isfinite(P.sum()):
+            checks.refuse("dt", "a time over which the covariance stays within the range of doubles", f"{dt:.6g} s")
         return A @ x + B @ np.where(seen, z_k, 0), P
 
     def epochs_of(self, z: Array) -> Epochs:
@@ -155,6 +171,10 @@ class KalmanFilter(RecursiveFilter):
         return dt / self.model.dt
 
     @cached_property
+    def _identity(self):
+        return np.eye(self.model.n)
+
+    @cached_property
     def _units(self):
         return unit_measurements(self.model.H, self.model.R)
 
@@ -167,6 +187,18 @@ class KalmanFilter(RecursiveFilter):
         kf.x = np.zeros(self.model.n)
         kf.F, kf.Q, kf.H, kf.R = self.model.F, self.model.Q, H_1, np.eye(len(H_1))
         return kf
+
+
+def _are_covariances(r):
+    """Say whether arrays (N, m, m) look like covariances in all epochs, where they could be variances of m tracks."""
+    known = r[np.isfinite(r).all(axis=(1, 2))]
+    if not len(known) or (known != known.swapaxes(1, 2)).any():
+        return False
+    sigma = np.sqrt(np.abs(np.diagonal(known, axis1=1, axis2=2)))
+    if not sigma.all():
+        return False
+    # Equal variances of all tracks make a matrix of rank one, which is no covariance of noises.
+    return bool((np.linalg.eigvalsh(known / sigma[:, :, None] / sigma[:, None]) > checks.ROUNDING).all())
 
 
 class LainiotisFilter(RecursiveFilter):
