@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from mpt_helpers.files import write_whole
-from mpt_helpers.ledger.tables import Table
+from reproduction.ledger.tables import Table
 
 HERE = Path(__file__).parent
 PAIRS = {

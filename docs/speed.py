@@ -4,7 +4,7 @@ import json
 import math
 from pathlib import Path
 
-from mpt_helpers.ledger.tables import Table
+from reproduction.ledger.tables import Table
 
 RESULTS = Path(__file__).parents[1] / "benchmarks" / "results.json"
 PAIRS = {

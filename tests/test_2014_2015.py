@@ -9,7 +9,8 @@ from conftest import ROOT, part_one, source
 from scipy.linalg import solve_discrete_are
 
 import mpt_helpers as mpt
-from mpt_helpers.papers import article_2014, burden
+from reproduction import burden
+from reproduction.papers_2014_2015 import article_2014
 
 TRACKS, STEPS = 20_000, 60
 ARTICLE = part_one(ROOT / "notebooks" / "2014_gsm_2d.ipynb")

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from .. import plots
-from ..filters import KalmanFilter
-from ..model import gsm_axis, stack
+from mpt_helpers import plots
+from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.model import gsm_axis, stack
 
 AXIS = gsm_axis(dt=1.0, q=0.01, r=0.1)  # the paper's example
 
