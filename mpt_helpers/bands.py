@@ -484,7 +484,8 @@ def _independent(a, where):
 
 
 def _model_of_any_step(estimator):
-    checks.instance("estimator", estimator, Filter)
+    if not isinstance(estimator, Filter):
+        checks.refuse("estimator", "a filter", f"{estimator!r:.60}", TypeError)
     if estimator.model.dt is None:
         need = "a model that knows steps of any length, such as constant_velocity or constant_acceleration"
         checks.refuse("estimator", need, "one whose dt and powers are not known")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,7 +67,7 @@ class JoinFilter(Filter):
         return (self.first.P0 + self.second.P0) / 2
 
     @property
-    def parts(self) -> tuple[Filter, ...]:
+    def parts(self) -> Sequence[Filter]:
         """Both filters."""
         return self.first, self.second
 
@@ -161,7 +162,7 @@ class Separate(Filter):
         return all(each.optimal for each in self.filters)
 
     @property
-    def parts(self) -> tuple[Filter, ...]:
+    def parts(self) -> Sequence[Filter]:
         """The filters."""
         return self.filters
 

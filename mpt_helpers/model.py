@@ -237,7 +237,9 @@ def gps_ins(dt: float, q: float, r: ArrayLike, x0: ArrayLike | None = None, P0: 
 
 
 def _checked(dt, q, r):
-    dt = checks.number("dt", dt, f"a positive number of at most {LONGEST:g}", lambda dt: 0 < dt <= LONGEST)
+    dt = checks.positive("dt", dt)
+    if dt > LONGEST:
+        checks.refuse("dt", f"at most {LONGEST:g} s, whose powers are doubles", f"{dt:g} s")
     return dt, checks.not_negative("q", q), checks.positive("r", r)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,7 @@ class _Ahead(Filter):
         return np.linalg.matrix_power(self.model.F, self.steps)
 
     @property
-    def parts(self) -> tuple[Filter, ...]:
+    def parts(self) -> Sequence[Filter]:
         """The filter whose states are predicted."""
         return (self.estimator,)
 

@@ -14,7 +14,7 @@ Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -100,7 +100,7 @@ class Filter(Immutable):
         raise self._not_recursive()
 
     @property
-    def parts(self) -> tuple[Filter, ...]:
+    def parts(self) -> Sequence[Filter]:
         """The filters that it is made of; none but for joint and separate filters and predictors."""
         return ()
 

@@ -77,13 +77,20 @@ def of_model(model, T):
         return van_loan(np.array([[0, 1, 0], [0, 0, 1], [0, 0, -1 / TAU]]), [0, 0, 0.3], T)
     if model.n == 2:
         return van_loan(*OU, T)
+    line = np.array([[0.0, 1.0], [0.0, 0.0]]), [0, 0.04]
     F, Q = np.zeros((2, 4, 4))
-    F[:2, :2], Q[:2, :2] = van_loan(*OU, T)
-    F[2:, 2:], Q[2:, 2:] = van_loan(np.array([[0.0, 1.0], [0.0, 0.0]]), [0, 0.04], T)
+    F[:2, :2], Q[:2, :2] = van_loan(*(line if isinstance(model.motion, Powers) else OU), T)
+    F[2:, 2:], Q[2:, 2:] = van_loan(*line, T)
     return F, Q
 
 
-MODELS = {"forgetful": forgetful, "singer": singer, "two kinds, correlated noises": mixed}
+def plane():
+    """Powers of the length, and correlated noises."""
+    axis = mpt.constant_velocity(0.7, 0.04, 2.0, x0=[0.0, 1.0], P0=np.eye(2))
+    return replace(mpt.stack(axis, axis), R=[[0.5, 0.3], [0.3, 2.0]])
+
+
+MODELS = {"forgetful": forgetful, "singer": singer, "two kinds, correlated noises": mixed, "plane": plane}
 
 
 def plain_loop(model, steps, variances, z):
@@ -104,7 +111,7 @@ def plain_loop(model, steps, variances, z):
     return *(np.array(each) for each in zip(*found, strict=True)), log_density
 
 
-# Products of some hundred numbers of order 10, in both.
+# A hundred products of numbers of order 10, in both.
 SAME = {"rtol": 1e-8, "atol": 1e-9}
 
 
