@@ -1,4 +1,4 @@
-"""The run of a filter over tracks, on one page: from `Epochs` to states x, covariances P and innovations.
+"""The run of a filter over tracks: from `Epochs` to states x, covariances P and innovations.
 
 A track goes one of two ways:
 
@@ -84,8 +84,12 @@ def _by_columns(estimator, epochs, x, covariances):
     P = np.empty((N, n, n, layout.columns(M))) if covariances else None
     for part in tiles(M, TILE if layout.one_column else TILE_OF_COVARIANCES):
         on_columns = start_on_columns(estimator, layout.rows(epochs.of(part)))
-        P_part = None if P is None else layout.of_tracks(P, part)
-        last, least = through(*on_columns, layout.as_columns(x[..., part]), P_part)
+        written = layout.as_columns(x[..., part]), None if P is None else layout.of_tracks(P, part)
+        last, least = through(*on_columns, *written)
+        if least < 0:
+            # The variance of a state that is known exactly comes out as the rounding of zero, on either side of it.
+            careful = partial(_keeping_what_is_known, estimator.model.motion, on_columns.advance)
+            last, least = through(*on_columns._replace(advance=careful), *written)
         if least < 0:
             need = "measurements that are not far more precise than P0 or than what is known after a gap"
             checks.refuse("z", need, "a variance below zero, by rounding")
@@ -117,6 +121,15 @@ def start_on_columns(estimator, rows):
     _, _, c, M = rows.z.shape
     x = np.broadcast_to(x0[:, None, None], (len(x0), c, M))
     return OnColumns(advance, rows, x, np.repeat(P0[..., None], M, axis=2))
+
+
+def _keeping_what_is_known(motion, advance, row, x, P):
+    """Advance, and let a state that is predicted exactly, by a variance of zero, be known exactly afterwards."""
+    x, P_next, innovations = advance(row, x, P)
+    n = len(motion.one_step[0])
+    known = np.zeros(P_next.shape[1:], bool)
+    known[:n] = np.einsum("jjm->jm", motion.covariance(P[:n, :n], row.lengths)) == 0
+    return x, np.where(known[:, None] | known, 0.0, P_next), innovations
 
 
 def in_sequence(advance, rows, x, P, takes=None):

@@ -135,13 +135,13 @@ def _lowest(function, origin):
             simplex = point + np.vstack([np.zeros(d), np.eye(d)])  # from each guess to e times it
             options = {"initial_simplex": simplex, "xatol": NEAR, "fatol": NEAR, "maxfev": 400 * d}
             found = minimize(counted, point, method="Nelder-Mead", options=options)
-            point = _point_further_out_that_is_lower(counted, found)
+            point = _lower_further_on(counted, found)
             if point is None:
                 break
         return found.x
 
 
-def _point_further_out_that_is_lower(function, found):
+def _lower_further_on(function, found):
     """Return a point along one parameter that is lower than what was found, or None."""
     for unit in np.eye(len(found.x)):
         for sign in (1, -1):

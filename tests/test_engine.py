@@ -686,6 +686,25 @@ def test_innovations_of_many_tracks_ask_for_as_many_times(monkeypatch):
         metrics.innovations(kf, np.zeros((4, 2, 2)))
 
 
+@pytest.mark.parametrize("gaps", [(0.1, 0.0), (0.1, 0.2)])
+@pytest.mark.parametrize("tracks", [None, 3])
+def test_a_state_that_is_known_exactly_stays_so(tracks, gaps):
+    """The bias of the INS, and the position after one step: the rounding of zero was below it, and refused."""
+    model = mpt.gps_ins(1.0, 0.1, (1.0, 0.1, 2.0))
+    for R in (model.R, model.R + 0.05):
+        correlated = replace(model, R=R)
+        F, H, Q, R, x0, P0 = matrices(correlated)
+        z = gappy(correlated, np.random.default_rng(22), 40, tracks, *gaps)
+        both, smooth = mpt.KalmanFilter(correlated).estimates(z), mpt.KalmanFilter(correlated).smooth(z)
+        assert not both.P[:, 2].any()
+        for i in range(tracks or 1):
+            one = (lambda array: array) if tracks is None else (lambda array, i=i: array[..., i])
+            exact = gaussian_conditioning_of_steps([F] * 40, [Q] * 40, H, [R] * 40, x0, P0, one(z))
+            np.testing.assert_allclose(one(both.x), exact.x, rtol=1e-8, atol=1e-9)
+            np.testing.assert_allclose(one(both.P), exact.P, rtol=1e-8, atol=1e-9)
+            np.testing.assert_allclose(one(smooth.P), exact.P_smooth, rtol=1e-7, atol=1e-8)
+
+
 def test_a_variance_below_zero_is_refused():
     """Three fixes in every twenty epochs: without process noise P grows to 1e17 of their variance in between."""
     model = mpt.constant_acceleration(dt=30.0, q=0.0, r=1e-4, P0=1e8 * np.eye(3))
