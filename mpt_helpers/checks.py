@@ -233,17 +233,18 @@ def state(x: object, P: object, n: int) -> tuple[np.ndarray, np.ndarray]:
     """
     if np.shape(x) == (n,) and np.shape(P) == (n, n):
         x_array, P_array = np.asarray(x), np.asarray(P)
-        if x_array.dtype == P_array.dtype == float and math.isfinite(x_array.sum() + P_array.sum()):
-            _require_covariances(P_array)
-            return x_array, P_array
+        if x_array.dtype == P_array.dtype == float:
+            rows = P_array.tolist()  # Python's numbers are faster than numpy's, where there are few
+            if math.isfinite(sum(x_array.tolist()) + sum(map(sum, rows))):
+                _require_covariances(rows)
+                return x_array, P_array
     x_array, P_array = array("x", x, (n,)), array("P", P, (n, n))
-    _require_covariances(P_array)
+    _require_covariances(P_array.tolist())
     return x_array, P_array
 
 
-def _require_covariances(P):
-    """Refuse a P (n, n) with a negative variance, an asymmetry, or a P_ij larger than two states can have in common."""
-    rows = P.tolist()  # Python's numbers are faster than numpy's, where there are few
+def _require_covariances(rows):
+    """Refuse the rows of a P with a negative variance, an asymmetry, or a P_ij larger than two states can share."""
     variances = [row[i] for i, row in enumerate(rows)]
     least, largest = min(variances), max(variances)
     if least < -ROUNDING * largest or largest < 0:

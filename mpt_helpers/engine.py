@@ -60,6 +60,8 @@ def estimates(estimator, epochs, x, covariances):
         return _finite(np.array([step.P for step in shared.steps])[..., None])
     # NaN spreads to all that follows: tracks that have some in the end had gaps, and are columns.
     gaps = np.isnan(x[-1]).any(axis=0)
+    if gaps.all():
+        return _by_columns(estimator, epochs, x, covariances)
     if gaps.any():
         of_gaps = np.empty((*x.shape[:2], gaps.sum()))
         _by_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
@@ -75,7 +77,9 @@ def _columns_will_do_all(epochs, covariances):
     """
     if covariances:
         return bool(epochs.missing.any())
-    return epochs.z.shape[2] <= FEW_TRACKS and bool(epochs.missing.any(axis=(0, 1)).all())
+    if epochs.z.shape[2] > FEW_TRACKS or not epochs.missing.any():
+        return False
+    return bool(epochs.missing.any(axis=(0, 1)).all())
 
 
 def _by_columns(estimator, epochs, x, covariances):
