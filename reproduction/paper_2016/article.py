@@ -30,6 +30,16 @@ def unknown_start(model):
     return KalmanFilter(replace(model, P0=UNKNOWN * np.eye(model.n)))
 
 
+def settled_covariance(column, noise=0.0):
+    """Return the covariance of the filter's error after the start, (n, n), with `noise` times Q in the track.
+
+    >>> settled_covariance(table1.columns()["cv"]).round(3)
+    array([[0.046, 0.013],
+           [0.013, 0.006]])
+    """
+    return error_moments(column.steady, column.truth(0, noise), 2 * table1.TRANSIENT).covariance[-1]
+
+
 def settled_sigma(column, seconds, noise=0.0):
     """Return σ of the position these seconds ahead (array), after the start.
 
@@ -39,7 +49,7 @@ def settled_sigma(column, seconds, noise=0.0):
     array([0.214, 0.571])
     """
     model = column.steady.model
-    P = error_moments(column.steady, column.truth(0, noise), 2 * table1.TRANSIENT).covariance[-1]
+    P = settled_covariance(column, noise)
     make = {2: constant_velocity, 3: constant_acceleration}[model.n]
     sigma = []
     for ahead in seconds:
@@ -105,7 +115,7 @@ def positions_ahead(x, dt, steps):
     for N in range(1, steps + 1):
         s = s + way
         positions.append(s)
-        if rest and N < steps:
+        if rest and steps > N:
             way = way + longer
     return positions
 
@@ -145,14 +155,14 @@ def percent_of_position(column):
 
 def effects_table():
     """Return header and rows of the table of the two effects that enlarge Table 1."""
-    header = ["", "error that never changes", "the paper's filter", "numbers, had it settled"]
+    header = ["in the first ten steps", "error that never changes", "the paper's filter", "numbers, had it settled"]
     rows = []
     for key, column in table1.columns().items():
         flat, own = [], []
         for axis in (0, 1):
             positions = column.positions(axis, STEPS)
             error = table1.expected_absolute(*table1.mean_and_variance(column, axis, STEPS))
-            flat.append(table1.share_of_the_start(1 / positions)[0])
+            flat.append(table1.share_of_the_start(1 / positions))
             own.append(table1.share_of_the_start(error / positions))
         factor = table1.of_both_axes(column, STEPS) / table1.settled_averages(column, STEPS)
         flat, own = 100 * np.array(flat), 100 * np.array(own)
@@ -236,6 +246,18 @@ def draw_time_step():
     return fig
 
 
+def time_step_table():
+    """Return header and rows of the table of what is known at constant velocity, exact motion, for each time step."""
+    header = ["time step (s)", "σ of the position now (m)", "σ of the velocity (m/s)", "σ of the position in 5 s (m)"]
+    rows = []
+    for dt in TIME_STEPS:
+        column = table1.columns(dt=dt)["cv"]
+        now, ahead = settled_sigma(column, [0, SECONDS])
+        velocity = np.sqrt(settled_covariance(column)[1, 1])
+        rows.append([f"{dt:g}", f"{now:.3f}", f"{velocity:.3f}", f"{ahead:.3f}"])
+    return header, rows
+
+
 def draw_table1():
     """Return a figure of Table 1: printed, computed, and of the same filter if it had settled before the first step."""
     fig, ax = plots.panels([["cv", "ca"]], height=3.2)
@@ -300,7 +322,8 @@ def draw_figure(key, N, seed, plane=False, steps=60, start=14):
     ax["later"].get_legend().remove()
     what = "The prediction" if N else "The estimate"
     sigma = settled_sigma(column, [N])[0]
-    fig.suptitle(f"{what}: {max(largest):.2g} m off at the start, σ = {sigma:.2f} m later", x=0.02, ha="left", fontsize=11)
+    title = f"{what}: {max(largest):.2g} m off at the start, σ = {sigma:.2f} m later"
+    fig.suptitle(title, x=0.02, ha="left", fontsize=11)
     if plane:
         (x, estimated_x), (y, estimated_y) = tracks
         ax["plane"].plot(x, y, "o-", color=plots.COLOUR_OF["truth"], label="real")
