@@ -341,16 +341,16 @@ def draw_odds(ratios, of_the_print):
     fig, axes = plots.panels([["odds"]], height=2.8)
     ax = axes["odds"]
     edges = np.linspace(-12, 4, 49)
-    look = {"percent": ("0.2", "-", (2.9, 0.7)), "fraction": ("0.5", "--", (-8.5, 0.3))}
+    look = {"percent": ("0.4", "-", (4.9, 0.7)), "fraction": ("0.6", "--", (-8.5, 0.3))}  # colour, line, label's place
     for unit, values in ratios.items():
         colour, style, (x, height) = look[unit]
         counts = np.histogram(values, edges)[0]
         ax.stairs(counts, edges, ls=style, lw=1.6, color=colour, label=f"1,000 tables in {unit}")
         most = max(np.histogram(each, edges)[0].max() for each in ratios.values())
         ax.text(x, height * most, f"tables\nin {unit}", color=colour, ha="center")
-    ax.axvline(of_the_print, color=plots.COLOURS[1], lw=1.6, label="the paper's table")
-    ax.annotate("the paper's table ", (of_the_print, 0.92 * most), ha="right", color=plots.COLOURS[1])
-    ax.set_xlim(-12.5, 5)
+    ax.axvline(of_the_print, color="black", lw=1.6, label="the paper's table")
+    ax.annotate("the paper's table ", (of_the_print, 0.92 * most), ha="right")
+    ax.set_xlim(-12.5, 7)
     ax.set_ylabel("tables")
     plots.finish(ax, "log10 of the odds of percent to fraction", "The paper's table lies among those in percent")
     ax.get_legend().remove()
