@@ -82,7 +82,7 @@ def test_the_claim_is_told_with_the_papers_numbers():
 def test_the_error_of_the_papers_start():
     largest = {(key, axis): rms(key, axis)[0].max() for key in COLUMNS for axis in (0, 1)}
     says(f"up to {largest['cv', 0]:.0f} m off on one axis and {largest['cv', 1]:.0f} m on the other")
-    says(f"off by at most {largest['ca', 0]:.1f} m on one axis and {largest['ca', 1]:.1f} m on the other")
+    says(f"its rms error reaches {largest['ca', 0]:.1f} m on one axis and {largest['ca', 1]:.1f} m on the other")
     measurement = np.sqrt(table1.R)
     worse = np.flatnonzero(rms("cv", 0)[0] > measurement) + 1
     says("For twelve steps the orange filter is worse than no filter, but for one moment at step 8")
@@ -99,8 +99,8 @@ def test_a_gain_that_varies_first_is_never_worse_than_a_measurement():
     says(f"never worse than a single measurement, which is wrong by {np.sqrt(table1.R):.2f} m")
     says("begins as good as one measurement and only improves. From step 15 on the two are the same")
     for key, column in COLUMNS.items():
-        kf = article.unknown_start(column.steady.model)
-        assert np.diag(kf.model.P0).tolist() == [100**2] * kf.model.n
+        kf = article.FrozenLater(column.steady.model, after=8)
+        assert np.diag(article.unknown_start(kf.model).model.P0).tolist() == [100**2] * kf.model.n
         for axis in (0, 1):
             error = rms(key, axis, kf)
             assert (error[0] <= np.sqrt(table1.R)).all()
@@ -126,7 +126,7 @@ def test_freezing_after_eight_steps_costs_nothing_once_settled(taught):
 def test_the_start_redone_by_hand():
     steady = COLUMNS["cv"].steady
     (position, velocity), trusted = steady.B[:, 0], np.sqrt(steady.P[1, 1])
-    says(f"knows the velocity to {trusted:.2f} m/s")
+    says(f"believes it knows the velocity to {trusted:.2f} m/s")
     says(
         f"by {position:.3f} · 20 = {20 * position:.1f} m, and its velocity by {velocity:.3f} · 20 = {20 * velocity:.1f}"
     )
@@ -269,13 +269,14 @@ class Counted(float):
         return self._after(float(self) * float(other))
 
 
-@pytest.mark.parametrize(("key", "expected"), [("cv", 6), ("ca", 13)])
-def test_positions_by_adding_are_those_of_the_powers_of_f(key, expected):
+@pytest.mark.parametrize(("key", "steps", "expected"), [("cv", 1, 2), ("cv", 5, 6), ("ca", 1, 5), ("ca", 5, 13)])
+def test_positions_by_adding_are_those_of_the_powers_of_f(key, steps, expected):
     model = table1.columns(dt=0.5)[key].steady.model
     x = np.random.default_rng(2).normal(size=model.n)
-    by_rows = table1.position_rows(model)[1:] @ x
+    by_rows = table1.position_rows(model)[1 : steps + 1] @ x
     Counted.done = 0
-    np.testing.assert_allclose(article.positions_ahead([Counted(each) for each in x], 0.5, 5), by_rows, rtol=1e-12)
+    added = article.positions_ahead([Counted(each) for each in x], 0.5, steps)
+    np.testing.assert_allclose(added, by_rows, rtol=1e-12)
     assert Counted.done == expected
 
 
@@ -289,6 +290,7 @@ def test_the_operations_are_those_of_the_papers_counts():
         "estimate, Kalman filter": [burden.total(burden.kalman(n, 1)) for n in (2, 3)],
         "estimate, constant gain": [steady[2], steady[3]],
         "one prediction, without an estimate: the paper's predictor": [steady[2], steady[3]],
+        "estimate and one prediction: adding the way": [steady[2] + 2, steady[3] + 5],
         "estimate and one prediction: a row times the estimate": [steady[n] + row[n] for n in (2, 3)],
         "estimate and one prediction: filter and predictor": [2 * steady[n] for n in (2, 3)],
         "estimate and five: adding the way again and again": [steady[2] + 6, steady[3] + 13],
@@ -299,8 +301,11 @@ def test_the_operations_are_those_of_the_papers_counts():
     says(f"A step then costs {cv} operations instead of {kalman_cv}, and {ca} instead of {kalman_ca} with acceleration")
     says(f"{cv} operations instead of {kalman_cv}, and {ca} instead of {kalman_ca}. Its predictor")
     says(f"For two unknowns that is {cv} additions and multiplications")
-    one = table["estimate and one prediction: a row times the estimate"][0]
-    says(f"if you want one prediction and no estimate, {cv} against {one}")
+    one, one_ca = table["estimate and one prediction: adding the way"]
+    row, row_ca = table["estimate and one prediction: a row times the estimate"]
+    says(f"if you want one prediction and no estimate: {cv} against {one}, or {row} if you multiply by a whole row")
+    assert one_ca == row_ca
+    says(f"({ca} against {row_ca} with acceleration)")
     (few, few_ca), (many, many_ca) = (
         table[f"estimate and five: {how}"] for how in ("adding the way again and again", "filter and five predictors")
     )
@@ -381,6 +386,10 @@ def test_a_mobile_that_accelerates_leaves_the_filter_of_constant_velocity_behind
     says(f"it grows by {velocity:.3f} times the surprise. So the surprise must be {1 / velocity:.1f} m")
     says(f"The correction takes {position:.3f} of it away, and {(1 - position) / velocity:.1f} m are left")
     assert now == pytest.approx((1 - position) / velocity)
+    third, without = (article.settled_sigma(COLUMNS[name], [5])[0] for name in ("ca", "cv"))
+    says(f"five seconds ahead σ is {third:.1f} m instead of {without:.2f} m")
+    says(f"Without it you miss by {ahead:.0f} m at 1 m/s²")
+    says(f"it pays from about {np.sqrt(third**2 - without**2) / ahead:.2f} m/s² on")
 
 
 def test_the_time_step_counted_in_steps_and_in_seconds():
@@ -410,7 +419,7 @@ def test_why_the_time_step_hardly_matters():
         assert float(row[1]) == pytest.approx(article.settled_sigma(column, [0])[0], abs=5e-4)
         assert float(row[3]) == pytest.approx(article.settled_sigma(column, [5])[0], abs=5e-4)
     short, double = (np.sqrt(long_loop(dt)[1, 1]) for dt in (0.01, 0.02))
-    says("grows as the eighth root of the step, that is by 9 % for a step twice as long")
+    says("and the error as its eighth root. That is 9 % for a step twice as long")
     assert double / short == pytest.approx(2 ** (1 / 8), rel=0.005)
     assert f"{100 * (2 ** (1 / 8) - 1):.0f}" == "9"
     averaging = [article.settled_sigma(table1.columns(dt=dt, r=table1.R / dt)["cv"], [5])[0] for dt in (0.5, 1, 2)]

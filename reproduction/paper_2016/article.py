@@ -30,6 +30,24 @@ def unknown_start(model):
     return KalmanFilter(replace(model, P0=UNKNOWN * np.eye(model.n)))
 
 
+class FrozenLater:
+    """The Kalman filter of `unknown_start`, with its gain frozen after some steps.
+
+    >>> frozen = FrozenLater(table1.columns()["cv"].steady.model, after=8)
+    >>> frozen.coefficients(60).B[[0, 7, 59], 0, 0].round(3)
+    array([1.   , 0.551, 0.551])
+    """
+
+    def __init__(self, model, after):
+        self.model = model
+        self.varying = unknown_start(model).coefficients(after)
+
+    def coefficients(self, N):
+        """Return the coefficients A, B and P of N steps, as filters do; P is that of the last step that varied."""
+        steps = np.minimum(np.arange(N), len(self.varying.B) - 1)
+        return type(self.varying)(*(each[steps] for each in self.varying))
+
+
 def settled_covariance(column, noise=0.0):
     """Return the covariance of the filter's error after the start, (n, n), with `noise` times Q in the track.
 
@@ -124,6 +142,7 @@ def cost_table():
     """Return header and rows of the table of operations per step, counted as in the paper's Table 2."""
     five = table1.LARGEST_N
     adding = {2: 1 + five, 3: 4 + five + (five - 1)}  # what `positions_ahead` multiplies and adds
+    one = {2: 1 + 1, 3: 4 + 1}
     rows = {}
     for n in (2, 3):
         filtering = burden.total(burden.steady_state(n, 1))
@@ -133,6 +152,7 @@ def cost_table():
             "estimate, Kalman filter": burden.total(burden.kalman(n, 1)),
             "estimate, constant gain": filtering,
             "one prediction, without an estimate: the paper's predictor": predictor,
+            "estimate and one prediction: adding the way": filtering + one[n],
             "estimate and one prediction: a row times the estimate": filtering + row,
             "estimate and one prediction: filter and predictor": filtering + predictor,
             "estimate and five: adding the way again and again": filtering + adding[n],
@@ -178,7 +198,7 @@ def draw_start(steps=25):
     column = table1.columns()["cv"]
     k = np.arange(1, steps + 1)
     rms = {}
-    for name, estimator in {"steady": column.steady, "kalman": unknown_start(column.steady.model)}.items():
+    for name, estimator in {"steady": column.steady, "kalman": FrozenLater(column.steady.model, after=8)}.items():
         mean, variance = table1.mean_and_variance(column, 0, steps, estimator)
         rms[name] = np.sqrt(mean[0] ** 2 + variance[0])
     measured = ax.axhline(np.sqrt(table1.R), color=plots.COLOUR_OF["measured"], ls=":", label="one measurement")
