@@ -148,7 +148,9 @@ def answer_step(step):
     if mine is None:
         return "not yet: return x and P one step later"
     right = KalmanFilter(AXIS).step(x, P, np.array([z]))
-    for name, ours, theirs, after in zip(("x", "P"), right, mine, (". P comes after x.", ". Your x is right."), strict=True):
+    for name, ours, theirs, after in zip(
+        ("x", "P"), right, mine, (". P comes after x.", ". Your x is right."), strict=True
+    ):
         if np.shape(theirs) != ours.shape:
             return f"not quite: {name} should have the shape {ours.shape}, yours has {np.shape(theirs)}"
         if not np.allclose(theirs, ours, atol=1e-9):

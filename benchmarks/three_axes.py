@@ -57,7 +57,7 @@ def divided(F, H, Q, r, X, P, z):
 
 
 def stacked(F, H, Q, r, X, P, z):
-    """Return X and P after the same step with a P for each axis: X (3, 2, 1), P (3, 2, 2), z (3,), NaN where missing."""
+    """Return X and P after the same step with a P for each axis: X (3, 2, 1), P (3, 2, 2), z (3,) with NaN."""
     seen = np.isfinite(z)
     X, P = F @ X, F @ P @ F.T + Q
     K = P @ H.T / (H @ P @ H.T + r) * seen[:, None, None]
@@ -112,7 +112,7 @@ def many_phones(phones=PHONES):
 
 
 def estimates(result):
-    """Return the estimates (2, 3) that a step of `one_phone` made, whatever their form: position and velocity, by axis."""
+    """Return position and velocity by axis, (2, 3), from what any step of `one_phone` returns."""
     if isinstance(result, list):  # three filters, one after the other
         return np.hstack([estimates_of_one(each) for each in result])
     X = estimates_of_one(result)
