@@ -182,6 +182,8 @@ def test_the_phones_that_are_drawn_stay_within_what_the_filter_states():
     says("Thirty phones are followed for a minute. After thirty seconds")
     errors, sigma = article.silent_phones()
     assert errors.shape == (60, 3, 30)
+    assert sigma[-1, 2] == pytest.approx(article.sigma_after(30), rel=1e-6)
+    np.testing.assert_allclose(sigma[-1, :2], sigma[29, 2], rtol=1e-6)
     within = np.abs(errors) < 2 * sigma[:, :, None]
     assert within[-1, 2].mean() > 0.9  # 95 % of 30 phones are 28.5
     assert within.mean() == pytest.approx(0.95, abs=0.03)
@@ -259,6 +261,8 @@ def test_the_operations_of_the_table_of_times_are_those_of_the_article(monkeypat
     columns = sums["axes as columns, one P and K"]
     assert x.shape == (6, 1, 5)
     assert columns[0].shape == (2, 3, 5)
+    for i, (x_of_axis, _) in enumerate(sums["three filters of two states"]):
+        np.testing.assert_allclose(columns[0][:, [i]], x_of_axis, atol=1e-12)
     np.testing.assert_allclose(columns[1], P[:2, :2], atol=1e-12)
 
 

@@ -15,7 +15,7 @@ KALMAN, STEADY = plots.COLOUR_OF["kalman"], plots.COLOUR_OF["steady"]
 def covariance(steps=60):
     """Return P (6, 6) of the six-state filter for three axes, after so many steps from a known start.
 
-    >>> np.count_nonzero(covariance())
+    >>> int(np.count_nonzero(covariance()))
     12
     """
     return KalmanFilter(stack(AXIS, AXIS, AXIS)).covariances(steps)[-1]
