@@ -68,6 +68,21 @@ def kalman(n, m):
     ]
 
 
+def kalman_columns(n, m, axes):
+    """Return the operations of one Kalman step for several axes that share P and K, side by side as columns.
+
+    P and K are made once; what contains x or z is done for each axis.
+
+    >>> total(kalman_columns(n=2, m=1, axes=3)), 3 * total(kalman(n=2, m=1))
+    (101, 207)
+    """
+    operations = []
+    for name, burden in kalman(n, m):
+        of_each_axis = "x(k" in name or "z(k" in name
+        operations.append((name, axes * burden if of_each_axis else burden))
+    return operations
+
+
 def lainiotis(n, m):
     """Return the operations of one step of the Lainiotis filter (2014 Eqs. 5-6); the matrices of Eq. 7 are known.
 
