@@ -308,7 +308,7 @@ def test_biases_that_are_missing_or_old_are_told_in_one_line(tmp_path):
     ):
         assert make_table.biases_of(day, None) == ({}, "none")
     (tmp_path / "b.bsx").write_text(SINEX + DSB.format(**USUAL | {"value": 1.0}))
-    with pytest.warns(UserWarning, match="is 113 days from the observations; biases drift within months"):
+    with pytest.warns(UserWarning, match="is 113 days from the observations: numbers of satellites go to new ones"):
         make_table.biases_of(day, tmp_path / "b.bsx")
     (tmp_path / "b.csv").write_text("satellite,C1C_minus_C1W_ns\nG05,1.0\n")
     with pytest.warns(UserWarning, match="does not say of which day its biases are"):

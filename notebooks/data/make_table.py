@@ -51,7 +51,7 @@ COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual,second,phase1,
 FORMAT = "%.10g,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f,%.3f,%.3f,%.3f,%.3f"
 OBSERVED = ["C1C", "C1W", "C2W", "L1C", "L2W"]
 CSV_COLUMN = "C1C_minus_C1W_ns"
-OLD = 31  # days between biases and observations, from which on it is said: they drift within months
+OLD = 31  # days between biases and observations, from which on it is said: numbers go to new satellites
 NO_BIASES = (
     "the observations have no C1W, and no --biases are given: the satellites' code biases stay in the ranges. At three "
     "stations that made the error that lasts, of two frequencies, 1.4 to 1.6 times as large"
@@ -260,9 +260,13 @@ def biases_of(observations, path):
         return {}, "none"
     found, days = read_biases(path, observations["time"].values[0].astype("datetime64[D]"))
     if days is None:
-        warnings.warn(f"{path} does not say of which day its biases are; they drift within months", stacklevel=2)
+        warnings.warn(
+            f"{path} does not say of which day its biases are: numbers of satellites go to new ones", stacklevel=2
+        )
     elif days > OLD:
-        warnings.warn(f"{path} is {days:.0f} days from the observations; biases drift within months", stacklevel=2)
+        warnings.warn(
+            f"{path} is {days:.0f} days from the observations: numbers of satellites go to new ones", stacklevel=2
+        )
     return found, f"of {path}"
 
 

@@ -128,11 +128,13 @@ def draw_stated(filtered):
             panel.plot(made, y, "o", color=colour, ms=6, **label)
             panel.annotate(f"{made / stated:.1f} x", (max(made, stated), y), (6, -4), textcoords="offset points")
             right = max(right, made, stated)
-        ticks.append((-j - 0.27, name.replace(", ", "\n")))
+        ticks.append(
+            (-j - 0.27, name.replace(", ", "\n").replace("frequencies", "freq.").replace("frequency", "freq."))
+        )
     panel.set_yticks(*zip(*ticks, strict=True))
     panel.set_xlim(0, 1.18 * right)
     minutes = recorded.WINDOW * next(iter(filtered.values())).step / 60
-    plots.finish(panel, "error in space (m); the number is made over stated", f"after {minutes:.0f} minutes")
+    plots.finish(panel, "m; the numbers are made / stated", f"error in space after {minutes:.0f} minutes")
     plots.legend_below(panel, 1)
     return fig
 

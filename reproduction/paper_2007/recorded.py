@@ -27,9 +27,11 @@ from . import positioning
 from .experiments import exact_moments
 
 TABLES = {"ESBC": "esbc_2020_177.csv.gz", "Belem": "bele_2024_010.csv.gz", "NYA1": "nya1_2024_124.csv.gz"}
+BIASES = "code_bias_C1C_C1W_2024_010.csv"
 KINDS = ("one frequency", "two frequencies")
 AXES = ("east", "north", "up")
 LAMBDA = 1.6469444  # (f1/f2)² of GPS: the delay in the ionosphere goes with 1/f²
+LIGHT = 299_792_458.0  # m/s
 AMPLIFIED = LAMBDA / (LAMBDA - 1)  # what two frequencies make of an error of the first: 2.55
 SLIP = 0.15  # m, of L1 - L2 from epoch to epoch: a lost cycle makes 0.19 m or more, the ionosphere hardly ever 0.15
 JUMP = 10.0  # m, of phase minus code: its noise moved up to 5 m; whole cycles that L1 - L2 does not show make 14.7 m
@@ -92,10 +94,30 @@ def without_biases(day):
     return day._replace(ranges=day.ranges + day.bias, dual=day.dual + (AMPLIFIED - 1) * day.bias, bias=0 * day.bias)
 
 
+def stored_biases():
+    """Return the 31 code biases of 10 January 2024 that are shipped, (32,) in metres, NaN without one."""
+    rows = np.loadtxt(_data() / BIASES, delimiter=",", skiprows=1, converters={0: lambda name: name.strip("G")})
+    biases = np.full(32, np.nan)
+    biases[rows[:, 0].astype(int) - 1] = LIGHT * 1e-9 * rows[:, 1]
+    return biases
+
+
+def with_biases(day, biases):
+    """Return a `Day` whose ranges are corrected by other code biases (32,), in metres; NaN for none."""
+    left_in, bias = without_biases(day), np.nan_to_num(biases)
+    return left_in._replace(
+        ranges=left_in.ranges - bias, dual=left_in.dual - (AMPLIFIED - 1) * bias, bias=bias + 0 * day.bias
+    )
+
+
 def recorded_days(tables=None):
     """Read tables {name: file} from the notebooks' data, by default those shipped; return {name: Day}."""
-    folder = Path("notebooks/data") if Path("notebooks").is_dir() else Path("data")
-    return {name: recorded_day(folder / file) for name, file in (tables or TABLES).items()}
+    return {name: recorded_day(_data() / file) for name, file in (tables or TABLES).items()}
+
+
+def _data():
+    """Return the folder of the recordings, from the project's root or its notebooks."""
+    return Path("notebooks/data") if Path("notebooks").is_dir() else Path("data")
 
 
 def ranges_of(day, kind):
