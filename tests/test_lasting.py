@@ -204,6 +204,14 @@ def test_what_an_average_leaves_is_what_theory_says():
     assert found.mean == pytest.approx(np.sqrt(np.exp(-age / 50).mean()), rel=0.03)
 
 
+def test_the_newest_point_is_the_end_of_the_line_and_not_its_beginning():
+    t = np.arange(120.0)
+    z = np.exp(t / 20)
+    errors = z - z.mean()
+    lines = [np.polyval(np.polyfit(np.arange(20), errors[k : k + 20], 1), 19) for k in range(101)]
+    assert memory((t, z), 20).newest == pytest.approx(np.linalg.norm(lines) / np.linalg.norm(errors[19:]))
+
+
 def test_an_average_skips_stretches_with_a_missing_fix():
     t, z = np.arange(300.0), np.random.default_rng(7).standard_normal((300, 1))
     cut = z.copy()

@@ -257,6 +257,7 @@ LATER = {"start": "2024:124:00000", "end": "2024:125:00000"}
         ([{"value": 1.0}, {"prn": "G07", "value": 3.0}], [-1.0, 1.0], 113),
         ([{"value": 1.0}, {"prn": "G07", "one": "C1W", "two": "C1C", "value": -3.0}], [-1.0, 1.0], 113),
         ([{"value": 9.0}, {"value": 1.0, **LATER}, {"prn": "G07", "value": 3.0, **LATER}], [-1.0, 1.0], 0),
+        ([{"value": 1.0, **LATER}, {"value": 9.0}, {"prn": "G07", "value": 3.0, **LATER}], [-1.0, 1.0], 0),
         (
             [{"value": 1.0}, {"prn": "G07", "value": 3.0}, {"prn": "G", "station": "BELE", "value": 50.0}],
             [-1.0, 1.0],
@@ -265,7 +266,7 @@ LATER = {"start": "2024:124:00000", "end": "2024:125:00000"}
         ([{"value": 1.0}, {"prn": "G07", "value": 3.0}, {"two": "C2W", "value": 50.0}], [-1.0, 1.0], 113),
         ([{"value": 1.0}, {"prn": "G07", "value": 3.0}, {"prn": "E05", "value": 50.0}], [-1.0, 1.0], 113),
     ],
-    ids=["DSB", "turned round", "nearest in time", "a station", "other codes", "another system"],
+    ids=["DSB", "turned round", "nearest in time", "and first", "a station", "other codes", "another system"],
 )
 def test_biases_of_a_sinex_file_are_read(tmp_path, lines, expected, days):
     """And gzipped, as they are published."""
