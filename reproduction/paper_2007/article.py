@@ -65,7 +65,8 @@ def draw_waves(cases, names, hours=4):
         case = cases[name]
         k = case.seconds <= 3600 * hours
         ax[name].plot(case.seconds[k] / 3600, case.errors[k, 2], ".", ms=2, color="0.6")
-        ax[name].plot(case.seconds[k] / 3600, case.lasting[k, 2], color=plots.COLOURS[0])
+        if case.lasting is not None:
+            ax[name].plot(case.seconds[k] / 3600, case.lasting[k, 2], color=plots.COLOURS[0])
         ax[name].set_ylim(-9, 9)
         plots.finish(ax[name], "hour" if name == names[-1] else "", f"error of the height (m), {name}")
     return fig
@@ -77,7 +78,8 @@ def draw_biases(case, raw):
     fig, ax = plots.panels([["up"]], height=2.8)
     titled(fig, "A third of the lasting error was ours to correct")
     for each, colour, label in ((raw, plots.COLOURS[1], "biases left in"), (case, plots.COLOURS[0], "corrected")):
-        ax["up"].plot(each.seconds / 3600, each.lasting[:, 2], color=colour, lw=1.2, label=label)
+        errors = each.errors if each.lasting is None else each.lasting
+        ax["up"].plot(each.seconds / 3600, errors[:, 2], color=colour, lw=1.2, label=label)
     plots.finish(ax["up"], "hour of the day", f"lasting error of the height (m), {case.station}, {case.kind}")
     plots.legend_below(ax["up"], 2)
     return fig
