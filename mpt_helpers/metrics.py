@@ -100,6 +100,23 @@ def _squares(values, C):
     return squares, log_det
 
 
+class Squares(NamedTuple):
+    """What each row tells of how probable it was, (N, M): νᵀ S⁻¹ ν, log det S, and how many numbers it holds."""
+
+    squares: Array
+    log_det: Array
+    count: Array
+
+
+def squares_of(estimator: Filter, z: ArrayLike) -> Squares:
+    """Return the Squares of each epoch of z (N, m) or (N, m, M): `nis`, `log_likelihood` and `fit` are made of them.
+
+    Raises as `innovations`.
+    """
+    _, _, values, S = _of(estimator, z)
+    return Squares(*_squares(values, S), np.isfinite(values).sum(axis=1))
+
+
 def nis(estimator: Filter, z: ArrayLike) -> Array:
     """Return the normalised innovation squared of each epoch, (N,) or (N, M), NaN where nothing was measured.
 
@@ -109,10 +126,9 @@ def nis(estimator: Filter, z: ArrayLike) -> Array:
     >>> nis(SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [2.0]]).round(2)
     array([4.51, 6.93])
     """
-    z, many, values, S = _of(estimator, z)
-    squares, _ = _squares(values, S)
-    result = np.where(np.isnan(z).all(axis=1), np.nan, squares)
-    return result if many else result[:, 0]
+    squares, _, count = squares_of(estimator, z)
+    result = np.where(count == 0, np.nan, squares)
+    return result if np.ndim(z) == 3 else result[:, 0]
 
 
 def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
@@ -127,11 +143,9 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
     >>> round(float(log_likelihood(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [np.nan]])), 4)
     -4.6228
     """
-    z, many, values, S = _of(estimator, z)
-    squares, log_det = _squares(values, S)
-    count = np.isfinite(values).sum(axis=1)
+    squares, log_det, count = squares_of(estimator, z)
     result = -0.5 * (squares + log_det + count * np.log(2 * np.pi)).sum(axis=0)
-    return result if many else result[0]
+    return result if np.ndim(z) == 3 else result[0]
 
 
 def nees(errors: ArrayLike, P: ArrayLike) -> Array:
