@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
-from .checks import Array
+from .checks import Array, Seconds
 from .filters import KalmanFilter, LainiotisFilter
 from .model import LinearModel, same, stack
 from .recursive import Estimates, Filter, RecursiveFilter, one_measurement, one_state
@@ -161,7 +161,7 @@ class Separate(Filter):
         """Say whether all filters' gains follow their covariances."""
         return all(each.optimal for each in self.filters)
 
-    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None) -> tuple[Array, Array]:
+    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None) -> tuple[Array, Array]:
         """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its part of z_k (m,).
 
         dt is the time since x, for filters that all take it.

@@ -8,7 +8,9 @@ also when all measurements of an epoch are missing.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import cached_property
 
 import filterpy.kalman
@@ -17,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
-from .checks import Array
+from .checks import Array, Seconds
 from .columns import KalmanColumns, Motion, whitened
 from .equations import lainiotis_matrices, lainiotis_step, unit_measurements
 from .model import LinearModel
@@ -33,7 +35,8 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    t are the times of the epochs (s), (N,) for all tracks or (N, M) for each. They do not decrease; x0 lies one step dt
+    t are the times of the epochs, (N,) for all tracks or (N, M) for each: numbers in s, or dates, as datetime64,
+    datetimes and a pandas index are. They do not decrease; x0 lies one step dt
     of the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
     `constant_acceleration` do. r are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R:
     the accuracy that a receiver states of each fix. They are looked at only where there is a measurement.
@@ -54,7 +57,7 @@ class KalmanFilter(RecursiveFilter):
     t: Array | None
     r: Array | None
 
-    def __init__(self, model: LinearModel, t: ArrayLike | None = None, r: ArrayLike | None = None):
+    def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
         if t is not None and model.dt is None:
             need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
@@ -93,14 +96,14 @@ class KalmanFilter(RecursiveFilter):
         return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
 
     def step(
-        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
-        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter
-        with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances
-        of the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a
-        negative dt, and for states and covariances that are not finite.
+        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k), in s
+        or a timedelta: a filter with times needs it, others may get it where the model takes steps of other lengths.
+        r (m,) are the variances of the measurements, which a filter with variances needs. Raises ValueError or
+        TypeError for other shapes, a negative dt, and for states and covariances that are not finite.
         """
         n, m = self.model.n, self.model.m
         x, P = one_state(x, P, n)
@@ -109,7 +112,7 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse("dt", "the time since x, as the filter has times", "none")
         if r is None and self.r is not None:
             checks.refuse("r", "the variances of z_k, as the filter has them for each epoch", "none")
-        length = None if dt is None else self._length_of(checks.not_negative("dt", dt))
+        length = None if dt is None else self._length_of(checks.not_negative("dt", checks.as_seconds(dt)))
         if r is not None:
             r = checks.variances_of_one("r", r, seen)
         A, B, P = self.next_step(P, seen, length, r)

@@ -583,7 +583,9 @@ def test_the_errors_of_a_fit_are_the_spread_of_its_values():
     assert together.log_likelihood == pytest.approx(metrics.log_likelihood(together.filter, z).sum(), rel=1e-12)
     for name, true in {"q": 0.04, "r": 0.5}.items():
         assert abs(np.log(together.values[name] / true)) < 4 * together.log_errors[name]
-        assert together.log_errors[name] == pytest.approx(fits[0].log_errors[name] / np.sqrt(40), rel=0.5)
+        # Each of the 40 states Student's factor of six blocks, 1.31; together they know theirs to 11 %.
+        stated = np.median([each.log_errors[name] for each in fits]) / 1.31
+        assert together.log_errors[name] == pytest.approx(stated / np.sqrt(40), rel=0.5)
 
 
 def test_a_fit_takes_times_and_gaps():
