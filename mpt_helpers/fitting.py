@@ -15,7 +15,7 @@ from scipy.special import ndtri, stdtrit
 from tqdm import tqdm
 
 from . import checks, metrics
-from .checks import Array
+from .checks import Array, Seconds
 from .filters import KalmanFilter
 from .model import LinearModel, same
 from .recursive import Filter
@@ -25,10 +25,10 @@ from .recursive import Filter
 NEAR = 1e-4
 # So near comes the search that needs no derivatives. Newton's, which goes on from there, needs no more.
 NEAR_ENOUGH = 0.1
-# A search along one line looks at these places first, natural logarithms of factors of 1e-12 to 1e12, then at those
+# A search along one line looks at these places first, natural logarithms of factors of 1e-24 to 1e24, then at those
 # around the best one, and then between their neighbours: an r that the fixes tell by a little can be a factor of 100
 # away from where it makes no difference.
-LINE = math.log(1e3) * np.arange(-4, 5)
+LINE = math.log(1e4) * np.arange(-6, 7)
 AROUND = math.log(10) * np.arange(-2, 3)
 # After so many rows for each state a start is forgotten, but for filters that smooth much.
 ROWS_OF_A_START = 5
@@ -48,8 +48,13 @@ DIFFERENCE = 0.02
 # Errors come from so many blocks, of so many seconds where a track is long enough. Measured on recorded tracks: over
 # 10 s scores are far from independent, over 300 s nearly, on tracks of hours over 600 to 1200 s.
 FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
-# A parameter that came this far from its start has no end in sight.
-FARTHEST = math.log(1e12)
+# A search does not go farther from its start than this factor, and it has come to that end within this one of it.
+FARTHEST, NEAR_THE_END = math.log(1e12), math.log(10)
+# A parameter so many times its guess, or less than that part of it, may be of other units: kilometres for metres make
+# 1e-6 of q and r, milliseconds for seconds 1e-9 of q, degrees 1e-10 of both.
+OTHER_UNITS = 1e5
+# Q is rescaled until the band changes by less than this, in logarithms of its variance, and so many times at most.
+CLOSE, MOST_RESCALINGS = 1e-2, 50
 # A log L that falls by less than this says nothing against a parameter: so much it falls at one standard error.
 NOTHING = 0.5
 # A parameter known to no better than this factor is not known.
@@ -97,8 +102,9 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     long; where there are many tracks, each is a block. With few blocks Student's factor makes the errors larger, so
     that 1.96 of them hold 95 %. With fewer than 12 fixes they are those of the curvature.
 
-    Warns (UserWarning) where log L does not fall as a parameter goes to zero, where a direction is flat, and where the
-    first measurements are far from the start of the model, so that the fit explains the distance as motion. Raises
+    Warns (UserWarning) where log L does not fall as a parameter goes to zero, where a direction is flat, where a value
+    is so far from its guess that units may differ, of what `metrics.suspicious` finds, and where the first measurements
+    are far from the start of the model, so that the fit explains the distance as motion. Raises
     ValueError for guesses that are not positive, for no more measurements than parameters, for a Kalman filter whose
     start is far from the first measurement of a track, and where no guess has a likelihood; TypeError where make
     returns something else.
@@ -127,14 +133,17 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         if not math.isfinite(surprise(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters under which z has a likelihood", guess)
-        best = _lowest(surprise, origin, _start_of_the_search(surprise, origin))
+        start = _start_of_the_search(surprise, origin)
+        best = _lowest(surprise, origin, start)
         to_zero = [_runs_to_zero(surprise, best, i) for i in range(len(best))]
         blocks = _blocks(estimator, z)
         log_errors = _log_errors(surprise, best, np.flatnonzero(np.logical_not(to_zero)), blocks)
     log_errors = dict(zip(guess, log_errors.tolist(), strict=True))
-    _warn_of_what_is_not_known(log_errors, dict(zip(guess, to_zero, strict=True)))
+    ended = np.abs(best - (origin if start is None else start)) > FARTHEST - NEAR_THE_END
+    _warn_of_what_is_not_known(log_errors, dict(zip(guess, to_zero, strict=True)), dict(zip(guess, ended, strict=True)))
     found = surprise.filter_at(best)
     _warn_of_a_start_that_is_far(found, z)
+    _warn_of_data(metrics.suspicious(found, z), surprise.values_at(best), log_errors, guess)
     return Fit(surprise.values_at(best), log_errors, found, -surprise(best), blocks.name)
 
 
@@ -418,9 +427,27 @@ def _log_errors(surprise, best, known, blocks):
     return errors
 
 
-def _warn_of_what_is_not_known(log_errors, to_zero):
+def _warn_of_data(suspicions, values, log_errors, guess):
+    """Warn of what is wrong with z, and where a parameter lies so far from its guess that the units may differ."""
+    for kind in ("far off", "same time"):
+        if kind in suspicions:
+            _warn(suspicions[kind])
+    if "far off" in suspicions:  # then the values are those of one fix
+        return
     for name, error in log_errors.items():
-        if to_zero[name]:
+        times = values[name] / guess[name]
+        if error < VAGUE and not 1 / OTHER_UNITS < times < OTHER_UNITS:
+            units = "are z and t in the units of the guess (metres and seconds, not degrees, kilometres, milliseconds)?"
+            _warn(f"{name}: {values[name]:.3g} is {times:.0e} times its guess: {units}")
+
+
+def _warn_of_what_is_not_known(log_errors, to_zero, ended):
+    for name, error in log_errors.items():
+        if ended[name] and not to_zero[name]:
+            _warn(
+                f"{name}: the search ended {math.exp(FARTHEST):.0e} times its start away: give a guess that is nearer"
+            )
+        elif to_zero[name]:
             _warn(f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known")
         elif error > VAGUE:
             _warn(f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters")
@@ -462,3 +489,39 @@ def _squared_distance_of_the_start(estimator: Filter, z: ArrayLike) -> float:
 
 def _warn(text):
     warnings.warn(f"fit: {text}", UserWarning, stacklevel=4)
+
+
+def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:
+    """Return the filter with Q times a factor under which the band that it states holds a share `level` of z.
+
+    The likelihood judges by the next fix, and recorded tracks turn and stop more than it expects: ten seconds ahead,
+    the fitted filter's own 95 % band is too narrow. Here the errors of `metrics.ahead` decide, all axes together: the
+    quantile of |error| / sigma becomes that of the normal distribution. R, and with it what is known of the noise,
+    stays. Fit, rescale, and judge on what neither has seen; `metrics.following` adapts further, and costs a call more.
+
+    estimator is a Kalman filter that `metrics.ahead` takes, z is (N, m) or (N, m, M), seconds is the horizon. Raises
+    as `metrics.ahead`, TypeError for another filter, and ValueError where no Q gives such a band: where the noise of
+    the measurements alone, or a start that is not known, is more than the errors.
+
+    >>> from mpt_helpers.model import constant_velocity, simulate
+    >>> true = constant_velocity(dt=1.0, q=0.04, r=0.5, P0=np.eye(2))
+    >>> _, z = simulate(true, N=1000, rng=np.random.default_rng(1))
+    >>> kf = KalmanFilter(replace(true, Q=true.Q / 20))
+    >>> bool(0.5 < rescaled(kf, z, seconds=10).model.Q[1, 1] / true.Q[1, 1] < 2)
+    True
+    """
+    checks.instance("estimator", estimator, KalmanFilter)
+    level = checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)
+    normal = float(ndtri((1 + level) / 2))
+    log_c = 0.0
+    for _ in range(MOST_RESCALINGS):
+        scaled = replace(estimator, model=replace(estimator.model, Q=math.exp(log_c) * estimator.model.Q))
+        a = metrics.ahead(scaled, z, seconds)
+        reached = max(float(np.nanquantile(np.abs(a.errors / a.sigma), level)), LEAST_SCALE)
+        change = 2 * math.log(reached / normal)
+        if abs(change) < CLOSE:
+            return scaled
+        log_c += change
+        if abs(log_c) > FARTHEST:
+            break
+    checks.refuse("estimator", "a filter whose process noise decides how wide its band is", "one where it does not")
