@@ -237,12 +237,10 @@ def _covariances_scale(surprise, point):
     if not (isinstance(one, KalmanFilter) and isinstance(two, KalmanFilter)):
         return False
     alike = [(getattr(one.model, name), getattr(two.model, name)) for name in ("F", "H", "x0")]
-    alike += [(2 * getattr(one.model, name), getattr(two.model, name)) for name in ("Q", "R")]
-    if not all(a.shape == b.shape and np.allclose(a, b, rtol=1e-9, atol=0) for a, b in alike):
-        return False
-    if one.r is not None and not (two.r is not None and np.allclose(2 * one.r, two.r, rtol=1e-9, equal_nan=True)):
-        return False
-    return same(one.t, two.t)
+    alike.append((2 * one.model.Q, two.model.Q))
+    alike.append((2 * one.model.R, two.model.R) if one.r is None else (2 * one.r, two.r))
+    twice = all(np.shape(a) == np.shape(b) and np.allclose(a, b, rtol=1e-9, atol=0, equal_nan=True) for a, b in alike)
+    return twice and same(one.t, two.t) and (one.r is None) == (two.r is None)
 
 
 def _along_a_line(rated, origin, direction):
