@@ -327,6 +327,12 @@ def test_nothing_is_named_where_nothing_is_wrong():
     assert metrics.suspicious(mpt.KalmanFilter(kf.model), np.zeros((600, 2))) == {}
 
 
+def test_a_fix_after_a_long_rest_is_not_far_off():
+    """Five of six fixes repeat the one before, so that the median innovation is nearly zero."""
+    z = np.concatenate([np.zeros((500, 2)), track()[:100]])
+    assert metrics.suspicious(mpt.KalmanFilter(plane(0.2, 4.0)), z) == {}
+
+
 @pytest.mark.parametrize("name", ["paraglider_napret_1hz", "run_fenix2_1hz", "walkrun_mallorca_4s"])
 def test_a_recorded_track_is_not_suspicious_and_one_bad_fix_in_it_is(name):
     t, z = recorded(name, rows=1500)
