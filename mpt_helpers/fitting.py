@@ -17,7 +17,8 @@ from tqdm import tqdm
 from . import checks, metrics
 from .checks import Array, Seconds
 from .filters import KalmanFilter
-from .model import LinearModel, same
+from .immutable import same
+from .model import LinearModel
 from .recursive import Filter
 
 # How near, in natural logarithms of the parameters, the search must come: a hundredth of the error of a parameter that

@@ -93,7 +93,7 @@ def test_a_length_of_time_is_taken_for_what_it_is(i):
     a, due = (mpt.metrics.ahead(kf, Z, seconds) for seconds in (length, 1.5))
     np.testing.assert_array_equal(a.errors, due.errors)
     assert a.seconds == 1.5
-    assert mpt.metrics.LiveBand(kf, length).seconds == 1.5
+    assert mpt.bands.LiveBand(kf, length).seconds == 1.5
     assert mpt.lasting_error(mpt.gsm_axis(1.5, 0.1, 0.2), 1.0, 60.0, dt=length).n == 3
 
 
@@ -101,7 +101,7 @@ def test_a_length_of_time_is_taken_for_what_it_is(i):
 def test_a_live_band_takes_dates(kind):
     kf = mpt.KalmanFilter(MODEL, t=SECONDS)
     e = kf.estimates(Z)
-    by_dates, by_seconds = (mpt.metrics.LiveBand(kf, 1.5) for _ in range(2))
+    by_dates, by_seconds = (mpt.bands.LiveBand(kf, 1.5) for _ in range(2))
     for k, t in enumerate(KINDS[kind](DATES)):
         got = by_dates.step(t, Z[k], e.x[k], e.P[k])
         due = by_seconds.step(SECONDS[k], Z[k], e.x[k], e.P[k])

@@ -1,0 +1,191 @@
+"""The steps that tracks without gaps share: made once, and taken several at a time.
+
+    x(k+1) = A_k x(k) + B_k z(k+1)
+
+For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so the tracks
+without gaps share them. `recursion` is the plain loop. `run`, which the filters call, gives the same numbers sooner,
+but for rounding: L steps in a row are one matrix product, and that product is the same for all tracks,
+
+    [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
+
+`shared_steps` makes the steps of a filter, as long as few of them differ.
+"""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+# Tracks per tile where all tracks share one W: a block of steps of one tile stays in the processor's cache.
+TILE = 16_384
+# Tracks per tile where each track has a covariance of its own, which takes more room.
+TILE_OF_COVARIANCES = 4_096
+# Numbers of an array of which some ten are made and used at once: they stay in the cache together. Measured on one
+# processor, as the sizes below are, with the works of benchmarks/bench.py.
+IN_CACHE = 16_384
+# (size, L): how many steps to take in one product when the states of a tile hold at least `size` numbers. Small
+# products cost calls, large ones leave the cache.
+STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
+# A filter makes and keeps at most so many different steps for tracks without gaps; where it has not converged by then,
+# as one without process noise, columns are sooner done. On the models of 2014 to 2016 it converges within some 50.
+MOST_STEPS = 256
+# The same for at most FEW_TRACKS tracks: as columns these are cut into pieces, and sooner done.
+MOST_STEPS_OF_FEW = 64
+# Fewer tracks than these do not fill the processor: a call of numpy costs more than its numbers.
+FEW_TRACKS = 64
+# A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
+CONVERGED = 2e-16
+
+
+class Step(NamedTuple):
+    """One step of a filter: its coefficients A (n, n) and B (n, m), and the covariance P (n, n) after it.
+
+    `coefficients` returns N of them as one Step, whose arrays have a first axis of length N.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    P: np.ndarray
+
+
+def recursion(A, B, x0, z):
+    """Return x(1) ... x(N), one step after the other.
+
+    A (N, n, n) and B (N, n, m) are the coefficients of each step, x0 is (n,) or (n, M), z is (N, m) or (N, m, M)
+    without NaN. The result is (N, n) or (N, n, M).
+
+    >>> recursion(A=[np.eye(1), np.eye(1)], B=[np.eye(1), np.eye(1)], x0=np.zeros(1), z=[[1.0], [2.0]])
+    array([[1.],
+           [3.]])
+    """
+    x, states = x0, []
+    for A_k, B_k, z_k in zip(A, B, z, strict=True):
+        x = A_k @ x + B_k @ z_k
+        states.append(x)
+    return np.array(states)
+
+
+def product_of_steps(A, B):
+    """Return W (L n, n + L m), which takes [x(k); z(k+1); ...; z(k+L)] to [x(k+1); ...; x(k+L)].
+
+    It is the recursion run on unit inputs: column j of W is the response to input j alone.
+
+    >>> product_of_steps(A=np.full((2, 1, 1), 0.5), B=np.full((2, 1, 1), 0.5))
+    array([[0.5 , 0.5 , 0.  ],
+           [0.25, 0.25, 0.5 ]])
+    """
+    L, n, m = np.shape(B)
+    inputs = np.eye(n + L * m)
+    return recursion(A, B, inputs[:n], inputs[n:].reshape(L, m, -1)).reshape(L * n, -1)
+
+
+class SharedSteps(NamedTuple):
+    """The Steps of tracks without gaps, and the products of several of them that `run` takes."""
+
+    steps: list
+    products: list
+
+
+def shared_steps(next_step, P0, m, N, tracks):
+    """Return the SharedSteps of N epochs without gaps, or None where too many of them differ.
+
+    next_step(P, seen) is that of a filter, P0 its P(0/0), m the number of its measurements.
+    """
+    most = MOST_STEPS if tracks > FEW_TRACKS else MOST_STEPS_OF_FEW
+    steps = list(steps_without_gaps(next_step, P0, m, min(N, most)))
+    if most < N:
+        if steps[-1] is not steps[-2]:  # not converged: a filter that has repeats one object
+            return None
+        steps += steps[-1:] * (N - most)
+    return SharedSteps(steps, products_for(steps, tracks))
+
+
+def steps_without_gaps(next_step, P0, m, N):
+    """Yield the Steps of N epochs without gaps. A filter that has converged repeats one object."""
+    P, converged, seen = P0, False, np.ones(m, bool)
+    for _ in range(N):
+        if not converged:
+            step = Step(*next_step(P, seen))
+            for array in step:
+                array.flags.writeable = False
+            converged = _has_not_moved(P, step.P)
+            P = step.P
+        yield step
+
+
+def _has_not_moved(before, after):
+    sigma = np.sqrt(np.abs(np.diag(after)))
+    return bool((np.abs(after - before) <= len(sigma) * CONVERGED * np.outer(sigma, sigma)).all())
+
+
+def products_for(steps, tracks):
+    """Return the W of each block of steps, for `run` on this number of tracks.
+
+    steps is a list of Steps. Where a filter has converged it repeats one Step, and its blocks share one W.
+    """
+    L = steps_per_product(len(steps[0].A) * min(tracks, TILE))
+    products, made_of = [], []
+    for k in range(0, len(steps), L):
+        block = steps[k : k + L]
+        if not _are_the_same_objects(block, made_of):
+            W = product_of_steps([step.A for step in block], [step.B for step in block])
+            made_of = block
+        products.append(W)
+    return products
+
+
+def _are_the_same_objects(block, other):
+    return len(block) == len(other) and all(a is b for a, b in zip(block, other, strict=True))
+
+
+def run(products, x0, z, x):
+    """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
+
+    products are those of `products_for`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. NaN in z spreads
+    to the whole block of steps it is in, and to everything after it.
+    """
+    (_, n, M), m = x.shape, z.shape[1]
+    x0 = np.broadcast_to(x0, (n, M))
+    L = len(products[0]) // n
+    for tracks in tiles(M, TILE):
+        width = tracks.stop - tracks.start
+        inputs, outputs = np.empty((n + L * m, width)), np.empty((L * n, width))
+        state, measured = inputs[:n], inputs[n:].reshape(L, m, width)  # views: what is written to them are the inputs
+        state[:] = x0[:, tracks]
+        k = 0
+        for W in products:
+            after = outputs[: len(W)]
+            end = k + len(W) // n
+            measured[: end - k] = z[k:end, :, tracks]
+            np.matmul(W, inputs[: W.shape[1]], out=after)
+            x[k:end, :, tracks] = after.reshape(end - k, n, width)
+            state[:] = after[-n:]
+            k = end
+
+
+def steps_per_product(size):
+    """Return how many steps to take in one product when the state of all tracks holds `size` floats.
+
+    >>> [steps_per_product(size) for size in (2, 200, 400, 20_000, 200_000)]
+    [32, 16, 8, 4, 2]
+    """
+    return next(L for least, L in STEPS_PER_PRODUCT if size >= least)
+
+
+def epochs_at_a_time(N, numbers):
+    """Return slices that cover N epochs, each with so many numbers, so many at a time that they stay in the cache.
+
+    >>> epochs_at_a_time(5, numbers=8_000)
+    [slice(0, 1, None), slice(1, 3, None), slice(3, 5, None)]
+    """
+    return tiles(N, max(1, IN_CACHE // numbers))
+
+
+def tiles(M, width):
+    """Return slices of nearly equal width that cover M tracks, none wider than `width`.
+
+    >>> tiles(20_000, TILE)
+    [slice(0, 10000, None), slice(10000, 20000, None)]
+    """
+    ends = np.linspace(0, M, -(-M // width) + 1).astype(int).tolist()
+    return [slice(start, stop) for start, stop in pairwise(ends)]
