@@ -7,10 +7,11 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
+from .checks import Seconds
 from .model import LinearModel
 
 
-def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: float | None = None) -> LinearModel:
+def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: Seconds | None = None) -> LinearModel:
     """Return `model` with one more state for each measurement: an error that fades slowly (Gauss-Markov, first order).
 
         e(k+1) = a e(k) + w(k),   a = exp(-dt / tau),   w ~ N(0, sigma² (1 - a²)),   e(0) ~ N(0, sigma²)
@@ -52,7 +53,7 @@ def _step_of(model, dt):
     """Return the time step of a model in seconds: its own, or dt where it has none, or raise."""
     if dt is None and model.dt is None:
         checks.refuse("dt", "the time step in seconds, which this model does not say", "none")
-    step = checks.positive("dt", model.dt if dt is None else dt)
+    step = checks.positive("dt", checks.as_seconds(model.dt if dt is None else dt))
     if model.dt not in (None, step):
         checks.refuse("dt", f"the model's own time step, {model.dt:g} s", f"{step:g} s")
     return step
