@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib
 import numpy as np
 from cycler import cycler
@@ -70,7 +72,7 @@ def finish(ax: Axes, xlabel: str, title: str) -> None:
         ax.xaxis.get_major_locator().set_params(integer=True)
 
 
-def label_line(line: Line2D, text: str, at: float, **placing) -> None:
+def label_line(line: Line2D, text: str, at: float, **placing: Any) -> None:
     """Write a text in a line's own colour at its point whose x is nearest to `at`, in place of a legend.
 
     placing goes to `Axes.annotate`: xytext (in points, from the line), ha, va.

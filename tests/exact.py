@@ -15,8 +15,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from reproduction import figures
-
 TESTS = Path(__file__).parent
 NOT_SEEN = ("execution_count", "prompt_number", "traceback")  # the count is tested where nothing runs
 DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
@@ -105,20 +103,20 @@ def pytest_runtest_call(item):
 
 def watch():
     """In the kernel: go to the project's root, test each figure that is saved, and save it elsewhere."""
-    from mpt_helpers import plots
+    from reproduction import figures
 
     os.chdir("..")
     save = figures.save_figure
 
     def save_figure(fig, name):
-        plots.project()  # is found from here too
-        every_change_is_described(fig, plots)
+        figures.project()  # is found from here too
+        every_change_is_described(fig, figures)
         return save(fig, name, os.environ[DRAWN])
 
     figures.save_figure = save_figure
 
 
-def every_change_is_described(fig, plots):
+def every_change_is_described(fig, figures):
     """Scale each line, area, bar and image by 1.01, one at a time: the description, which nbval compares, must change.
 
     Drawn values below figures.QUANTUM are described with one digit, and left out here; of many bars, twenty are tried.

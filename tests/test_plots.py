@@ -336,7 +336,7 @@ def test_points_that_differ_in_their_last_bits_are_drawn_alike(scale):
         ax["a"].set_yscale(scale)
         line(ax["a"], y)
         band(ax["a"], y)
-        (settled,) = plots._settled(fig).axes
+        (settled,) = figures._settled(fig).axes
         drawn.append((settled.lines[0].get_ydata(), settled.collections[0].get_paths()[0].vertices))
     for first, second in zip(*drawn, strict=True):
         np.testing.assert_array_equal(first, second)
@@ -347,7 +347,7 @@ def test_an_infinite_value_leaves_the_rest_of_its_line(scale):
     fig, ax = panels([["a"]])
     (drawn,) = ax["a"].plot([1.0, 2.0, np.inf, np.nan, 5.0])
     ax["a"].set(yscale=scale, ylim=(1, 10))
-    settled = plots._settled(fig).axes[0].lines[0].get_ydata()
+    settled = figures._settled(fig).axes[0].lines[0].get_ydata()
     np.testing.assert_allclose(settled, drawn.get_ydata(), rtol=1e-8)
 
 

@@ -9,7 +9,7 @@ from conftest import MODELS_2016, ROOT, parts, source
 from scipy.stats import multivariate_normal
 
 import mpt_helpers as mpt
-from mpt_helpers import ledger
+from reproduction import ledger
 from reproduction.paper_2016 import table1
 
 COLUMNS = table1.columns()

@@ -63,7 +63,6 @@ found = mpt.fit(lambda q, r: mpt.constant_velocity(1.0, q, r), z, q=1.0, r=1.0)
 assert_type(found.values, dict[str, float])
 assert_type(found.filter.filter(z), Array)
 mpt.study(lambda rng, M: rng.standard_normal(M), runs=10, seed=1, workers=2)
-assert_type(reproduction.published("2014_gsm_2d").check("speedup.kf-lf-a", 670 / 509).verdict, str)
 fig, ax = plots.panels([["a"]])
 plots.finish(ax["a"], "k", "A line")
 names = {kf: "a filter", model: "a model"}
