@@ -62,9 +62,9 @@ def walks(kind, steps, tracks, rng):
 def lateness(model, positions, z, start=10):
     """Return what a filter from an unknown start does with measured positions, after `start` rows that are left out.
 
-    positions (N,) are true, z (N, M) measured on M tracks. The result has, by name: "gap", the mean of measurement minus
-    reported position (m); "error", the rms error of the position (m); "late", the seconds late (M,) that a fit of that
-    gap to the reported velocity finds; "velocity", the rms of that velocity (M,); "nis", the mean NIS.
+    positions (N,) are true, z (N, M) measured on M tracks. The result has, by name: "gap", the mean of measurement
+    minus reported position (m); "error", the rms error of the position (m); "late", the seconds late (M,) that a fit of
+    that gap to the reported velocity finds; "velocity", the rms of that velocity (M,); "nis", the mean NIS.
 
     >>> positions, z = walks("goes straight on", 200, 50, np.random.default_rng(1))
     >>> found = lateness(AXIS, positions, z)
@@ -118,7 +118,8 @@ def judge_h(mine):
     off, noise = (np.sqrt(np.mean((reports - states @ h) ** 2)) for h in (mine, best))
     if off < 1.05 * noise:  # a tenth of a second in H's velocity makes more than that
         return f"right: H = {mine.round(1)}; the sensor reports where the phone was half a second ago"
-    return f"not yet: with your H {mine.round(2)} the reports are off by {off:.2f} m (rms); the noise alone is {noise:.2f} m"
+    left = f"the reports are off by {off:.2f} m (rms); the noise alone is {noise:.2f} m"
+    return f"not yet: with your H {mine.round(2)} {left}"
 
 
 def judge_step(mine):
@@ -138,7 +139,9 @@ def judge_step(mine):
     off = [np.abs(mine_x - right_x).max(), np.abs(mine_P - right_P).max()]
     if max(off) < 1e-9:  # rounding is 1e-15 here
         return "right: a Kalman step gives the same"
-    return f"not yet: x is off by up to {off[0]:.2g}, P by up to {off[1]:.2g}; a Kalman step gives x = {right_x.round(1)}"
+    return (
+        f"not yet: x is off by up to {off[0]:.2g}, P by up to {off[1]:.2g}; a Kalman step gives x = {right_x.round(1)}"
+    )
 
 
 def judge_order(M, distance=10_000.0):
@@ -179,7 +182,9 @@ def draw_late():
     ax["error"].fill_between(k[found], -band[found], band[found], color=GREY, lw=0)
     ax["error"].axhline(0, color="0.4", lw=1)
     (line,) = ax["error"].plot(k[found], (states[:, 0] - estimate)[found], color=COLOUR_OF["kalman"])
-    ax["error"].annotate("the filter states an error of this size (2σ)", (k[-1], -0.42), ha="right", va="top", color="0.3")
+    ax["error"].annotate(
+        "the filter states an error of this size (2σ)", (k[-1], -0.42), ha="right", va="top", color="0.3"
+    )
     plots.label_line(line, "so far is the phone ahead", at=k[-1], xytext=(0, 16), ha="right")
     ax["error"].set_ylim(-1.1, 2.9)
     ax["innovations"].axhspan(-2, 2, color=GREY, lw=0)
@@ -217,7 +222,11 @@ def draw_pieces(pieces=4, L=30):
         ax["2"].annotate("", (junctions[i + 1], at_junctions[i + 1]), (junctions[i], at_junctions[i]), arrowprops=arrow)
     for of_piece in k:
         ax["3"].plot(of_piece, whole[of_piece - 1], color=blue)
-    said = {"1": "each pretends to start at 0", "2": "the runner: one step for each piece", "3": "each from its real start"}
+    said = {
+        "1": "each pretends to start at 0",
+        "2": "the runner: one step for each piece",
+        "3": "each from its real start",
+    }
     for name, text in said.items():
         ax[name].annotate(text, (1, 0.85 * states[:, 0].max()), color=blue)
     plots.finish(ax["1"], "", "1  all pieces at once (m)")
@@ -268,7 +277,7 @@ def draw_lookahead(x, z, r):
         ax[name].set_ylim(-1.2, 2.2)
         plots.finish(ax[name], "", f"{label} (m), x axis; grey: ± 2σ of the noise")
     (line,) = ax["now"].plot(k, x[:-1, 1], color=COLOUR_OF["truth"], lw=2)
-    plots.label_line(line, "Δt times velocity", at=22, xytext=(0, 34), ha="right")
+    plots.label_line(line, "Δt times velocity", at=58, xytext=(0, 24), ha="right")
     ax["next"].set_xlabel("step k")
     fig.suptitle("The measurement is the next position", weight="bold")
     return fig
@@ -284,13 +293,18 @@ def _draw_estimates(ax, lines):
         plots.finish(ax[name], "", f"{name} ({'m/s' if 'velocity' in name else 'm'})")
 
 
-def _draw_gap(ax, gap, tenth, colour):
-    """Draw gaps (N, 2) of the position on both axes, in cm, with the stripe that a tenth of sigma makes."""
+def _draw_gap(ax, gap, tenth, colour, places):
+    """Draw gaps (N, 2) of the position on both axes, in cm, with the stripe that a tenth of sigma makes.
+
+    places says for each label, "x" and "y", at which step it stands, and how many points from the line.
+    """
     k = np.arange(1, len(gap) + 1)
     ax.axhspan(-100 * tenth, 100 * tenth, color=GREY, lw=0)
     for i, (label, style) in enumerate((("x", "-"), ("y", "--"))):
         (line,) = ax.plot(k, 100 * gap[:, i], style, color=COLOUR_OF[colour])
-        plots.label_line(line, label, at=2 if colour == "steady" else k[-1], xytext=(5, 0))
+        at, xytext = places[label]
+        plots.label_line(line, label, at=at, xytext=xytext)
+    ax.margins(y=0.15)
 
 
 def draw_fig1(x, kf, sskf, sigma):
@@ -301,7 +315,7 @@ def draw_fig1(x, kf, sskf, sigma):
     layout = [["position x", "position y"], ["velocity x", "velocity y"], ["gap", "gap"]]
     fig, ax = plots.panels(layout, height=1.7)
     _draw_estimates(ax, {"truth": (x, "-"), "kalman": (kf, "-"), "steady": (sskf, "--")})
-    _draw_gap(ax["gap"], (sskf - kf)[:, [0, 2]], 0.1 * sigma, "steady")
+    _draw_gap(ax["gap"], (sskf - kf)[:, [0, 2]], 0.1 * sigma, "steady", {"x": (2, (6, 5)), "y": (4, (8, 0))})
     plots.finish(ax["gap"], "step k", "constant gain minus Kalman, position (cm); grey: ± σ/10")
     fig.suptitle("After six steps the two groups are one", weight="bold")
     return fig
@@ -310,13 +324,13 @@ def draw_fig1(x, kf, sskf, sigma):
 def draw_gain(gains, limit, rho):
     """Return a figure of gains {label: (N,)} over the steps, and of their distance to the limit beside rho^(2k)."""
     fig, ax = plots.panels([["gain"], ["left"]], height=2.2)
-    for (label, gain), style, up in zip(gains.items(), ("-", "--"), (-16, 8), strict=True):
+    for (label, gain), style, at in zip(gains.items(), ("-", "--"), (3, 2), strict=True):
         k = np.arange(1, len(gain) + 1)
         (line,) = ax["gain"].plot(k[:15], gain[:15], style, color=COLOUR_OF["kalman"])
-        plots.label_line(line, f"from {label}", at=3, xytext=(6, up))
+        plots.label_line(line, f"from {label}", at=at, xytext=(10, 2 if at == 2 else -18))
         ax["left"].semilogy(k, visible_gap(np.abs(gain - limit)), style, color=COLOUR_OF["kalman"])
     (line,) = ax["left"].semilogy(k, rho ** (2 * k), "k:")
-    plots.label_line(line, f"ρ²ᵏ, ρ = {rho:.3f}", at=15, xytext=(4, 6))
+    plots.label_line(line, f"ρ²ᵏ, ρ = {rho:.3f}", at=20, xytext=(8, 10))
     ax["gain"].axhline(limit, color=COLOUR_OF["steady"], lw=1)
     plots.finish(ax["gain"], "", "gain of the position; orange: constant")
     plots.finish(ax["left"], "step k", "distance to the constant gain")
@@ -332,7 +346,7 @@ def draw_fig2(sskf, fir, sigma):
     layout = [["position x", "position y"], ["velocity x", "velocity y"], ["gap", "gap"]]
     fig, ax = plots.panels(layout, height=1.7)
     _draw_estimates(ax, {"steady": (sskf, "-"), "fir": (fir, "--")})
-    _draw_gap(ax["gap"], (sskf - fir)[:, [0, 2]], 0.1 * sigma, "fir")
+    _draw_gap(ax["gap"], (sskf - fir)[:, [0, 2]], 0.1 * sigma, "fir", {"x": (48, (0, 7)), "y": (48, (0, -15))})
     plots.finish(ax["gap"], "step k", "constant gain minus FIR, position (cm); grey: ± σ/10")
     fig.suptitle("FIR falls behind with the distance from the origin", weight="bold")
     return fig
