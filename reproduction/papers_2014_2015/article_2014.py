@@ -260,7 +260,10 @@ def draw_fir_cost(M=17, printed=108):
     axes.plot(meets, [fir, fir], "o", color="black", ms=6)
     axes.set(xlim=(0, 19.5), ylim=(0, 1.35 * fir), xticks=[1, 3, *meets, 19])
     plots.finish(axes, "steps between results", "operations for one result, model A")
-    fig.suptitle(f"FIR costs no more from every {meets[1]}th step on,\nnot from every third", weight="bold")
+    fig.suptitle(
+        f"FIR pays from every {meets[0]}th step on, not every 3rd;\nif steps are collected, from every {meets[1]}th",
+        weight="bold",
+    )
     return fig
 
 
