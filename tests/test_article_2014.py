@@ -180,6 +180,20 @@ def test_the_condition_of_the_fit_tells_who_moves():
             assert low > 0.5 if cells[1] == "[1 Δt]" else high < 0.5, line
 
 
+def test_a_car_is_as_far_behind_as_it_drives_in_a_step():
+    positions = 30.0 * np.arange(1, 101)
+    x = mpt.KalmanFilter(article_2014.from_unknown(article_2014.AXIS)).filter(positions[:, None])
+    says(f"a car at 30 m/s is {positions[-1] - x[-1, 0]:.0f} m behind")
+
+
+def test_part_two_has_what_part_one_refers_to():
+    says("(`lfilter`; Part II, section 6, shows it)")
+    evidence = "\n".join(source(cell) for cell in parts(CELLS)[1])
+    section = evidence.split("### 6. ")[1].split("### 7. ")[0]
+    assert "lfilter(" in section
+    says("Part II shows which they are")
+
+
 def test_to_report_the_prediction_repairs_the_late_filter():
     row = next(line for line in output_of("four").splitlines() if "F x(k/k)" in line)
     assert re.search(r"0 Δt v +(0\.23)", row)
@@ -195,6 +209,13 @@ def test_the_example_by_hand():
     mean = (runner + evidence) / (1 + information)
     says(f"(4.0 + 5.0 + 5.2) / 3 = {mean:.2f}, and its variance is 1/3")
     says(f"two statements, sum {evidence:.1f}")
+    says(f"O was {information}, the number of statements, and t was {evidence:.1f}, their sum")
+    says(f"({runner} + {evidence:.1f}) / (1 + {information})")
+    says("Your piece has two of them, {} and {}".format(*surprises))
+    says("Its surprises are {} and {}".format(*surprises))
+    says("One says {} and the other {}".format(*surprises))
+    says(f"I make it {runner}, with variance 1")
+    says(f"which begins at {runner} with variance 1. The gain is 1/2, and it moves to 4.5 with variance 1/2")
     x, P = runner, 1.0
     for z, gain in zip(surprises, (1 / 2, 1 / 3), strict=True):
         assert gain == pytest.approx(P / (P + 1))
@@ -315,6 +336,11 @@ def test_the_cost_of_fir_is_taken_apart_as_it_is_counted():
     one = burden.total(burden.steady_state(4, 2))
     says(f"The paper prints 108: one ordinary step ({one}) and the {4 * (M - 1)} additions")
     assert one + 4 * (M - 1) == 108
+    says("each term is a 4 × 2 matrix times two measurements")
+    says(f"It left out {M - 1} of the {M} products, and counted one with A that FIR does not have")
+    assert total - 108 == (M - 1) * term - burden.product(4, 4, 1) - 4  # the sum with A x is not needed either
+    says(f"after {M} steps no trace of a measurement is left")
+    says(f"only a sum of {M} terms when you want a result")
     rho = np.abs(np.linalg.eigvals(settled(NEXT)[0])).max()
     says("The weights shrink by about a third from term to term")
     assert 1 - rho == pytest.approx(1 / 3, abs=0.03)
@@ -328,6 +354,7 @@ def test_from_which_step_on_fir_pays():
     equal = next(L for L, cost in several.items() if cost >= total)
     says(f"That takes 28 + 16 L operations, which reach {total} at L = {equal}")
     assert (int(np.ceil(108 / one)), int(np.ceil(total / one))) == (3, 7)
+    says("FIR pays from every 7th step on, not every 3rd")
     says("With 108 operations, FIR would cost no more than ordinary steps from every third step on")
     says(f"With {total} it is from every seventh")
     says(f"from 7 on, where the ordinary steps have passed it, and from {equal} on if these are collected")
@@ -336,8 +363,8 @@ def test_from_which_step_on_fir_pays():
     pays, collected = int(np.ceil(total / one)), next(L for L, cost in several.items() if cost >= total)
     says(f"(With H = [1 0], M is {M}, and it is {pays} and {collected}.)")
     says(f"every {pays}th step or less often (every {collected}th, if you can collect)")
-    says("a result only every 7th step or less often. The paper says every third.")
-    says(f"it is every {equal}th")
+    says("a result only every 7th step or less often. (The paper says every third.)")
+    says(f"If the constant gain may collect its measurements meanwhile, it is every {equal}th")
 
 
 def test_what_fir_drops_grows_with_the_distance():
@@ -358,6 +385,8 @@ def test_how_far_the_groups_are_apart():
     ).groups()
     says(f"they differ by {first} cm (rms) at the first step, and by less than 2 cm from step {from_step} on")
     assert 10 * np.sqrt(settled(NEXT)[2][0, 0]) < 2  # a tenth of σ, in cm
+    (unknown,) = re.findall(r"from P0 = 100 I .* below 0.1 σ from step (\d+) on", row.beyond)
+    says(f"If it does not, the constant gain takes {unknown} steps to come as near")
 
 
 def test_the_constant_gain_may_be_used_after_20_rows():

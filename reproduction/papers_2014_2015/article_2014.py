@@ -256,14 +256,13 @@ def draw_fir_cost(M=17, printed=108):
     plots.label_line(collected, "several steps at once", at=9, xytext=(6, -14))
     plots.label_line(flat, f"FIR: {fir}", at=1, xytext=(0, 5))
     plots.label_line(said, f"FIR as printed: {printed}", at=19, xytext=(0, -14), ha="right")
+    early = int(np.ceil(printed / one_step))  # as printed
     meets = [int(np.ceil(fir / one_step)), int(steps[np.array(in_one_product) >= fir][0])]
     axes.plot(meets, [fir, fir], "o", color="black", ms=6)
-    axes.set(xlim=(0, 19.5), ylim=(0, 1.35 * fir), xticks=[1, 3, *meets, 19])
+    axes.set(xlim=(0, 19.5), ylim=(0, 1.35 * fir), xticks=[1, early, *meets, 19])
     plots.finish(axes, "steps between results", "operations for one result, model A")
-    fig.suptitle(
-        f"FIR pays from every {meets[0]}th step on, not every 3rd;\nif steps are collected, from every {meets[1]}th",
-        weight="bold",
-    )
+    pays = f"FIR pays from every {meets[0]}th step on, not every {early}rd;"
+    fig.suptitle(f"{pays}\nif steps are collected, from every {meets[1]}th", weight="bold")
     return fig
 
 
