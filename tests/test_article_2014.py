@@ -12,6 +12,7 @@ from conftest import ROOT, part_one, parts, source
 from scipy.linalg import solve_discrete_are
 
 import mpt_helpers as mpt
+import reproduction
 from reproduction import burden
 from reproduction.ledger import stored_verdicts
 from reproduction.papers_2014_2015 import article_2014
@@ -408,6 +409,26 @@ def test_what_is_printed_wrong_is_what_the_verdicts_say():
     says(f"{len(ratios)} of the {len(legible)} speedups that our copy of Table 4 shows, all with a join filter")
     others = {each.cause for each in wrong if each not in ratios}
     assert others == {"table3-join", "fir-cost"}
+
+
+def test_the_counts_that_fit_table_4_are_those_that_its_causes_name():
+    causes = reproduction.published("2014_gsm_2d").causes
+    found = re.findall(r"(\w+ [AB]): \[(\d+)\]; Table 3 prints \d+, counted (\d+)", output_of("table4-origin"))
+    said = [
+        re.search(r"involve (\w+), model ([AB]), fit (\d+) .* it takes (\d+)\.", each.sentence)
+        for id, each in causes.items()
+        if id.startswith("table4-")
+    ]
+    assert [(f"{each[1]} {each[2]}", each[3], each[4]) for each in said] == found
+    assert len(found) == 4
+    fit = {name: int(number) / int(right) for name, number, right in found}
+    assert "off by 1 % only" in causes["table4-1191"].meaning
+    assert fit["JKLF A"] == pytest.approx(0.99, abs=0.005)
+    assert f"{100 * fit['JSSKLF A'] - 100:.0f} % slower" in causes["table4-118"].meaning
+    assert "twice as slow" in causes["table4-98"].meaning
+    assert fit["JSSKLF B"] == pytest.approx(2, abs=0.1)
+    assert "Two of them reverse" in causes["table4-640"].meaning
+    assert re.search(r"counted .* 2$", output_of("table4-size"), re.MULTILINE)
 
 
 SOLUTIONS = {
