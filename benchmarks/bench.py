@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import peers
 import speedups
+import three_axes
 from report import write_readme
 from tqdm import tqdm
 
@@ -437,6 +438,7 @@ def main():
     """Measure everything, then write both files."""
     load = os.getloadavg()[0]
     speedups.agree(AGREE)
+    three_axes.agree(AGREE)
     rows = [
         *many_tracks(),
         *one_track(),
@@ -452,6 +454,7 @@ def main():
         "versions": versions(),
         "rows": rows,
         "speedups": wall_clock(),
+        "three axes": three_axes.on_the_clock(measure),
         "commands": commands(),
     }
     write_whole(HERE / "results.json", (json.dumps(results, indent=1) + "\n").encode())

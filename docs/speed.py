@@ -81,6 +81,15 @@ def tables(rows):
     return made
 
 
+def three_axes(rows):
+    """Return the ways to run a filter for three axes as a table in Markdown: operations, and ratios to the first."""
+    lines = []
+    for each in rows:
+        times = [f"{each[kind]:.2g}" if kind in each else "" for kind in ("one", "many")]
+        lines.append([each["name"], f"{each['operations']:,}", *times])
+    return Table(["one step for three axes", "operations", "time, one phone", "time, many phones"], lines).markdown()
+
+
 def clock(speedups):
     """Return the papers' speedups on the clock as a table in Markdown."""
     lines = [

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact import talk_through_files
 from hypothesis import Phase, settings
+from sockets import talk_through_files
 
 import mpt_helpers as mpt
 

@@ -7,9 +7,7 @@ percent. The kernel works at the project's root, where `make reproduce` works in
 
 import os
 import re
-import sys
 import tempfile
-import uuid
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,31 +22,13 @@ TOGETHER = (".ipynb", "test_fifth_paper.py")  # ends of files whose tests need o
 
 def pytest_configure(config):
     """Make the folder into which the kernels draw, and in it the code that each runs before its first cell."""
+    from tests.sockets import talk_through_files  # here: a kernel, which imports this file, needs none of it
+
     talk_through_files()
     drawn = tempfile.TemporaryDirectory(prefix="drawn-")
     config.add_cleanup(drawn.cleanup)
     os.environ[DRAWN] = drawn.name
     Path(drawn.name, STARTUP).write_text('__import__("exact").watch()\n', encoding="utf-8")  # leaves no name behind
-
-
-def talk_through_files():
-    """Let kernels use sockets that are files, each with a name of its own, in place of ports.
-
-    jupyter_client finds ports that are free and leaves them to the kernel: another kernel, of tests that run beside
-    these, may take one before. Where the path would be longer than a socket's may be, they keep to ports.
-    """
-    from jupyter_client import KernelManager
-
-    from reproduction.__main__ import LONGEST_SOCKET
-
-    made = KernelManager.__init__
-
-    def made_with_files(self, *args, **kwargs):
-        path = os.path.join(tempfile.gettempdir(), f"kernel-{uuid.uuid4().hex}")
-        made(self, *args, **{"transport": "ipc", "ip": path} | kwargs)
-
-    if sys.platform == "linux" and len(os.path.join(tempfile.gettempdir(), "kernel-" + 32 * "0")) <= LONGEST_SOCKET:
-        KernelManager.__init__ = made_with_files
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -72,7 +52,7 @@ def is_cell(item):
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item):
     """Let the kernel of a notebook, which its first cell starts, run `watch`; kernels of other tests must not."""
-    from reproduction.__main__ import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
+    from reproduction.execute import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
 
     with pytest.MonkeyPatch.context() as here:
         if is_cell(item):

@@ -92,21 +92,22 @@ def test_formulas_are_read_as_they_are_printed(text):
 @pytest.mark.parametrize(
     ("text", "got"),
     [
-        ("", "its end"),
-        ("2n +", "its end"),
-        ("n^2", r"'\^'"),
-        ("n)", "'\\)'"),
-        ("2n 3", "'3'"),
-        ("(n", "its end"),
-        ("n²²", "'²'"),
-        ("x", "x"),
-        ("n.real", "'.'"),
-        ("print(n)", "p"),
-        ("__import__('os')", "_"),
-        ("9**9", "'\\*'"),
+        ("", "''"),
+        ("2n +", r"'2n \+'"),
+        ("n^2", r"'\^' in 'n\^2'"),
+        ("n)", r"'n\)'"),
+        ("2n 3", "'2n 3'"),
+        ("(n", r"'\(n'"),
+        ("n²²", "'²' in 'n²²'"),
+        ("x", "'x' in 'x'"),
+        ("n.real", r"'\.' in 'n.real'"),
+        ("print(n)", "'p' in"),
+        ("__import__('os')", "'_' in"),
+        ("9**9", r"'\*' in"),
     ],
 )
 def test_what_is_no_formula_is_refused(text, got):
+    """Nothing but numbers, the letters, brackets and operators of the papers is ever evaluated."""
     with pytest.raises(ValueError, match=f"formula: needs .*, got {got}"):
         burden.value(text, n=2, m=1)
 

@@ -10,7 +10,7 @@ import pytest
 from conftest import NOTEBOOKS, ROOT, source
 from matplotlib.image import imread
 
-from reproduction.__main__ import tidied
+from reproduction.execute import tidied
 from reproduction.figures import SavedFigure
 from reproduction.ledger.verdicts import MIME
 

@@ -36,7 +36,9 @@ ROOMS = {
     "figures": {"project"},
     "burden": set(),
     "paper": {"burden", "figures"},
-    "__main__": {"ledger", "project", "figures"},
+    "execute": set(),
+    "runner": {"ledger", "project", "execute"},
+    "__main__": {"ledger", "project", "execute", "runner"},
     "__init__": {"ledger"},
 }
 OF_FILTERS = {"ledger": set(), "project": set(), "figures": {"plots", "files"}, "burden": {"checks"}}

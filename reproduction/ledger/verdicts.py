@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from dataclasses import asdict, dataclass, fields
 from html import escape
@@ -140,6 +141,10 @@ class Verdicts(list[Verdict]):
     def records(self) -> list[dict[str, str]]:
         """Return the verdicts as a list of dictionaries of text."""
         return [asdict(each) for each in self]
+
+    def as_json(self) -> str:
+        """Return the verdicts as the text of a JSON file."""
+        return f"{json.dumps(self.records(), indent=1, ensure_ascii=False)}\n"
 
     def tally(self) -> Tally:
         """Return the Tally: causes counted with their cells, claims apart from everything else."""

@@ -317,7 +317,7 @@ def draw_fig1(x, kf, sskf, sigma):
     layout = [["position x", "position y"], ["velocity x", "velocity y"], ["gap", "gap"]]
     fig, ax = plots.panels(layout, height=1.7)
     _draw_estimates(ax, {"truth": (x, "-"), "kalman": (kf, "-"), "steady": (sskf, "--")})
-    _draw_gap(ax["gap"], (sskf - kf)[:, [0, 2]], 0.1 * sigma, "steady", {"x": (2, (6, 5)), "y": (4, (8, 0))})
+    _draw_gap(ax["gap"], (sskf - kf)[:, [0, 2]], 0.1 * sigma, "steady", {"x": (1, (7, -3)), "y": (4, (8, 0))})
     plots.finish(ax["gap"], "step k", "constant gain minus Kalman, position (cm); grey: ± σ/10")
     fig.suptitle("After six steps the two groups are one", weight="bold")
     return fig

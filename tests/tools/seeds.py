@@ -17,9 +17,11 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 from mpt_helpers.files import write_whole
-from reproduction.__main__ import NOTEBOOKS, project, settings_of_nobody, staged
+from reproduction.execute import settings_of_nobody
 from reproduction.ledger import keys, stored_verdicts
 from reproduction.ledger.verdicts import IN_PART
+from reproduction.project import NOTEBOOKS, project
+from reproduction.runner import staged
 
 SEEDS = 25
 LEAST = 24
