@@ -2,22 +2,25 @@
 
 To see how the filters work, read in this order:
 
-- `model`: x(k+1) = F x(k) + w(k), z(k) = H x(k) + v(k), and the papers' models;
+- `model`: x(k+1) = F x(k) + w(k), z(k) = H x(k) + v(k), and the papers' models; `motion`: F and Q of a step of any
+  length, and how to write a motion of your own;
 - `equations`: one Kalman step and one Lainiotis step, equation by equation;
 - `filters`: A_k, B_k and P of both filters in `next_step`; `steady`: their limits as constants, and the FIR form;
-- `recursion`: x(k+1) = A_k x(k) + B_k z(k+1) as a plain loop, and as `run`, which takes several steps in one product;
-- `recursive`: which of two ways a track takes, and what all filters can be asked for;
-- `columns`: the second way, for tracks with gaps, times and precisions of their own, each a column;
-- `partition`: a long track as many short columns; `smoothing`: the way back;
+- `recursive`: what every filter offers, and what the package asks of it;
+- `epochs`: measurements with the conditions that they were made under, as one value;
+- `engine`: the run of a filter over tracks, on one page. It has two ways: `steps`, which tracks without gaps share, and
+  `columns`, for tracks with gaps, times and precisions of their own;
+- `partition`: a long track as many short columns;
+- `smoothing`: the way back;
 - `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead.
 
-`riccati` solves for the limits, `metrics` judges results, `fitting` finds the parameters of a model, `monte_carlo` runs
-studies of many runs, `checks` refuses bad input.
+`riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` finds the parameters of a model,
+`monte_carlo` runs studies of many runs, `checks` refuses bad input, `algebra` and `immutable` serve the others.
 """
 
 __version__ = "0.3.0"
 
-from . import metrics, riccati
+from . import bands, metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit
@@ -47,6 +50,7 @@ __all__ = [
     "Separate",
     "SteadyStateFilter",
     "SteadyStatePredictor",
+    "bands",
     "constant_acceleration",
     "constant_velocity",
     "exact_motion",

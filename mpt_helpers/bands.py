@@ -36,7 +36,7 @@ from scipy.special import ndtri
 
 from . import checks
 from .checks import Array
-from .recursive import Filter, known_variances
+from .recursive import Filter
 
 # What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
 SHORTEST_MEMORY = 5
@@ -47,7 +47,7 @@ CAP = 50.0
 # A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
 LATEST = 1.5
 # Times that should be one horizon apart may differ by their rounding, in horizons.
-ROUNDING = 1e-6
+TIME_ROUNDING = 1e-6
 # A share of fewer independent predictions than this is too uncertain to judge a band by: that of 30 has a standard
 # deviation of 4 % where it should be 95 %.
 FEW = 30
@@ -128,10 +128,13 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: float) -> Ahead:
     x, P = estimator.estimates(z)
     if z.ndim == 2:
         z, x, P = z[..., None], x[..., None], P[..., None]
-    t, R = _times(estimator, len(z)), _noise(estimator, len(z))
+    N, m, M = z.shape
+    t = model.dt * np.arange(N) if estimator.t is None else estimator.t
+    t = np.broadcast_to(t.reshape(N, -1), (N, M))
+    R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
     parts = []
-    for c in range(z.shape[2]):
-        t_c, R_c = t[:, c % t.shape[1]], R[..., c % R.shape[3]]
+    for c in range(M):
+        t_c, R_c = t[:, c], R[..., c]
         x_c = np.vstack([model.x0, x[..., c]])
         P_c = np.concatenate([estimator.P0[None], P[..., c]])
         parts.append(_ahead_on_one_track(model, t_c, z[..., c], x_c, P_c, R_c, seconds, c))
@@ -139,8 +142,8 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: float) -> Ahead:
         steps = np.diff(t[np.isfinite(z[..., 0]).any(axis=1), 0])
         got = f"{seconds:g} with steps of {np.median(steps):g} s" if len(steps) else "fewer than two fixes"
         checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
-    joined = [np.concatenate(column) for column in zip(*[part[:-1] for part in parts], strict=True)]
-    return Ahead(*joined, left_out=sum(part[-1] for part in parts), seconds=seconds)
+    arrays = [np.concatenate(column) for column in zip(*[part[:-1] for part in parts], strict=True)]
+    return Ahead(*arrays, left_out=sum(part[-1] for part in parts), seconds=seconds)
 
 
 def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Array:
@@ -161,7 +164,7 @@ def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Arr
     """
     checks.instance("a", a, Ahead)
     level = _level(level)
-    log_f = _start(a, before, level)
+    log_f = _start(a.seconds, a.errors.shape[1], before, level)
     band = np.empty_like(a.sigma)
     for rows in _each_track(a):
         _follow(a, rows, log_f, level, band)
@@ -263,12 +266,7 @@ class LiveBand:
         self.model = _model_of_any_step(estimator)
         self.seconds = checks.positive("seconds", seconds)
         self.level = _level(level)
-        self.log_f = np.full(self.model.m, math.log(ndtri((1 + self.level) / 2)))
-        if before is not None:
-            checks.instance("before", before, Ahead)
-            if before.seconds != self.seconds or before.errors.shape[1] != self.model.m:
-                _refuse_before(f"{self.seconds:g} s and {self.model.m} axes", before)
-            self.log_f = _end(before, self.level)
+        self.log_f = _start(self.seconds, self.model.m, before, self.level)
         self.average = 1.0  # a: the recent average of NIS / m
         self.last = None  # the estimate of the last call: time, x, P
         self.first = self.model.x0, estimator.P0
@@ -319,9 +317,9 @@ class LiveBand:
     def _check(self, t, z, R):
         """Let the factor learn from the predictions that have come due at the fix z."""
         too_late = 0.0  # by how many seconds this fix came after predictions that it cannot check
-        while self.pending and t - self.pending[0][0] >= self.seconds * (1 - ROUNDING):
+        while self.pending and t - self.pending[0][0] >= self.seconds * (1 - TIME_ROUNDING):
             made, x, P, scale, number, z_made = self.pending.popleft()
-            if t - made > self.seconds * (LATEST + ROUNDING):
+            if t - made > self.seconds * (LATEST + TIME_ROUNDING):
                 too_late = t - made
                 continue
             self.unchecked = None
@@ -329,7 +327,7 @@ class LiveBand:
                 continue
             expected, sigma = self._predicted(x, P, t - made, R)
             error = np.abs(z - expected)
-            moved = _gain(self.fixes + 1 - number) * ((error > scale * sigma) - (1 - self.level))
+            moved = _move(error, scale * sigma, self.fixes + 1 - number, self.level)
             self.log_f = self.log_f + np.where(np.isnan(error), 0, moved)
         if too_late and self.unchecked is not None:
             self._refuse_steps_that_are_too_long(too_late)
@@ -342,12 +340,12 @@ class LiveBand:
 
     def _learn(self, t, z, R):
         """Let the average of the recent innovations learn from the fix z."""
-        while self.times and self.times[0] < t - self.seconds * (1 + ROUNDING):
+        while self.times and self.times[0] < t - self.seconds * (1 + TIME_ROUNDING):
             self.times.popleft()
         last, x, P = self.last
         expected, S = _expected(self.model, x[None], P[None], np.array([t - last]), R[None])
         squared = _nis_per_number(z[None] - expected, S)[0]
-        self.average += (squared - self.average) / _memory(len(self.times))
+        self.average = _averaged(self.average, squared, len(self.times))
 
     def _predicted(self, x, P, seconds, R):
         expected, S = _expected(self.model, x[None], P[None], np.array([seconds]), R[None])
@@ -358,9 +356,9 @@ def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
     """Return the fields of an Ahead, but for seconds. x and P begin with those before the first row."""
     fixes = np.flatnonzero(np.isfinite(z).any(axis=1))
     t_fix = t[fixes]
-    due = np.searchsorted(t_fix, t_fix + seconds * (1 - ROUNDING))
+    due = np.searchsorted(t_fix, t_fix + seconds * (1 - TIME_ROUNDING))
     checked = due < len(fixes)
-    checked[checked] = t_fix[due[checked]] - t_fix[checked] <= seconds * (LATEST + ROUNDING)
+    checked[checked] = t_fix[due[checked]] - t_fix[checked] <= seconds * (LATEST + TIME_ROUNDING)
     row, due_row = fixes[checked], fixes[due[checked]]
     later = due[checked] - np.flatnonzero(checked)
     expected, S = _expected(model, x[row + 1], P[row + 1], t[due_row] - t[row], R[due_row])
@@ -397,12 +395,17 @@ def _nis_per_number(innovations, S):
 
 def _recent(t, squared, seconds):
     """Return c after each fix, from NIS / m of all fixes."""
-    within = np.arange(len(t)) - np.searchsorted(t, t - seconds * (1 + ROUNDING))
+    within = np.arange(len(t)) - np.searchsorted(t, t - seconds * (1 + TIME_ROUNDING))
     a, averages = 1.0, []
     for value, count in zip(squared.tolist(), within.tolist(), strict=True):
-        a += (value - a) / _memory(count)
+        a = _averaged(a, value, count)
         averages.append(a)
     return _local(np.array(averages))
+
+
+def _averaged(average, squared, fixes):
+    """Return the recent average of NIS / m after one more of them, with so many fixes in the horizon before it."""
+    return average + (squared - average) / _memory(fixes)
 
 
 def _local(average):
@@ -448,28 +451,20 @@ def _follow(a, rows, log_f, level, band):
 
 
 def _move(error, half_width, fixes, level):
-    """Return by how much log f moves when a prediction comes due."""
+    """Return by how much log f moves when a prediction comes due, checked so many fixes after it was made."""
     return _gain(fixes) * ((error > half_width) - (1 - level))
 
 
-def _start(a, before, level):
-    """Return log f (m,) at the start of an Ahead."""
+def _start(seconds, m, before, level):
+    """Return log f (m,) at the start of predictions `seconds` ahead: where those before end, if there are any."""
     if before is None:
-        return np.full(a.errors.shape[1], math.log(ndtri((1 + level) / 2)))
+        return np.full(m, math.log(ndtri((1 + level) / 2)))
     checks.instance("before", before, Ahead)
-    if before.seconds != a.seconds or before.errors.shape[1] != a.errors.shape[1]:
-        _refuse_before(f"{a.seconds:g} s and {a.errors.shape[1]} axes, as a", before)
-    return _end(before, level)
-
-
-def _refuse_before(need, before):
-    checks.refuse("before", f"predictions of {need}", f"{before.seconds:g} s and {before.errors.shape[1]} axes")
-
-
-def _end(a, level):
-    """Return log f (m,) after the last fix of an Ahead, the mean over its tracks."""
-    band, start = np.empty_like(a.sigma), _start(a, None, level)
-    ends = [_follow(a, rows, start, level, band) for rows in _each_track(a)]
+    if before.seconds != seconds or before.errors.shape[1] != m:
+        got = f"{before.seconds:g} s and {before.errors.shape[1]} axes"
+        checks.refuse("before", f"predictions of {seconds:g} s and {m} axes, as those that follow", got)
+    band, start = np.empty_like(before.sigma), _start(seconds, m, None, level)
+    ends = [_follow(before, rows, start, level, band) for rows in _each_track(before)]
     return np.mean(ends or [start], axis=0)
 
 
@@ -489,43 +484,20 @@ def _independent(a, where):
 
 
 def _model_of_any_step(estimator):
-    model = getattr(estimator, "model", None)
-    if model is None:
+    if not isinstance(estimator, Filter):
         checks.refuse("estimator", "a filter", f"{estimator!r:.60}", TypeError)
-    if model.dt is None:
+    if estimator.model.dt is None:
         need = "a model that knows steps of any length, such as constant_velocity or constant_acceleration"
         checks.refuse("estimator", need, "one whose dt and powers are not known")
-    if any(_has_conditions(part) for part in _parts(estimator)):
+    if any(map(_has_conditions, estimator.parts)):
         need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
         checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")
-    return model
-
-
-def _parts(estimator):
-    """Return the filters that a filter is made of."""
-    parts = getattr(estimator, "filters", ())
-    return (*parts, *(vars(estimator)[name] for name in ("first", "second") if name in vars(estimator)))
+    return estimator.model
 
 
 def _has_conditions(estimator):
-    own = (getattr(estimator, name, None) for name in ("t", "r"))
-    return any(each is not None for each in own) or any(map(_has_conditions, _parts(estimator)))
-
-
-def _times(estimator, N):
-    """Return the times of the rows, (N, 1) or (N, M)."""
-    t = getattr(estimator, "t", None)
-    t = estimator.model.dt * np.arange(N) if t is None else np.asarray(t)
-    return t.reshape(N, -1)
-
-
-def _noise(estimator, N):
-    """Return the covariances of the measurements, (N, m, m, 1) or (N, m, m, M)."""
-    r, R = getattr(estimator, "r", None), estimator.model.R
-    if r is None:
-        return np.broadcast_to(R[..., None], (N, *R.shape, 1))
-    r = known_variances(np.asarray(r).reshape(N, len(R), -1), R)
-    return r[:, :, None] * np.eye(len(R))[..., None]
+    """Tell whether a filter, or one of its parts, was given times or variances."""
+    return estimator.t is not None or estimator.r is not None or any(map(_has_conditions, estimator.parts))
 
 
 def _checked_band(a, band, where):

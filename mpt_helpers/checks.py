@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 import operator
+import sys
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime, timedelta
@@ -32,6 +34,14 @@ def refuse(name: str, need: str, got: object, error: type[Exception] = ValueErro
     The error that led here, if there is one, is not shown: the message says all that a user can do.
     """
     raise error(f"{name}: needs {need}, got {got}") from None
+
+
+def warn(text: str) -> None:
+    """Warn a user (UserWarning) in the line of theirs that called into this package, however deep the call has come."""
+    frame, level = sys._getframe(1), 2
+    while frame is not None and frame.f_globals.get("__package__") == __package__:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, UserWarning, stacklevel=level)
 
 
 def instance(name: str, value: object, kind: type) -> None:
@@ -202,6 +212,52 @@ def no_infinity(z: np.ndarray, name: str = "z") -> None:
     """Raise a ValueError if one of the measurements is infinite."""
     if np.isinf(z).any():
         refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
+
+
+def one_measurement(z_k: object, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return z_k as a vector of floats of length m, and which of them are there, or raise."""
+    need = f"a vector of length {m}"
+    z_k = real_numbers("z_k", z_k, need).astype(float)
+    if z_k.shape != (m,):
+        refuse("z_k", need, f"shape {z_k.shape}")
+    seen = np.isfinite(z_k)
+    if not seen.all():
+        no_infinity(z_k, "z_k")
+    return z_k, seen
+
+
+def state(x: object, P: object, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return x (n,) and P (n, n) as arrays of finite floats, or raise. P is a covariance, looked at by pairs.
+
+    Its eigenvalues are not looked at: that would cost a large part of a step.
+    """
+    if np.shape(x) == (n,) and np.shape(P) == (n, n):
+        x_array, P_array = np.asarray(x), np.asarray(P)
+        if x_array.dtype == P_array.dtype == float:
+            rows = P_array.tolist()  # Python's numbers are faster than numpy's, where there are few
+            if math.isfinite(sum(x_array.tolist()) + sum(map(sum, rows))):
+                _require_covariances(rows)
+                return x_array, P_array
+    x_array, P_array = array("x", x, (n,)), array("P", P, (n, n))
+    _require_covariances(P_array.tolist())
+    return x_array, P_array
+
+
+def _require_covariances(rows):
+    """Refuse the rows of a P with a negative variance, an asymmetry, or a P_ij larger than two states can share."""
+    variances = [row[i] for i, row in enumerate(rows)]
+    least, largest = min(variances), max(variances)
+    if least < -ROUNDING * largest or largest < 0:
+        refuse("P", "a covariance", f"a variance of {least:.6g}")
+    rounding = SOLVED * math.sqrt(largest)
+    sigmas = [math.sqrt(max(variance, 0.0)) + rounding for variance in variances]
+    for i, row in enumerate(rows):
+        for j in range(i):
+            most = sigmas[i] * sigmas[j]
+            if abs(row[j] - rows[j][i]) > SOLVED * most:
+                refuse("P", "a covariance", f"a matrix that is not symmetric: {row[j]:.6g} and {rows[j][i]:.6g}")
+            if abs(row[j]) > (1 + SOLVED) * most:
+                refuse("P", "a covariance", f"a covariance of {row[j]:.6g}, too large beside its variances")
 
 
 def times(name: str, value: object) -> Array:

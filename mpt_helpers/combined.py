@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,8 +13,9 @@ from scipy.linalg import block_diag
 from . import checks
 from .checks import Array
 from .filters import KalmanFilter, LainiotisFilter
-from .model import LinearModel, same, stack
-from .recursive import Estimates, Filter, RecursiveFilter, one_measurement, one_state
+from .immutable import same
+from .model import LinearModel, stack
+from .recursive import Estimates, Filter, RecursiveFilter
 from .steady import SteadyStateFilter
 
 # Both Riccati equations give one gain to so many digits at least.
@@ -65,17 +66,25 @@ class JoinFilter(Filter):
         """The mean of both P(0/0)."""
         return (self.first.P0 + self.second.P0) / 2
 
-    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike) -> tuple[Array, Array]:
+    @property
+    def parts(self) -> Sequence[Filter]:
+        """Both filters."""
+        return self.first, self.second
+
+    def step(
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
-        Raises TypeError where the filters differ in their gains: then each would need a state of its own.
+        dt and r are as in KalmanFilter, for filters that both take them. Raises TypeError where the filters differ in
+        their gains: then each would need a state of its own.
         """
-        gains = [getattr(each, "B", 0.0) for each in (self.first, self.second)]  # of filters whose gain is constant
+        gains = _constant_gain(self.first), _constant_gain(self.second)
         if self.first.optimal != self.second.optimal or not np.allclose(*gains, rtol=SAME_GAIN, atol=0):
-            kinds = " and ".join(type(each).__name__ for each in (self.first, self.second))
+            kinds = " and ".join(type(each).__name__ for each in self.parts)
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
-        x_1, P_1 = self.first.step(x, P, z_k)
-        x_2, P_2 = self.second.step(x, P, z_k)
+        x_1, P_1 = self.first.step(x, P, z_k, dt, r)
+        x_2, P_2 = self.second.step(x, P, z_k, dt, r)
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
     @property
@@ -83,35 +92,26 @@ class JoinFilter(Filter):
         """Say whether both filters' gains follow their covariances."""
         return self.first.optimal and self.second.optimal
 
-    def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield the means of what both filters' `epochs` yield."""
-        for (x_1, P_1), (x_2, P_2) in zip(self.first.epochs(z), self.second.epochs(z), strict=True):
-            yield (x_1 + x_2) / 2, (P_1 + P_2) / 2
-
     def smooth(self, z: ArrayLike) -> Estimates:
         """Return the means of what both filters' `smooth` return."""
         first, second = self.first.smooth(z), self.second.smooth(z)
         return Estimates((first.x + second.x) / 2, (first.P + second.P) / 2)
 
-    def _estimates(self, z):
-        return _means(self.first._estimates(z), self.second._estimates(z))
-
-    def _innovations(self, z):
-        # Both are linear in the state and in its covariance.
-        return _means(self.first._innovations(z), self.second._innovations(z))
-
-    def _fill(self, x, z):
-        second = np.empty_like(x)
-        self.first._fill(x, z)
-        self.second._fill(second, z)
-        for x_k, second_k in zip(x, second, strict=True):  # an epoch at a time, which stays in the cache
-            x_k += second_k
+    def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
+        """Write the mean estimates to x and return the mean covariances if wanted, as in Filter."""
+        x_2 = np.empty_like(x)
+        P_1 = self.first.run(z, x, covariances)
+        P_2 = self.second.run(z, x_2, covariances)
+        for x_k, x_2_k in zip(x, x_2, strict=True):  # an epoch at a time, which stays in the cache
+            x_k += x_2_k
             x_k /= 2
+        return (P_1 + P_2) / 2 if covariances else None
 
-
-def _means(first, second):
-    """Return the means of two pairs of arrays."""
-    return tuple((a + b) / 2 for a, b in zip(first, second, strict=True))
+    def innovations_of(self, z: Array) -> tuple[Array, Array]:
+        """Return the means of both: they are linear in the state and in its covariance."""
+        values_1, S_1 = self.first.innovations_of(z)
+        values_2, S_2 = self.second.innovations_of(z)
+        return (values_1 + values_2) / 2, (S_1 + S_2) / 2
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -161,64 +161,79 @@ class Separate(Filter):
         """Say whether all filters' gains follow their covariances."""
         return all(each.optimal for each in self.filters)
 
-    def step(self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None) -> tuple[Array, Array]:
+    @property
+    def parts(self) -> Sequence[Filter]:
+        """The filters."""
+        return self.filters
+
+    def step(
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
         """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its part of z_k (m,).
 
-        dt is the time since x, for filters that all take it.
+        dt is the time since x, for filters that all take it. r (m,) are the variances of z_k, each filter's own; all
+        NaN for a filter that has none.
         """
-        z_k, _ = one_measurement(z_k, self.model.m)
-        x, P = one_state(x, P, self.model.n)
-        given = {} if dt is None else {"dt": dt}
-        after = [each.step(x[i], P[i, i], z_k[rows], **given) for each, i, rows in self._parts()]
+        z_k, _ = checks.one_measurement(z_k, self.model.m)
+        x, P = checks.state(x, P, self.model.n)
+        if r is not None:
+            r = checks.real_numbers("r", r, f"a vector of {self.model.m} variances").astype(float)
+            if r.shape != z_k.shape:
+                checks.refuse("r", f"a vector of {self.model.m} variances", f"shape {r.shape}")
+        after = []
+        for each, i, rows in self._slices():
+            r_i = None if r is None or (np.isnan(r[rows]).all() and each.r is None) else r[rows]
+            after.append(each.step(x[i], P[i, i], z_k[rows], dt, r_i))
         return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))
-
-    def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield x (n, M) and P (n, n, 1 or M), block diagonal, of what the filters' `epochs` yield."""
-        n = self.model.n
-        parts = self._parts()
-        for epoch in zip(*(each.epochs(z[:, rows]) for each, _, rows in parts), strict=True):
-            P = np.zeros((n, n, max(P_i.shape[2] for _, P_i in epoch)))
-            for (_, P_i), (_, i, _) in zip(epoch, parts, strict=True):
-                P[i, i] = P_i
-            yield np.concatenate([x for x, _ in epoch]), P
 
     def smooth(self, z: ArrayLike) -> Estimates:
         """Return what the filters' `smooth` return, as one state and a block diagonal covariance."""
-        return self._as_given(z, self._smoothed)
+        return self._as_given(z, lambda z: self._side_by_side([f.smooth(z[:, rows]) for f, _, rows in self._slices()]))
 
-    def _fill(self, x, z):
-        for each, i, rows in self._parts():
-            each._fill(x[:, i], z[:, rows])
+    def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
+        """Write the filters' estimates to x and return the block diagonal covariances if wanted, as in Filter."""
+        P = [each.run(z[:, rows], x[:, i], covariances) for each, i, rows in self._slices()]
+        return _block_diagonal(P) if covariances else None
 
-    def _estimates(self, z):
-        return self._side_by_side([each._estimates(z[:, rows]) for each, _, rows in self._parts()])
-
-    def _innovations(self, z):
-        return self._side_by_side([each._innovations(z[:, rows]) for each, _, rows in self._parts()])
-
-    def _smoothed(self, z):
-        return self._side_by_side([each.smooth(z[:, rows]) for each, _, rows in self._parts()])
+    def innovations_of(self, z: Array) -> tuple[Array, Array]:
+        """Return the innovations of all filters, and their covariances, block diagonal."""
+        return self._side_by_side([each.innovations_of(z[:, rows]) for each, _, rows in self._slices()])
 
     @staticmethod
     def _side_by_side(parts):
-        """Return pairs of values (N, d, M) and covariances (N, d, d, M or 1) as one pair, block diagonal."""
-        values = np.concatenate([value for value, _ in parts], axis=1)
-        N, d, _ = values.shape
-        C = np.zeros((N, d, d, max(C_i.shape[3] for _, C_i in parts)))
-        end = 0
-        for _, C_i in parts:
-            here = slice(end, end + C_i.shape[1])
-            C[:, here, here] = C_i
-            end = here.stop
-        return values, C
+        """Return pairs of values (N, d, M) and covariances (N, d, d, M or 1) as one pair."""
+        values, C = zip(*parts, strict=True)
+        return np.concatenate(values, axis=1), _block_diagonal(C)
 
-    def _parts(self):
+    def _slices(self):
         """Return each filter with the slices of its states and of its measurements."""
         parts, n, m = [], 0, 0
         for each in self.filters:
             parts.append((each, slice(n, n + each.model.n), slice(m, m + each.model.m)))
             n, m = n + each.model.n, m + each.model.m
         return parts
+
+
+def _block_diagonal(parts):
+    """Return covariances (N, d_i, d_i, M or 1) as one (N, d, d, M or 1), block diagonal."""
+    d = sum(C.shape[1] for C in parts)
+    whole, start = np.zeros((len(parts[0]), d, d, max(C.shape[3] for C in parts))), 0
+    for C in parts:
+        here = slice(start, start + C.shape[1])
+        whole[:, here, here] = C
+        start = here.stop
+    return whole
+
+
+def _constant_gain(estimator):
+    """Return the gain (n, m) where it is constant, and zeros where it follows the covariance."""
+    if isinstance(estimator, SteadyStateFilter):
+        return estimator.B
+    if isinstance(estimator, JoinFilter):
+        return _constant_gain(estimator.first)  # its `step` asks whether the second has the same
+    if isinstance(estimator, Separate):
+        return block_diag(*map(_constant_gain, estimator.filters))
+    return np.zeros((estimator.model.n, estimator.model.m))
 
 
 def _require_equally_far_ahead(name, first, other):
@@ -228,19 +243,17 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    for name, what in (("t", "times"), ("r", "variances")):
-        one, *others = (getattr(each, name, None) for each in (*_leaves(first), *_leaves(second)))
-        if name == "r" and not (isinstance(first, RecursiveFilter) and isinstance(second, RecursiveFilter)):
-            others = []  # of filters of some rows of z each
-        if not all(same(one, other) for other in others):
-            checks.refuse("second", f"a filter of the same {what} as the first", "one of others")
+    own = [*_leaves(first), *_leaves(second)]
+    if not all(same(own[0].t, other.t) for other in own[1:]):
+        checks.refuse("second", "a filter of the same times as the first", "one of others")
+    # The variances of filters that see some rows of z each cannot be compared so.
+    if isinstance(first, RecursiveFilter) and isinstance(second, RecursiveFilter) and not same(first.r, second.r):
+        checks.refuse("second", "a filter of the same variances as the first", "one of others")
 
 
 def _leaves(estimator):
-    """Return the filters that a filter is made of in the end."""
-    parts = getattr(estimator, "filters", ())
-    parts += tuple(vars(estimator)[name] for name in ("first", "second", "estimator") if name in vars(estimator))
-    return [leaf for part in parts for leaf in _leaves(part)] or [estimator]
+    """Return the filters that a filter is made of in the end, itself where it is made of none."""
+    return [leaf for part in estimator.parts for leaf in _leaves(part)] or [estimator]
 
 
 def six_filters(model: LinearModel) -> dict[str, Filter]:

@@ -7,22 +7,28 @@ also when all measurements of an epoch are missing.
 
 from __future__ import annotations
 
-import copy
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 
 import filterpy.kalman
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from . import checks
+from .algebra import whitened
 from .checks import Array
-from .columns import KalmanColumns, Motion, whitened
+from .columns import kalman_on_columns
+from .epochs import Epochs, Rows
 from .equations import lainiotis_matrices, lainiotis_step, unit_measurements
 from .model import LinearModel
-from .recursive import RecursiveFilter, Step, neutralised, one_measurement, one_state
+from .recursive import RecursiveFilter
+from .steps import Step
 
+# How many times as large as the variance of a measurement that of its prediction may be: filterpy's P rounds to some
+# 1e-31 of it, so that here a hundredth of the variance after the measurement is wrong.
+LARGEST = 1e29
 # Patterns of missing measurements whose constants a Lainiotis filter keeps.
 MOST_PATTERNS = 64
 
@@ -61,13 +67,17 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse("t", need, "one whose F and Q are for one length only")
         object.__setattr__(self, "t", None if t is None else checks.times("t", t))
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
+        if r is not None and model.m > 1 and self.r.shape[2:] == (model.m,) and _are_covariances(self.r):
+            need = f"variances, (N, {model.m}) or (N, {model.m}, M)"
+            got = f"what looks like covariances; variances of {model.m} tracks that look so are taken track by track"
+            checks.refuse("r", need, got)
 
     def coefficients(self, N: int) -> Step:
         """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing.
 
         Raises ValueError for a filter with times or variances: each of its epochs has a `next_step` of its own.
         """
-        if not self._epochs_are_alike:
+        if self.t is not None or self.r is not None:
             name, got = ("r", "variances") if self.t is None else ("t", "times")
             checks.refuse(name, "to be left out, as coefficients are those of equal steps and of the model's R", got)
         return super().coefficients(N)
@@ -79,7 +89,9 @@ class KalmanFilter(RecursiveFilter):
 
         length is that of the step in units of the model's dt, r (m,) the variances; the model's where None.
         """
-        kf = copy.copy(self._filterpy)  # predict and update change the object, so each step takes a copy
+        # predict and update give the object new attributes, so each step takes a copy of it; copy.copy is slower.
+        kf = object.__new__(filterpy.kalman.KalmanFilter)
+        vars(kf).update(vars(self._filterpy))
         kf.P = P
         W = self._units[1]
         if length is not None:
@@ -90,7 +102,10 @@ class KalmanFilter(RecursiveFilter):
             kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
-        return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
+        if length is not None and not kf.S.max() < LARGEST:
+            need = "a time after which doubles hold the variances of the measurements beside that of the prediction"
+            checks.refuse("dt", need, f"{length * self.model.dt:.6g} s")
+        return (self._identity - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
 
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
@@ -99,12 +114,13 @@ class KalmanFilter(RecursiveFilter):
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter
         with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances
-        of the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, a
-        negative dt, and for states and covariances that are not finite.
+        of the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, for a
+        dt that is negative or so large that doubles do not hold the step, for states and covariances that are not
+        finite, and for a P that is no covariance.
         """
         n, m = self.model.n, self.model.m
-        x, P = one_state(x, P, n)
-        z_k, seen = one_measurement(z_k, m)
+        x, P = checks.state(x, P, n)
+        z_k, seen = checks.one_measurement(z_k, m)
         if dt is None and self.t is not None:
             checks.refuse("dt", "the time since x, as the filter has times", "none")
         if r is None and self.r is not None:
@@ -112,73 +128,51 @@ class KalmanFilter(RecursiveFilter):
         length = None if dt is None else self._length_of(checks.not_negative("dt", dt))
         if r is not None:
             r = checks.variances_of_one("r", r, seen)
-        A, B, P = self.next_step(P, seen, length, r)
+        with np.errstate(over="ignore", invalid="ignore"):  # the largest times are refused by what they make
+            A, B, P = self.next_step(P, seen, length, r)
+        if length is not None and not math.isfinite(P.sum()):
+            checks.refuse("dt", "a time over which the covariance stays within the range of doubles", f"{dt:.6g} s")
         return A @ x + B @ np.where(seen, z_k, 0), P
 
-    @property
-    def _epochs_are_alike(self):
-        return self.t is None and self.r is None
-
-    @property
-    def _motion(self):
-        return Motion(self.model.F, self.model.Q, self._powers)
-
-    @property
-    def _powers(self):
-        return None if self.t is None else self.model.powers
-
-    @cached_property
-    def _conditions(self):
-        lengths = variances = None
-        if self.t is not None:
-            t = self.t if self.t.ndim == 2 else self.t[:, None]
-            lengths = np.concatenate([np.ones((1, t.shape[1])), np.diff(t, axis=0) / self.model.dt])
-        if self.r is not None:
-            variances = self.r if self.r.ndim == 3 else self.r[..., None]
-        return lengths, variances
-
-    def _of_tracks(self, part):
-        t = self.t[:, part] if self.t is not None and self.t.ndim == 2 else self.t
-        r = self.r[..., part] if self.r is not None and self.r.ndim == 3 else self.r
-        return self if t is self.t and r is self.r else replace(self, t=t, r=r)
-
-    def _require_conditions_of(self, z: Array) -> None:
+    def epochs_of(self, z: Array) -> Epochs:
+        """Return z (N, m, M) with its steps and variances; raises ValueError where those are of other epochs."""
         N, m, M = z.shape
         for name, given, shape in (("t", self.t, (N,)), ("r", self.r, (N, m))):
             if given is not None and given.shape not in (shape, (*shape, M)):
                 checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, M)}", f"shape {given.shape}")
-        if self.r is not None:
-            _, variances = self._conditions
-            there = np.broadcast_to(variances, z.shape)[~np.isnan(z)]
+        epochs = Epochs(z, self._lengths, self._variances)
+        if epochs.variances is not None:
+            there = np.broadcast_to(epochs.variances, z.shape)[~epochs.missing]
             if not (np.isfinite(there) & (there > 0)).all():
                 checks.refuse("r", "a positive variance of every measurement that is there", "another")
+        return epochs
 
-    def _in_columns(self, rows):
-        model, powers = self.model, self._powers
-        F, H, Q, R, x0, P0 = model.F, model.H, model.Q, model.R, model.x0, model.P0
-        variances = np.diag(R)
-        if rows.variances is None and not np.array_equal(R, np.diag(variances)):
-            if (rows.seen.all(axis=1) == rows.seen.any(axis=1)).all():
-                # With R = L diag(variances) Lᵀ, the measurements L⁻¹ z have uncorrelated noises.
-                root = np.linalg.cholesky(R)
-                L, variances = root / np.diag(root), np.diag(root) ** 2
-                H = np.linalg.solve(L, H)
-                rows = replace(rows, z=np.moveaxis(np.tensordot(np.linalg.inv(L), rows.z, axes=(1, 1)), 0, 1))
-            else:
-                # Rows that are partly missing: the noises join the state, and what is measured has none left.
-                F, Q = block_diag(F, np.zeros_like(R)), block_diag(Q, R)
-                P0 = block_diag(P0, np.zeros_like(R))
-                H, x0, variances = np.hstack([H, np.eye(model.m)]), np.append(x0, np.zeros(model.m)), np.zeros(model.m)
-                powers = None if powers is None else np.append(powers, np.zeros(model.m))
-        _, _, c, M = rows.z.shape
-        x = np.broadcast_to(x0[:, None, None], (len(x0), c, M))
-        return KalmanColumns(F, H, Q, variances, P0, powers), rows, x, np.repeat(P0[..., None], M, axis=2)
+    @cached_property
+    def _lengths(self):
+        """The lengths of the steps (N, 1 or M) before each epoch in units of dt, the first 1, or None."""
+        if self.t is None:
+            return None
+        t = self.t.reshape(len(self.t), -1)
+        return np.concatenate([np.ones((1, t.shape[1])), np.diff(t, axis=0) / self.model.dt])
+
+    @property
+    def _variances(self):
+        """The variances (N, m, 1 or M), or None."""
+        return None if self.r is None else self.r.reshape(*self.r.shape[:2], -1)
+
+    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
+        """Return the filter on columns, as in RecursiveFilter."""
+        return kalman_on_columns(self.model, rows)
 
     def _length_of(self, dt):
         if self.model.dt is None:
             need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
             checks.refuse("dt", need, "one whose F and Q are for one length only")
         return dt / self.model.dt
+
+    @cached_property
+    def _identity(self):
+        return np.eye(self.model.n)
 
     @cached_property
     def _units(self):
@@ -193,6 +187,18 @@ class KalmanFilter(RecursiveFilter):
         kf.x = np.zeros(self.model.n)
         kf.F, kf.Q, kf.H, kf.R = self.model.F, self.model.Q, H_1, np.eye(len(H_1))
         return kf
+
+
+def _are_covariances(r):
+    """Say whether arrays (N, m, m) look like covariances in all epochs, where they could be variances of m tracks."""
+    known = r[np.isfinite(r).all(axis=(1, 2))]
+    if not len(known) or (known != known.swapaxes(1, 2)).any():
+        return False
+    sigma = np.sqrt(np.abs(np.diagonal(known, axis1=1, axis2=2)))
+    if not sigma.all():
+        return False
+    # Equal variances of all tracks make a matrix of rank one, which is no covariance of noises.
+    return bool((np.linalg.eigvalsh(known / sigma[:, :, None] / sigma[:, None]) > checks.ROUNDING).all())
 
 
 class LainiotisFilter(RecursiveFilter):
@@ -217,20 +223,21 @@ class LainiotisFilter(RecursiveFilter):
 
     def _constants_of(self, seen):
         kept, pattern = self._constants, seen.tobytes()
-        if pattern not in kept:
-            if len(kept) == MOST_PATTERNS:
+        constants = kept.get(pattern)
+        if constants is None:
+            constants = lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
+            if len(kept) >= MOST_PATTERNS:
                 kept.clear()
-            kept[pattern] = lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
-        return kept[pattern]
+            kept[pattern] = constants
+        return constants  # not what is kept: another thread may have cleared it
 
     @cached_property
     def _constants(self):
         return {}
 
-    def _in_columns(self, rows):
-        _, _, c, M = rows.z.shape
-        x = np.broadcast_to(self.model.x0[:, None, None], (self.model.n, c, M))
-        return LainiotisColumns(self), rows, x, np.repeat(self.P0[..., None], M, axis=2)
+    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
+        """Return the filter on columns, as in RecursiveFilter."""
+        return LainiotisColumns(self).advance, rows, self.model.x0, self.P0
 
 
 class LainiotisColumns:
@@ -238,7 +245,7 @@ class LainiotisColumns:
 
     def __init__(self, lainiotis):
         self._filter = lainiotis
-        self._motion = Motion(lainiotis.model.F, lainiotis.model.Q)
+        self._motion = lainiotis.model.motion
 
     def advance(self, row, x, P):
         """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations at unit covariance (m, c, M)."""
@@ -256,3 +263,10 @@ class LainiotisColumns:
         P = np.moveaxis(self._motion.covariance(P), 2, 0)
         S = np.moveaxis(H @ P @ H.T + R, 0, 2)[:, :, None]
         return whitened(np.where(row.seen[:, None], row.z - expected, np.nan), S)[0]
+
+
+def neutralised(H, R, seen):
+    """Return H and R with zeros in H, and rows of the identity in R, for the measurements that seen (m,) lacks."""
+    H = H * seen[:, None]
+    R = np.where(np.outer(seen, seen), R, np.diag(~seen))
+    return H, R

@@ -8,23 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
-from . import bands, checks
+from . import checks
+from .algebra import whitened
+from .bands import ahead as ahead  # what a filter's covariance is worth, under the names that it has had here
+from .bands import coverage as coverage
+from .bands import following as following
+from .bands import interval_score as interval_score
 from .checks import Array
-from .columns import whitened
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
-from .recursion import epochs_at_a_time
 from .recursive import Filter
 from .steady import SteadyStateFilter
-
-# Bands around predictions, and what they are worth.
-Ahead = bands.Ahead
-LiveBand = bands.LiveBand
-ahead = bands.ahead
-following = bands.following
-coverage = bands.coverage
-interval_score = bands.interval_score
-placebo = bands.placebo
+from .steps import epochs_at_a_time
 
 
 def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
@@ -79,9 +74,9 @@ def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
 def _of(estimator, z):
     """Return z (N, m, M), whether it came with an axis of tracks, its innovations, and S (N, m, m, M or 1)."""
     checks.instance("estimator", estimator, Filter)
-    z, many = estimator._as_tracks(z)
+    z, many = estimator.as_tracks(z)
     checks.no_infinity(z)
-    values, S = estimator._innovations(z)
+    values, S = estimator.innovations_of(z)
     if not np.isfinite(np.where(np.isnan(z), 0, values)).all() or not np.isfinite(S).all():
         checks.refuse("estimator", "states and covariances that doubles can hold over these epochs", "an overflow")
     return z, many, values, S

@@ -5,8 +5,7 @@ The papers, cited by year: Kluga & Kluga 2007, Assimakis & Adam 2014 and 2015, A
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,38 +14,12 @@ from scipy.linalg import block_diag
 from . import checks
 from .checks import Array
 from .equations import square_root
-from .recursion import Step, lifted, run
+from .immutable import Immutable
+from .motion import Motion, OneLength, Powers, checked, side_by_side
+from .steps import Step, products_for, run
 
-
-class Immutable:
-    """A dataclass of numbers, arrays and others of its kind that nobody can write to.
-
-    Two are equal, and have the same hash, when they are of one class and all that they hold is equal; NaN equals NaN.
-    Copies and pickles go through the constructor: numpy does not keep the read-only flag.
-    """
-
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        return all(map(same, self._held(), other._held()))
-
-    def __hash__(self) -> int:
-        # Of an array its numbers; + 0.0 makes 0 of -0, which is equal to it.
-        held = [(each + 0.0).tobytes() if isinstance(each, np.ndarray) else each for each in self._held()]
-        return hash((type(self), *held))
-
-    def _held(self):
-        return [getattr(self, field.name) for field in fields(self)]
-
-    def __reduce__(self):
-        return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()
-
-
-def same(a, b):
-    """Tell whether two fields are equal: arrays where all their numbers are."""
-    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return np.array_equal(a, b, equal_nan=True)
-    return bool(type(a) is type(b) and a == b)
+# The longest time step (s): its fifth power, in the Q of constant acceleration, is a double.
+LONGEST = 1e60
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -59,10 +32,13 @@ class LinearModel(Immutable):
     F is n×n, H is m×n, Q is n×n (the papers' G Q Gᵀ), R is m×m and positive definite. x0 (n,) and P0 (n×n) are the mean
     and the covariance of x(0), zero where not given, as in the papers. All arrays are copied and made read-only.
 
-    dt (s) and powers (n,) say what F and Q become over a step of another length, for tracks with times of their own:
-    a step of s dt has F_ij s^(e_i - e_j) and Q_ij s^(e_i + e_j), with the powers e. `constant_velocity` and
-    `constant_acceleration` give them. They are dropped where they do not fit F and Q, as when `replace` gives other
-    ones: two steps of dt / 2 must be one of dt.
+    `motion` says what F and Q are over a step of any length, for tracks with times of their own (`motion.Motion`):
+    give it in place of F and Q, or give F and Q with dt (s) and powers (n,), by which a step of s dt has
+    F_ij s^(e_i - e_j) and Q_ij s^(e_i + e_j), with the powers e. `constant_velocity` and `constant_acceleration` do.
+    Two steps of dt / 2 must be one of dt. A model of F and Q alone knows steps of one length: then dt is None.
+
+    `replace` keeps the motion where the new F and Q are a step of its kind (Q may become zero, and of powers any that
+    they fit). Else the model knows one length.
 
     Two models are equal, and have the same hash, when all their numbers are equal. So are two filters: a model or a
     filter can be the key of a dictionary.
@@ -81,52 +57,39 @@ class LinearModel(Immutable):
     P0: Array
     dt: float | None
     powers: Array | None
+    motion: Motion
 
     def __init__(
         self,
         *,
-        F: ArrayLike,
+        F: ArrayLike | None = None,
         H: ArrayLike,
-        Q: ArrayLike,
+        Q: ArrayLike | None = None,
         R: ArrayLike,
         x0: ArrayLike | None = None,
         P0: ArrayLike | None = None,
         dt: float | None = None,
         powers: ArrayLike | None = None,
+        motion: Motion | None = None,
     ):
+        if motion is not None and F is None and Q is None:
+            F, Q = checked(motion)
+            dt = motion.dt
         n, m = checks.rows("F", F), checks.rows("H", H)
-        checked = {
+        given = {
             "F": checks.array("F", F, (n, n)),
             "H": checks.array("H", H, (m, n)),
             "Q": checks.covariance("Q", Q, n),
             "R": checks.covariance("R", R, m, definite=True),
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
-            "dt": None if dt is None else checks.positive("dt", dt),
-            "powers": None if powers is None else checks.array("powers", powers, (n,)),
         }
-        for name, value in checked.items():
+        dt = None if dt is None else checks.positive("dt", dt)
+        powers = None if powers is None else checks.array("powers", powers, (n,))
+        found = _motion(given["F"], given["Q"], dt, powers, motion)
+        given |= {"dt": found.dt, "powers": found.powers if isinstance(found, Powers) else None, "motion": found}
+        for name, value in given.items():
             object.__setattr__(self, name, value)
-        if self.dt is None or self.powers is None or not self._two_half_steps_are_one():
-            object.__setattr__(self, "dt", None)
-            object.__setattr__(self, "powers", None)
-
-    def _two_half_steps_are_one(self):
-        """Tell whether F and Q fit the powers, and whether a step of length zero changes nothing."""
-        e, F, Q = self.powers, self.F, self.Q
-        differences, sums = e[:, None] - e, e[:, None] + e
-        if (differences[F != 0] % 1).any() or (sums[Q != 0] % 1).any():
-            return False
-        if (differences[F != 0] < 0).any() or (sums[Q != 0] <= 0).any():
-            return False
-        if (np.diag(F) != 1).any() or F[(differences == 0) & ~np.eye(len(F), dtype=bool)].any():
-            return False
-        half, noise = F * 0.5**differences, Q * 0.5**sums
-        rounding = 1e-12  # of a few products
-        size = np.abs(half) @ np.abs(Q) @ np.abs(half.T) + np.abs(Q)
-        same_F = np.abs(half @ half - F) <= rounding * np.abs(half) @ np.abs(half)
-        same_Q = np.abs(half @ noise @ half.T + noise - Q) <= rounding * size
-        return bool(same_F.all() and same_Q.all())
 
     def over(self, length: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of a step of this length, in units of dt, a number that is not negative; (K, n, n) of K steps.
@@ -137,12 +100,10 @@ class LinearModel(Immutable):
         array([[1., 3.],
                [0., 1.]])
         """
-        if self.powers is None:
-            checks.refuse("model", "powers that say what a step of another length is", "none")
-        # Where a power is below zero there is no F_ij or no Q_ij: no step of length zero is divided by.
-        differences, sums = self.powers[:, None] - self.powers, self.powers[:, None] + self.powers
-        s = np.asarray(length, dtype=float)[..., None, None]
-        return self.F * s ** np.maximum(differences, 0), self.Q * s ** np.maximum(sums, 0)
+        if self.dt is None:
+            need = "powers that say what a step of another length is, or a motion that does"
+            checks.refuse("model", need, "an F and a Q of one length only")
+        return self.motion.over(length)
 
     @property
     def n(self) -> int:
@@ -153,6 +114,32 @@ class LinearModel(Immutable):
     def m(self) -> int:
         """Dimension of the measurement."""
         return len(self.H)
+
+
+def _motion(F, Q, dt, powers, motion):
+    """Return the Motion of a model with these F and Q, from what was given of it: dt and powers, or a motion.
+
+    `replace` and copies give all of these; then F and Q may be other ones than those of the motion.
+    """
+    if dt is None:
+        if powers is not None and motion is None:
+            checks.refuse("powers", "a dt, the length of the step (s) for which F and Q are", "none")
+        return OneLength(F, Q)
+    if motion is None or isinstance(motion, OneLength | Powers):  # which F, Q, dt and powers say anew
+        if powers is None:
+            checks.refuse(
+                "dt", "powers, or a motion in place of F and Q, that say what a step of another length is", dt
+            )
+        by_powers = Powers(F, Q, powers, dt)
+        if by_powers.fits():
+            return by_powers
+        if motion is None:
+            checks.refuse("powers", "two steps of dt / 2 to be one of dt", "an F or a Q for which they are not")
+        return OneLength(F, Q)
+    checks.instance("motion", motion, Motion)
+    if dt != motion.dt:
+        checks.refuse("dt", f"the dt of the motion, {motion.dt:g} s", f"{dt:g} s")
+    return motion.with_matrices(F, Q) or OneLength(F, Q)
 
 
 def gsm_axis(dt: float, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
@@ -250,7 +237,10 @@ def gps_ins(dt: float, q: float, r: ArrayLike, x0: ArrayLike | None = None, P0: 
 
 
 def _checked(dt, q, r):
-    return checks.positive("dt", dt), checks.not_negative("q", q), checks.positive("r", r)
+    dt = checks.positive("dt", dt)
+    if dt > LONGEST:
+        checks.refuse("dt", f"at most {LONGEST:g} s, whose powers are doubles", f"{dt:g} s")
+    return dt, checks.not_negative("q", q), checks.positive("r", r)
 
 
 def stack(*models: LinearModel) -> LinearModel:
@@ -258,7 +248,8 @@ def stack(*models: LinearModel) -> LinearModel:
 
     Every matrix is block diagonal, and the states follow one another: [s_x v_x s_y v_y ...].
 
-    Raises ValueError when no model is given, TypeError for anything but a LinearModel.
+    Raises ValueError when no model is given and where two of them say another dt, TypeError for anything but a
+    LinearModel.
 
     >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
     >>> stack(axis, axis).H
@@ -269,12 +260,28 @@ def stack(*models: LinearModel) -> LinearModel:
         checks.refuse("models", "at least one model", "none")
     for i, model in enumerate(models):
         checks.instance(f"models[{i}]", model, LinearModel)
-    blocks = {name: block_diag(*[getattr(model, name) for model in models]) for name in ("F", "H", "Q", "R", "P0")}
+    known = {i: model.dt for i, model in enumerate(models) if model.dt is not None}
+    for i, dt in known.items():
+        first, dt_0 = next(iter(known.items()))
+        if dt != dt_0:
+            checks.refuse(
+                f"models[{i}].dt", f"a model that says the same dt as models[{first}], {dt_0:g} s", f"{dt:g} s"
+            )
+    motion = side_by_side([model.motion for model in models])
+    F, Q = motion.one_step
+    H, R, P0 = (block_diag(*[getattr(model, name) for model in models]) for name in ("H", "R", "P0"))
     x0 = np.concatenate([model.x0 for model in models])
-    if models[0].dt is None or any(model.dt != models[0].dt for model in models):
-        return LinearModel(**blocks, x0=x0)
-    powers = np.concatenate([model.powers for model in models])
-    return LinearModel(**blocks, x0=x0, dt=models[0].dt, powers=powers)
+    return LinearModel(
+        F=F,
+        H=H,
+        Q=Q,
+        R=R,
+        x0=x0,
+        P0=P0,
+        dt=motion.dt,
+        powers=motion.powers if isinstance(motion, Powers) else None,
+        motion=motion,
+    )
 
 
 def exact_motion(model: LinearModel, x0: ArrayLike) -> LinearModel:
@@ -323,8 +330,8 @@ def simulate(model: LinearModel, N: int, rng: np.random.Generator, tracks: int |
     M = 1 if tracks is None else checks.count("tracks", tracks)
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
     x = rng.standard_normal((N, model.n, M))
-    motion = Step(A=model.F, B=square_root(model.Q), P=None)
-    run(lifted([motion] * N, M), x0, x, x)  # the filters' recursion, driven by noise, which the states replace
+    step = Step(A=model.F, B=square_root(model.Q), P=None)
+    run(products_for([step] * N, M), x0, x, x)  # the filters' recursion, driven by noise, which the states replace
     z = square_root(model.R) @ rng.standard_normal((N, model.m, M))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import checks
 from .checks import Array
-from .columns import Motion
 from .equations import predicted_covariance
 from .model import LinearModel
 from .recursive import Filter
@@ -34,27 +33,23 @@ class _Ahead(Filter):
         """The transition over N steps, Fᴺ (n×n)."""
         return np.linalg.matrix_power(self.model.F, self.steps)
 
-    def epochs(self, z: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield the predictions x(k+N/k) and the covariances of their errors, in the shapes of Filter."""
-        motion = Motion(self.model.F, self.model.Q)
-        for x, P in self.estimator.epochs(z):
-            yield self.F_N @ x, self._ahead(motion, P)
+    @property
+    def parts(self) -> Sequence[Filter]:
+        """The filter whose states are predicted."""
+        return (self.estimator,)
 
-    def _fill(self, x, z):
-        self.estimator._fill(x, z)
+    def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
+        """Write the predictions to x and return the covariances of their errors if wanted, as in Filter."""
+        P = self.estimator.run(z, x, covariances)
         F_N = self.F_N
         for x_k in x:
             x_k[:] = F_N @ x_k
-
-    def _estimates(self, z):
-        x, P = self.estimator._estimates(z)
-        motion = Motion(self.model.F, self.model.Q)
-        return self.F_N @ x, np.moveaxis(self._ahead(motion, np.moveaxis(P, 0, 2)), 2, 0)
-
-    def _ahead(self, motion, P):
+        if not covariances:
+            return None
+        P = np.moveaxis(P, 0, 2)
         for _ in range(self.steps):
-            P = motion.covariance(P)
-        return P
+            P = self.model.motion.covariance(P)
+        return np.moveaxis(P, 2, 0)
 
 
 @dataclass(frozen=True, eq=False)

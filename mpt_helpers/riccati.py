@@ -27,7 +27,7 @@ from .model import LinearModel
 MODE_ROUNDING = 1e-12
 # Rounding turns a double eigenvalue into two at a relative distance of 1e-8, a triple one into three at 6e-6. Computed
 # eigenvalues that are nearer than this may be one: their mean, as accurate as a simple eigenvalue, is tried too.
-NEAR = 1e-4
+ONE_EIGENVALUE = 1e-4
 # Rounding moves a double eigenvalue on the unit circle by up to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
 # By how much a solution P may miss its equation, relative to the standard deviations: six digits hold.
@@ -51,7 +51,7 @@ def rekf(model: LinearModel) -> Array:
     array([[0.0597, 0.0257],
            [0.0257, 0.0227]])
     """
-    return _verified(model, _solve_rekf)
+    return _steady_state(model, _solve_rekf)
 
 
 def relf(model: LinearModel) -> Array:
@@ -68,26 +68,16 @@ def relf(model: LinearModel) -> Array:
     array([[0.0285, 0.008 ],
            [0.008 , 0.0127]])
     """
-    return _verified(model, _solve_relf)
+    return _steady_state(model, _solve_relf)
 
 
-def _verified(model, solve):
+def _steady_state(model, solve):
     """Return the P that solve(model) finds, or raise a ValueError that says why there is none.
 
     `solve` returns P and whether it solves its equation.
     """
     checks.instance("model", model, LinearModel)
-    nearest = "F is stable, so there is one in exact numbers"
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            least = min(_margins(model), key=lambda each: each[0], default=None)
-    except np.linalg.LinAlgError:
-        checks.refuse("model", "matrices whose products do not overflow", "an overflow")
-    if least:
-        margin, condition, mode = least
-        if margin < MODE_ROUNDING:
-            raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
-        nearest = f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
+    nearest = _require_the_conditions(model)
     try:
         with np.errstate(all="ignore"):  # where double precision does not resolve the steady state
             P, solved = solve(model)
@@ -96,6 +86,21 @@ def _verified(model, solve):
     if not solved:
         raise ValueError(f"model: needs a steady state that double precision can resolve; {nearest}")
     return P
+
+
+def _require_the_conditions(model):
+    """Raise a ValueError where a mode of F violates a condition of a steady state; else return which one is nearest."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            least = min(_margins(model), key=lambda each: each[0], default=None)
+    except np.linalg.LinAlgError:
+        checks.refuse("model", "matrices whose products do not overflow", "an overflow")
+    if least is None:
+        return "F is stable, so there is one in exact numbers"
+    margin, condition, mode = least
+    if margin < MODE_ROUNDING:
+        raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
+    return f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
 
 
 def _solve_rekf(model):
@@ -199,7 +204,7 @@ def _margins(model):
     H = np.array([_at_the_size_of(F, row) for row in H])  # the unit of a measurement changes nothing
     G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
-    means = [modes[np.abs(modes - mode) <= NEAR * abs(mode)].mean() for mode in modes]
+    means = [modes[np.abs(modes - mode) <= ONE_EIGENVALUE * abs(mode)].mean() for mode in modes]
     for mode in [*means, *modes]:  # eigenvalues near each other may be one or several: both are tried
         if abs(mode) >= ON_CIRCLE:
             shifted = mode * np.eye(model.n) - F

@@ -7,15 +7,15 @@ Only x(k+1/N) and P(k+1/N) are taken one after the other; all else is computed f
 of a long track is cut into pieces, as the way there is.
 """
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eig
 
-from .columns import product, solved, transposed
-from .partition import through
-from .recursion import epochs_at_a_time
+from . import checks
+from .algebra import product, solved, transposed
+from .engine import through
+from .steps import epochs_at_a_time
 
 # A mode is damped if its eigenvalue is smaller than DAMPED, and undriven if the variance that Q adds to it in a step is
 # smaller than UNDRIVEN times the one after the first measurement.
@@ -48,31 +48,26 @@ class Backwards:
         return Backwards(self.C, np.concatenate([self.d, np.zeros((N, n, count, M))], axis=2), self.D)
 
 
-def smoothed(motion, lengths, x, P):
+def smoothed(motion, epochs, x, P):
     """Return x(k/N) (N, n, M) and P(k/N) (N, n, n, M or 1) from x(k/k) and P(k/k) of the same shapes.
 
-    motion is the Motion of the states, lengths (N, M or 1) are those of the steps before each epoch, or None. One
-    covariance may be that of all tracks.
+    motion is that of the states, epochs are the Epochs that x and P are estimates of. One covariance may be that of all
+    tracks.
     """
-    modes = _undriven(motion.F, motion.Q, P[0])
+    modes = _undriven(*motion.one_step, P[0])
     if modes:
         text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
-        warnings.warn(
-            f"{text}: covariances may be wrong. Process noise of a millionth of the variances mends it", stacklevel=7
-        )
+        checks.warn(f"{text}: covariances may be wrong. Process noise of a millionth of the variances mends it")
     (N, n, M), width = x.shape, P.shape[3]
     C, d, D = np.empty((N - 1, n, n, width)), np.empty((N - 1, n, M)), np.empty((N - 1, n, n, width))
     for part in epochs_at_a_time(N - 1, n * n * width) if N > 1 else ():
-        C[part], d[part], D[part] = _coefficients(
-            motion, None if lengths is None else lengths[1:][part], x[part], P[part]
-        )
+        lengths = None if epochs.lengths is None else epochs.lengths[1:][part]
+        C[part], d[part], D[part] = _coefficients(motion, lengths, x[part], P[part])
     x, P = x.copy(), P.copy()
     if N > 1:
-        # One covariance for all tracks is one column of many tracks; otherwise each track is a column.
-        axis = 3 if width == 1 else 2
-        back = Backwards(C[::-1], np.expand_dims(d[::-1], axis), D[::-1])
-        x_N = np.expand_dims(x[-1], axis - 1)
-        through(_advance, back, x_N, P[-1], np.expand_dims(x[-2::-1], axis), P[-2::-1])
+        as_columns = epochs.layout.as_columns
+        back = Backwards(C[::-1], as_columns(d[::-1]), D[::-1])
+        through(_advance, back, as_columns(x[-1]), P[-1], as_columns(x[-2::-1]), P[-2::-1])
     return x, P
 
 
@@ -106,11 +101,15 @@ def _coefficients(motion, lengths, x, P):
 def _times_noise(motion, lengths, C):
     """Return C Q."""
     if lengths is None:
-        return transposed((motion.Q @ transposed(C).reshape(len(C), -1)).reshape(C.shape))
+        _, Q = motion.one_step
+        return transposed((Q @ transposed(C).reshape(len(C), -1)).reshape(C.shape))
     return product(C, motion.covariance(np.zeros_like(C), lengths))
 
 
 def _advance(step, x, P):
-    """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts."""
+    """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts.
+
+    It keeps the promises of `engine`, so that the way back may be cut into pieces too.
+    """
     C, d, D = step
     return product(C, x) + d, product(product(C, P), transposed(C)) + D, np.zeros((0, *x.shape[1:]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,10 +12,11 @@ from numpy.typing import ArrayLike
 from . import checks, riccati
 from .checks import Array
 from .columns import ConstantGainColumns
+from .epochs import Rows
 from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
 from .model import LinearModel
-from .recursion import TILE, tiles
 from .recursive import Filter, RecursiveFilter
+from .steps import TILE, tiles
 
 # How far A may be from (I - B H) F, relative to the size of the terms: room for the rounding of the solvers.
 SAME_A = 1e-6
@@ -94,12 +96,10 @@ class SteadyStateFilter(RecursiveFilter):
         _require_whole_rows(seen)
         return self.A, self.B, corrected_covariance(P_predicted, self.B, self.model.H, self.model.R)
 
-    def _in_columns(self, rows):
+    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
+        """Return the filter on columns, as in RecursiveFilter."""
         _require_whole_rows(rows.seen)
-        model, (_, _, c, M) = self.model, rows.z.shape
-        x = np.broadcast_to(model.x0[:, None, None], (model.n, c, M))
-        columns = ConstantGainColumns(model.F, model.H, model.Q, model.R, self.B)
-        return columns, rows, x, np.repeat(self.P[..., None], M, axis=2)
+        return ConstantGainColumns(self.model, self.B).advance, rows, self.model.x0, self.P
 
 
 def _require_whole_rows(seen):
@@ -184,7 +184,10 @@ class FIRFilter(Filter):
         """The paper's M: how many measurements an estimate takes."""
         return len(self.taps)
 
-    def _fill(self, x, z):
+    def run(self, z: Array, x: Array, covariances: bool) -> None:
+        """Write the estimates to x, as in Filter; there are no covariances."""
+        if covariances:
+            raise self._not_recursive()
         if np.isfinite(z).all():
             self._convolve(x, z)
             return

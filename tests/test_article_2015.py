@@ -212,7 +212,7 @@ def test_the_operations_are_taken_apart_as_the_article_says():
     assert (6 / 2) ** 3 == 27 == 3 * 9
 
 
-# Measured three times, under other loads, the ratios differed by up to 8 %. A quarter leaves room for that and for the
+# Measured twice, under other loads, the ratios differed by up to 12 %. A quarter leaves room for that and for the
 # rounding of the words; no other word ("three times", "half") would fit.
 WORDS = 0.25
 

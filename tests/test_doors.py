@@ -199,7 +199,7 @@ def test_several_of_a_kind_are_refused_by_their_number(make, name):
 
 @pytest.mark.parametrize("each", [AHEAD, FIR, mpt.JoinFilter(FIR, FIR), mpt.Separate(KF, FIR)])
 def test_a_filter_that_is_not_recursive_has_no_step(each):
-    with pytest.raises(TypeError, match="needs a filter with P0, epochs and step, got a "):
+    with pytest.raises(TypeError, match="needs a filter with P0, covariances and step, got a "):
         each.step(each.model.x0, np.eye(each.model.n), np.ones(each.model.m))
 
 
@@ -211,7 +211,7 @@ def test_separate_filters_cannot_be_exchanged():
 @pytest.mark.parametrize("make", [metrics.innovations, metrics.nis, metrics.log_likelihood])
 @pytest.mark.parametrize("without", [AHEAD, FIR, mpt.JoinFilter(FIR, FIR), mpt.Separate(KF, FIR)])
 def test_a_filter_without_covariances_has_no_innovations(make, without):
-    with pytest.raises(TypeError, match="needs a filter with P0, epochs and step, got a "):
+    with pytest.raises(TypeError, match="needs a filter with P0, covariances and step, got a "):
         make(without, np.zeros((4, without.model.m)))
 
 

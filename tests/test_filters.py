@@ -11,7 +11,7 @@ from conftest import AXIS, dense_model
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
 import mpt_helpers as mpt
-from mpt_helpers import recursion
+from mpt_helpers import steps
 from mpt_helpers.columns import KalmanColumns
 from mpt_helpers.equations import unit_measurements
 
@@ -221,8 +221,8 @@ def test_coefficients_that_repeat_are_copied_to_the_last_bit(make, model):
         A, B, P = each.next_step(P, np.ones(model.m, bool))
         for ours, row in zip((A, B, P), (part[k] for part in coefficients), strict=True):
             np.testing.assert_allclose(ours, row, rtol=1e-14, atol=1e-16)
-    steps = list(each._steps(1000))
-    assert len({id(step) for step in steps}) < 100
+    taken = list(steps.steps_without_gaps(each.next_step, each.P0, each.model.m, 1000))
+    assert len({id(step) for step in taken}) < 100
 
 
 @pytest.mark.parametrize("make", FILTERS)
@@ -372,8 +372,8 @@ def test_the_order_of_a_slow_fir_filter_is_found_at_once():
 
 
 def test_blocks_that_share_some_steps_have_products_of_their_own(monkeypatch):
-    monkeypatch.setattr(recursion, "steps_per_product", lambda numbers: 2)
-    first, second, third = (recursion.Step(A * np.eye(1), np.eye(1), np.eye(1)) for A in (0.5, 0.25, 0.125))
-    products = recursion.lifted([first, second, first, third, first, third], tracks=1)
+    monkeypatch.setattr(steps, "steps_per_product", lambda numbers: 2)
+    first, second, third = (steps.Step(A * np.eye(1), np.eye(1), np.eye(1)) for A in (0.5, 0.25, 0.125))
+    products = steps.products_for([first, second, first, third, first, third], tracks=1)
     assert [W[1, 0] for W in products] == [0.125, 0.0625, 0.0625]
     assert products[2] is products[1]

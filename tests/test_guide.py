@@ -184,7 +184,7 @@ def test_the_lines_of_the_guide_give_true_bands_on_recorded_tracks(name, first_h
         assert independent > 100
         assert (share > 0.90).all()
         assert (share < 0.98).all()
-        blind = mpt.metrics.following(mpt.metrics.placebo(a, np.random.default_rng(0)))
+        blind = mpt.metrics.following(mpt.bands.placebo(a, np.random.default_rng(0)))
         scores = [mpt.metrics.interval_score(a, width, where=unseen) for width in (band, blind)]
         assert (scores[0] < 0.6 * scores[1]).all()
         for state, rows in blocks_of_states(names).items():

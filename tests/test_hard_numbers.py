@@ -16,7 +16,7 @@ import precise
 import pytest
 
 import mpt_helpers as mpt
-from mpt_helpers import recursion, riccati
+from mpt_helpers import riccati, steps
 
 PAGE = Path(__file__).parents[1] / "docs" / "accuracy.md"
 BEGIN, END = "<!-- digits -->\n", "<!-- end of digits -->\n"
@@ -342,14 +342,15 @@ def test_several_steps_in_one_product_lose_no_digits(monkeypatch, name):
     """
     model = replace(LIFTED[name], x0=np.ones(LIFTED[name].n))
     z = mpt.simulate(model, 96, np.random.default_rng(2))[1]
-    steps = list(mpt.KalmanFilter(model)._steps(len(z)))
-    exact = precise.recursion([step.A for step in steps], [step.B for step in steps], model.x0, z)
+    kf = mpt.KalmanFilter(model)
+    taken = list(steps.steps_without_gaps(kf.next_step, kf.P0, model.m, len(z)))
+    exact = precise.recursion([step.A for step in taken], [step.B for step in taken], model.x0, z)
     largest = np.abs(exact.astype(float)).max(axis=0)
 
     def digits(L):
-        monkeypatch.setattr(recursion, "steps_per_product", lambda numbers: L)
+        monkeypatch.setattr(steps, "steps_per_product", lambda numbers: L)
         x = np.empty((len(z), model.n, 1))
-        recursion.run(recursion.lifted(steps, 1), model.x0[:, None], z[..., None], x)
+        steps.run(steps.products_for(taken, 1), model.x0[:, None], z[..., None], x)
         return precise.digits(x[..., 0], exact, largest)
 
     one = digits(1)

@@ -22,11 +22,13 @@ import reproduction
 
 PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
-CORE = ["checks", "recursion", "equations", "columns", "partition", "smoothing", "model", "lasting", "riccati"]
-CORE += ["recursive", "filters", "steady", "predictor", "combined", "bands", "metrics", "fitting"]
+CORE = ["checks", "immutable", "algebra", "steps", "equations", "motion", "epochs", "columns", "partition", "engine"]
+CORE += ["smoothing", "model", "lasting", "riccati", "recursive", "filters", "steady", "predictor", "combined", "bands"]
+CORE += ["metrics", "fitting"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
-ARRAYS_ONLY = {"recursion": set(), "equations": set(), "columns": set(), "partition": {"equations"}}
-OF_THE_CORE |= ARRAYS_ONLY | {"smoothing": {"columns", "partition", "recursion"}, "monte_carlo": {"checks"}}
+ARRAYS_ONLY = {"algebra": set(), "steps": set(), "equations": set(), "epochs": set(), "columns": {"algebra"}}
+ARRAYS_ONLY |= {"partition": {"equations", "steps"}}
+OF_THE_CORE |= ARRAYS_ONLY | {"monte_carlo": {"checks"}}
 OTHERS = {"plots": set(), "files": set(), "tracks": {"checks"}}
 # What a room of the reproduction may import of it; a paper's folder, named by its year, imports no other's.
 REPRODUCTION = Path(reproduction.__file__).parent

@@ -11,7 +11,7 @@ from oracles import matrices, textbook_kalman
 from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
-from mpt_helpers import recursion, recursive
+from mpt_helpers import engine, steps
 
 EPS = np.finfo(float).eps
 FILTERS = [mpt.KalmanFilter, mpt.LainiotisFilter]
@@ -186,7 +186,7 @@ def test_fir_goes_to_the_steady_state(model, seed, tol):
 def test_many_tracks_are_each_track_alone(make, model, seed, N, tracks, missed):
     """Whatever the number of tracks in a tile, and of steps in a product."""
     z = measured(model, seed, N, tracks, missed)
-    with patch.object(recursion, "TILE", 1 + seed % 7), patch.object(recursive, "TILE_OF_COVARIANCES", 1 + seed % 5):
+    with patch.object(steps, "TILE", 1 + seed % 7), patch.object(engine, "TILE_OF_COVARIANCES", 1 + seed % 5):
         together = make(model).filter(z)
     each = make(model)
     for i in range(0, tracks, 1 + tracks // 5):

@@ -1,13 +1,14 @@
-"""The recursion that every filter runs on its measurements, for one track or for many.
+"""The steps that tracks without gaps share: made once, and taken several at a time.
 
     x(k+1) = A_k x(k) + B_k z(k+1)
 
-For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so they are
-made beforehand, by `filters` and `steady`; this module knows arrays only. `recursion` is the plain loop. `run`, which
-the filters call, gives the same numbers sooner, but for rounding: L steps in a row are one matrix product, and that
-product is the same for all tracks,
+For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so the tracks
+without gaps share them. `recursion` is the plain loop. `run`, which the filters call, gives the same numbers sooner,
+but for rounding: L steps in a row are one matrix product, and that product is the same for all tracks,
 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
+
+`shared_steps` makes the steps of a filter, as long as few of them differ.
 """
 
 from itertools import pairwise
@@ -19,11 +20,21 @@ import numpy as np
 TILE = 16_384
 # Tracks per tile where each track has a covariance of its own, which takes more room.
 TILE_OF_COVARIANCES = 4_096
-# Numbers of an array of which some ten are made and used at once: they stay in the cache together. Measured.
+# Numbers of an array of which some ten are made and used at once: they stay in the cache together. Measured on one
+# processor, as the sizes below are, with the works of benchmarks/bench.py.
 IN_CACHE = 16_384
 # (size, L): how many steps to take in one product when the states of a tile hold at least `size` numbers. Small
-# products cost calls, large ones leave the cache. Measured.
+# products cost calls, large ones leave the cache.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
+# A filter makes and keeps at most so many different steps for tracks without gaps; where it has not converged by then,
+# as one without process noise, columns are sooner done. On the models of 2014 to 2016 it converges within some 50.
+MOST_STEPS = 256
+# The same for at most FEW_TRACKS tracks: as columns these are cut into pieces, and sooner done.
+MOST_STEPS_OF_FEW = 64
+# Fewer tracks than these do not fill the processor: a call of numpy costs more than its numbers.
+FEW_TRACKS = 64
+# A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
+CONVERGED = 2e-16
 
 
 class Step(NamedTuple):
@@ -68,7 +79,46 @@ def product_of_steps(A, B):
     return recursion(A, B, inputs[:n], inputs[n:].reshape(L, m, -1)).reshape(L * n, -1)
 
 
-def lifted(steps, tracks):
+class SharedSteps(NamedTuple):
+    """The Steps of tracks without gaps, and the products of several of them that `run` takes."""
+
+    steps: list
+    products: list
+
+
+def shared_steps(next_step, P0, m, N, tracks):
+    """Return the SharedSteps of N epochs without gaps, or None where too many of them differ.
+
+    next_step(P, seen) is that of a filter, P0 its P(0/0), m the number of its measurements.
+    """
+    most = MOST_STEPS if tracks > FEW_TRACKS else MOST_STEPS_OF_FEW
+    steps = list(steps_without_gaps(next_step, P0, m, min(N, most)))
+    if most < N:
+        if steps[-1] is not steps[-2]:  # not converged: a filter that has repeats one object
+            return None
+        steps += steps[-1:] * (N - most)
+    return SharedSteps(steps, products_for(steps, tracks))
+
+
+def steps_without_gaps(next_step, P0, m, N):
+    """Yield the Steps of N epochs without gaps. A filter that has converged repeats one object."""
+    P, converged, seen = P0, False, np.ones(m, bool)
+    for _ in range(N):
+        if not converged:
+            step = Step(*next_step(P, seen))
+            for array in step:
+                array.flags.writeable = False
+            converged = _has_not_moved(P, step.P)
+            P = step.P
+        yield step
+
+
+def _has_not_moved(before, after):
+    sigma = np.sqrt(np.abs(np.diag(after)))
+    return bool((np.abs(after - before) <= len(sigma) * CONVERGED * np.outer(sigma, sigma)).all())
+
+
+def products_for(steps, tracks):
     """Return the W of each block of steps, for `run` on this number of tracks.
 
     steps is a list of Steps. Where a filter has converged it repeats one Step, and its blocks share one W.
@@ -91,8 +141,8 @@ def _are_the_same_objects(block, other):
 def run(products, x0, z, x):
     """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
 
-    products are those of `lifted`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. NaN in z spreads to the
-    whole block of steps it is in, and to everything after it.
+    products are those of `products_for`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. NaN in z spreads
+    to the whole block of steps it is in, and to everything after it.
     """
     (_, n, M), m = x.shape, z.shape[1]
     x0 = np.broadcast_to(x0, (n, M))

@@ -1,0 +1,96 @@
+"""Linear algebra on columns: many small matrices at once.
+
+The last axes count the columns, and each column holds a matrix of its own: A (a, b, M) are M matrices (a, b). numpy
+takes one row of numbers for all columns in each call, which is much faster than a call for each matrix.
+"""
+
+import numpy as np
+
+
+def product(A, B):
+    """Return the products A B (a, c, ...) of the matrices in the columns of A (a, b, ...) and B (b, c, ...)."""
+    return np.einsum("ij...,jk...->ik...", A, B)
+
+
+def transposed(A):
+    """Return the transposed matrices of A (a, b, ...)."""
+    return A.swapaxes(0, 1)
+
+
+def solved(S, X):
+    """Return S⁻¹ X (n, c, ...) for covariances S (n, n, ...), which may be singular, and X (n, c, ...).
+
+    A direction without variance, known exactly, gets zeros: no multiple of it says anything. Its pivot is the rounding
+    of zero.
+    """
+    n = len(S)
+    S, X = S.copy(), X.copy()
+    least = n * np.finfo(float).eps * np.einsum("jj...->j...", S)
+    weights = np.zeros_like(least)
+    for j in range(n):
+        there = S[j, j] > least[j]
+        weights[j] = there / np.where(there, S[j, j], 1.0)
+        share = (S[j + 1 :, j] * weights[j])[:, None]
+        S[j + 1 :, j + 1 :] -= share * S[j, j + 1 :]
+        X[j + 1 :] -= share * X[j]
+    for j in reversed(range(n)):
+        X[j] = weights[j] * (X[j] - np.einsum("i...,ic...->c...", S[j, j + 1 :], X[j + 1 :]))
+    return X
+
+
+def whitened(values, C):
+    """Return values (d, ...) at unit covariance, and log det C (...), from their covariances C (d, d, ...).
+
+    Of a value that is NaN nothing is known: it becomes zero, and adds nothing to the determinant. One component is
+    taken after the other, each freed of what those before it say of it. Where C is not positive definite, a pivot is
+    not positive, and the results are not finite.
+
+    >>> whitened(np.array([3.0, np.nan]), np.array([[4.0, 1.0], [1.0, 1.0]]))
+    (array([1.5, 0. ]), array(1.38629436))
+    """
+    values, C = values.copy(), np.broadcast_to(C, (*C.shape[:2], *values.shape[1:])).copy()
+    log_det = np.zeros(values.shape[1:])
+    for j in range(len(values)):
+        seen = ~np.isnan(values[j])
+        pivot = np.where(seen, np.where(C[j, j] > 0, C[j, j], np.nan), 1.0)
+        value = np.where(seen, values[j], 0.0)
+        share = C[j + 1 :, j] * (seen / pivot)
+        values[j + 1 :] -= share * value
+        C[j + 1 :, j + 1 :] -= share[:, None] * C[j, j + 1 :]
+        values[j] = value / np.sqrt(pivot)
+        log_det += np.log(pivot)
+    return values, log_det
+
+
+def product_for_covariances(T):
+    """Return W (m², n²) with vec(T P Tᵀ) = W vec(P) for T (m, n) and a symmetric P.
+
+    T P Tᵀ is linear in P, so that one matrix product makes it for all columns.
+    """
+    m, n = T.shape
+    W = np.kron(T, T).reshape(m, m, n * n)
+    # Equal rows for (a, b) and (b, a), so that T P Tᵀ is symmetric to the last bit.
+    return ((W + W.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
+
+
+class LinearMap:
+    """One matrix T (n, n) for all columns: x -> T x and P -> T P Tᵀ."""
+
+    def __init__(self, T):
+        self._T = T
+        self._product = product_for_covariances(T)
+        self._changes_nothing = np.array_equal(T, np.eye(len(T)))
+
+    def __call__(self, x, P):
+        """Return T x (n, ...) and T P Tᵀ (n, n, ...)."""
+        if self._changes_nothing:
+            return x, P
+        return self.of_state(x), self.of_covariance(P)
+
+    def of_state(self, x):
+        """Return T x (n, ...)."""
+        return (self._T @ x.reshape(len(x), -1)).reshape(x.shape)
+
+    def of_covariance(self, P):
+        """Return T P Tᵀ (n, n, ...) for symmetric P."""
+        return (self._product @ P.reshape(len(P) ** 2, -1)).reshape(P.shape)

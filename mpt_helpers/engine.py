@@ -1,0 +1,248 @@
+"""The run of a filter over tracks: from `Epochs` to states x, covariances P and innovations.
+
+A track goes one of two ways:
+
+1. *Tracks without gaps, at steps and with variances of the model.* They share A_k, B_k and P, which are made once
+   (`steps.shared_steps`), and `steps.run` takes all of them through several steps in one product.
+2. *All others.* They have conditions of their own, and are columns (`columns`): one row is taken after the other
+   (`in_sequence`), or, where a few long tracks would leave the processor idle, pieces run side by side (`partition`).
+
+A filter on columns is its `advance`, one epoch:
+
+    x, P, innovations = advance(row, x, P)
+
+row is a `Row` of c tracks in each of M columns, x (n, c, M) and P (n, n, M) are x(k/k) and P(k/k). It returns both one
+row further, and the innovations (m, c, M) at unit covariance, zero where nothing was measured. Each `advance` keeps
+five promises, which the functions here and a user's own gate live from:
+
+- x comes out linear in x and in the measurements, and P does not depend on either. So `partition` may run a piece from
+  starts of its own choice, and add up what becomes of them.
+- x and P are left as they were, and a second call returns the same. So a gate may look at the innovations, refuse the
+  row, and call again with `row.without(refused)`.
+- The innovations of a track are white and of unit variance if the model is right, also with correlated noises and in
+  rows that are partly missing. The sum of their squares is the NIS of the row. With correlated noises a single one of
+  them does not belong to one measurement, so that a gate takes or refuses a row as a whole.
+- A filter of constant gain returns no innovations (m = 0). Its `optimal` is false, and a gate must refuse it: a NIS of
+  zero would let everything pass.
+- A measurement that is missing, and the variance that stands in its place, change nothing.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from . import checks
+from .algebra import product_for_covariances
+from .epochs import Rows
+from .partition import agree, count_of_pieces, cut, next_starts, rows_per_piece, starts, uncut
+from .steps import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run, tiles
+
+# Where the pieces of a track do not fit together, all of them run again from where the ones before ended, so many times
+# in all. Then the track is not cut.
+MOST_PASSES = 3
+
+
+def estimates(estimator, epochs, x, covariances):
+    """Write x(k/k) of all epochs to x (N, n, M), and return P(k/k) (N, n, n, M), or None if it is not wanted.
+
+    P is (N, n, n, 1) where all tracks share it.
+    """
+    N, _, M = x.shape
+    if not epochs.differ_in_gaps_only or _columns_will_do_all(epochs, covariances):
+        return _by_columns(estimator, epochs, x, covariances)
+    shared = estimator.shared_steps(N, M)
+    if shared is None:
+        return _by_columns(estimator, epochs, x, covariances)
+    run(shared.products, estimator.model.x0[:, None], epochs.z, x)
+    if covariances:
+        return _finite(np.array([step.P for step in shared.steps])[..., None])
+    # NaN spreads to all that follows: tracks that have some in the end had gaps, and are columns.
+    gaps = np.isnan(x[-1]).any(axis=0)
+    if gaps.all():
+        return _by_columns(estimator, epochs, x, covariances)
+    if gaps.any():
+        of_gaps = np.empty((*x.shape[:2], gaps.sum()))
+        _by_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
+        x[..., gaps] = of_gaps
+    return None
+
+
+def _columns_will_do_all(epochs, covariances):
+    """Tell whether no track can be taken by the shared steps: then they are not made.
+
+    With covariances that is so as soon as one track has a gap, as P is an array for all tracks. Without, all need one;
+    many tracks are not searched for that, since their last states show it for nothing.
+    """
+    if covariances:
+        return bool(epochs.missing.any())
+    if epochs.z.shape[2] > FEW_TRACKS or not epochs.missing.any():
+        return False
+    return bool(epochs.missing.any(axis=(0, 1)).all())
+
+
+def _by_columns(estimator, epochs, x, covariances):
+    """Do what `estimates` does by the second way, so many columns at a time."""
+    (N, n, M), layout = x.shape, epochs.layout
+    P = np.empty((N, n, n, layout.columns(M))) if covariances else None
+    for part in tiles(M, TILE if layout.one_column else TILE_OF_COVARIANCES):
+        on_columns = start_on_columns(estimator, layout.rows(epochs.of(part)))
+        written = layout.as_columns(x[..., part]), None if P is None else layout.of_tracks(P, part)
+        last, least = through(*on_columns, *written)
+        if least < 0:
+            # The variance of a state that is known exactly comes out as the rounding of zero, on either side of it.
+            careful = partial(_keeping_what_is_known, estimator.model.motion, on_columns.advance)
+            last, least = through(*on_columns._replace(advance=careful), *written)
+        if least < 0:
+            need = "measurements that are not far more precise than P0 or than what is known after a gap"
+            checks.refuse("z", need, "a variance below zero, by rounding")
+        _finite(last)
+    return P
+
+
+def _finite(P):
+    if not np.isfinite(P).all():
+        checks.refuse("z", "gaps over which the covariances stay within the range of doubles", "an overflow")
+    return P
+
+
+class OnColumns(NamedTuple):
+    """A filter before its first row: its `advance`, the rows, and x(0/0) (d, c, M) and P(0/0) (d, d, M).
+
+    The first n of the d states are those of the model. The others, if there are any, are noises of the measurements.
+    """
+
+    advance: Callable
+    rows: Rows
+    x: np.ndarray
+    P: np.ndarray
+
+
+def start_on_columns(estimator, rows):
+    """Return OnColumns of Rows, as `Layout.rows` makes them."""
+    advance, rows, x0, P0 = estimator.in_columns(rows)
+    _, _, c, M = rows.z.shape
+    x = np.broadcast_to(x0[:, None, None], (len(x0), c, M))
+    return OnColumns(advance, rows, x, np.repeat(P0[..., None], M, axis=2))
+
+
+def _keeping_what_is_known(motion, advance, row, x, P):
+    """Advance, and let a state that is predicted exactly, by a variance of zero, be known exactly afterwards."""
+    x, P_next, innovations = advance(row, x, P)
+    n = len(motion.one_step[0])
+    known = np.zeros(P_next.shape[1:], bool)
+    known[:n] = np.einsum("jjm->jm", motion.covariance(P[:n, :n], row.lengths)) == 0
+    return x, np.where(known[:, None] | known, 0.0, P_next), innovations
+
+
+def in_sequence(advance, rows, x, P, takes=None):
+    """Yield x(k/k), P(k/k) and the innovations of one row after the other, from x(0/0) (d, c, M) and P(0/0) (d, d, M).
+
+    The innovations (m, c, M) are at unit covariance. takes(innovations) says which rows are taken, (M,) or one truth
+    value for all; in a column that does not take it, the row counts as missing. Without it all are taken.
+
+    Here is a gate, which refuses what lies further off than 25 variances:
+
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
+    >>> epochs = kf.epochs_of(np.array([1.0, 2.0, 9.0, 4.0])[:, None, None])
+    >>> on_columns = start_on_columns(kf, epochs.layout.rows(epochs))
+    >>> for x, P, innovations in in_sequence(*on_columns, takes=lambda e: (e**2).sum(axis=(0, 1)) < 25):
+    ...     print(f"{x[0].item():.1f} {innovations.item():.1f}")
+    1.0 0.0
+    2.0 0.0
+    3.0 14.5
+    4.0 0.0
+    """
+    for row in rows:
+        x_next, P_next, innovations = advance(row, x, P)
+        if takes is not None:
+            refused = ~np.asarray(takes(innovations))
+            if refused.any():
+                x_next, P_next, _ = advance(row.without(refused), x, P)
+        x, P = x_next, P_next
+        yield x, P, innovations
+
+
+def through(advance, rows, x0, P0, x, P):
+    """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
+
+    rows can be iterated, cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `epochs.Rows`. They are
+    cut into pieces where that is sooner done, and costs no digits. Returns the last P, of each piece where there are
+    several, in which an overflow shows, and the least variance of all.
+    """
+    N, _, c, M = x.shape
+    K = rows_per_piece(N, c * M)
+    if K < N:
+        found = _in_pieces(advance, rows, K, x0, P0, x, P)
+        if found is not None:
+            return found
+    _, last, least = _written(advance, rows, x0, P0, x, P)
+    return last, least
+
+
+def _written(advance, rows, x0, P0, x, P):
+    """Write the states to x and the covariances to P unless it is None.
+
+    Returns the last of both, of all d states, and the least variance of all.
+    """
+    n = x.shape[1]
+    least = np.inf
+    for k, (x_k, P_k, _) in enumerate(in_sequence(advance, rows, x0, P0)):
+        x[k] = x_k[:n]
+        least = min(least, np.einsum("jj...->j...", P_k[:n, :n]).min())
+        if P is not None:
+            P[k] = P_k[:n, :n]
+    return x_k, P_k, least
+
+
+def _in_pieces(advance, rows, K, x0, P0, x, P):
+    """Do what `through` does, in pieces of K rows. Returns None where the pieces do not fit together."""
+    N, n, _, M = x.shape
+    pieces = rows.mapped(partial(cut, K=K))
+    try:
+        x_start, P_start = starts(advance, pieces, count_of_pieces(N, K), x0, P0)
+    except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
+        return None
+    x_pieces = np.empty((K, n, *x_start.shape[1:]))
+    P_pieces = None if P is None else np.empty((K, n, n, P_start.shape[2]))
+    for _ in range(MOST_PASSES):
+        x_last, P_last, least = _written(advance, pieces, x_start, P_start, x_pieces, P_pieces)
+        x_next, P_next = next_starts(x0, x_last), next_starts(P0, P_last)
+        if least >= 0 and agree(x_start, P_start, x_next, P_next):
+            x[...] = uncut(x_pieces, N, M)
+            if P is not None:
+                P[...] = uncut(P_pieces, N, M)
+            return P_last, least
+        x_start, P_start = x_next, P_next
+    return None
+
+
+def innovations(estimator, epochs):
+    """Return the innovations z(k) - H x(k/k-1) (N, m, M), NaN where z has NaN, and their covariances S (N, m, m, M).
+
+    S is (N, m, m, 1) where all tracks share it.
+    """
+    model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
+    x = np.empty((N, n, M))
+    P = estimates(estimator, epochs, x, covariances=True)
+    W = product_for_covariances(model.H)
+    values, S = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3]))
+    for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
+        # Axes: states, epochs, tracks. The states are those before the measurements.
+        before = np.moveaxis(_before(x, model.x0, part), 1, 0), np.moveaxis(_before(P, estimator.P0, part), 0, 2)
+        lengths = None if epochs.lengths is None else epochs.lengths[part]
+        x_part, P_part = model.motion.state(before[0], lengths), model.motion.covariance(before[1], lengths)
+        expected = (model.H @ x_part.reshape(n, -1)).reshape(m, *x_part.shape[1:])
+        values[part] = epochs.z[part] - np.moveaxis(expected, 0, 1)
+        S[part] = np.moveaxis((W @ P_part.reshape(n * n, -1)).reshape(m, m, *P_part.shape[2:]), 2, 0)
+    return values, S + epochs.noise(model.R)
+
+
+def _before(array, start, part):
+    """Return the rows of an array (N, ..., M) before those of a slice; the one before the first is start (...)."""
+    if part.start > 0:
+        return array[part.start - 1 : part.stop - 1]
+    first = np.broadcast_to(start[None, ..., None], (1, *array.shape[1:]))
+    return np.concatenate([first, array[: part.stop - 1]])

@@ -1,0 +1,43 @@
+"""Values that nobody can write to: what models, motions and filters have in common."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from functools import partial
+
+import numpy as np
+
+
+class Immutable:
+    """A dataclass of numbers, arrays and others of its kind that nobody can write to.
+
+    Two are equal, and have the same hash, when they are of one class and all that they hold is equal; NaN equals NaN.
+    Copies and pickles go through the constructor: numpy does not keep the read-only flag.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(map(same, self._held(), other._held()))
+
+    def __hash__(self) -> int:
+        # Of an array its numbers; + 0.0 makes 0 of -0, which is equal to it.
+        held = [(each + 0.0).tobytes() if isinstance(each, np.ndarray) else each for each in self._held()]
+        return hash((type(self), *held))
+
+    def _held(self):
+        return [getattr(self, field.name) for field in fields(self)]
+
+    def __reduce__(self):
+        return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()
+
+
+def same(a: object, b: object) -> bool:
+    """Tell whether two fields are equal: arrays where all their numbers are.
+
+    >>> same(np.array([1.0, np.nan]), np.array([1.0, np.nan])), same(1.0, None)
+    (True, False)
+    """
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return np.array_equal(a, b, equal_nan=True)
+    return bool(type(a) is type(b) and a == b)

@@ -1,0 +1,157 @@
+"""`step`: what it takes and refuses, for every filter that has one; and what two threads at once may not break."""
+
+import re
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import AXIS, dense_model
+
+import mpt_helpers as mpt
+
+CV = mpt.constant_velocity(0.7, 0.04, 0.5, x0=[1.0, 2.0], P0=np.eye(2) + 0.1)
+PLANE = mpt.stack(CV, replace(CV, R=[[2.0]]))
+KF, LF = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)
+SS = mpt.SteadyStateFilter.from_kalman(AXIS)
+EACH = {"KF": KF, "LF": LF, "SSKF": SS, "join": mpt.JoinFilter(KF, LF), "separate": mpt.Separate(KF, LF)}
+NO_COVARIANCES = {
+    "not symmetric": ([[1.0, 0.5], [0.4, 1.0]], "a matrix that is not symmetric: 0.4 and 0.5"),
+    "negative": ([[1.0, 0.0], [0.0, -1e-3]], "a variance of -0.001"),
+    "all negative": (-np.eye(2), "a variance of -1"),
+    "correlated by more than one": ([[1.0, 2.0], [2.0, 1.0]], "a covariance of 2, too large beside its variances"),
+    "correlated with what is known": ([[1.0, 0.1], [0.1, 0.0]], "a covariance of 0.1, too large"),
+}
+
+
+@pytest.mark.parametrize("kind", [np.array, list], ids=["arrays", "lists"])
+@pytest.mark.parametrize(("P", "words"), NO_COVARIANCES.values(), ids=NO_COVARIANCES)
+@pytest.mark.parametrize("each", EACH.values(), ids=EACH)
+def test_a_step_refuses_a_P_that_is_no_covariance(each, P, words, kind):
+    n = each.model.n
+    whole = np.eye(n)
+    whole[:2, :2] = P
+    with pytest.raises(ValueError, match=re.escape(f"P: needs a covariance, got {words}")):
+        each.step(np.zeros(n), kind(whole.tolist()), np.zeros(each.model.m))
+
+
+@pytest.mark.parametrize("name", ["known start", "dense", "12 states"])
+def test_a_step_takes_what_it_has_returned(name):
+    """Also where variances are zero but for their rounding, and where states are of very different sizes."""
+    gps_ins = replace(mpt.gps_ins(1.0, 0.01, (1.0, 1e-4)))
+    model = {"known start": gps_ins, "dense": dense_model(1), "12 states": mpt.stack(*[CV] * 6)}[name]
+    if name == "dense":
+        model = replace(model, F=model.F / np.abs(np.linalg.eigvals(model.F)).max())
+    size = np.geomspace(1e-6, 1e6, model.n)
+    sized = mpt.LinearModel(
+        F=model.F * size[:, None] / size,
+        H=model.H / size,
+        Q=model.Q * size[:, None] * size,
+        R=model.R,
+        P0=model.P0 * size[:, None] * size,
+    )
+    for each in (mpt.KalmanFilter(model), mpt.LainiotisFilter(model), mpt.KalmanFilter(sized)):
+        x, P = np.zeros(each.model.n), each.P0
+        for z_k in mpt.simulate(each.model, 300, np.random.default_rng(0))[1]:
+            x, P = each.step(x, P, z_k)
+
+
+@pytest.mark.parametrize("dt", [1e60, 1e110, 1e160, 1e300])
+@pytest.mark.parametrize("make", [mpt.constant_velocity, mpt.constant_acceleration])
+def test_a_step_refuses_a_time_beside_which_doubles_hold_no_measurement(make, dt):
+    """At 1e60 s a variance was 6.6e146 m² after a measurement of 0.5 m²; beyond, NaN, without an error."""
+    model = make(1.0, 0.04, 0.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for z in (1.0, np.nan):
+            if not np.isnan(z) or dt > 1e110:
+                with pytest.raises(ValueError, match=r"^dt: needs a time .* got 1e\+\d+ s"):
+                    mpt.KalmanFilter(model).step(np.zeros(model.n), np.eye(model.n), [z], dt=dt)
+
+
+@pytest.mark.parametrize("dt", [1e3, 1e5, 1e6])
+def test_a_step_takes_a_pause_of_days(dt):
+    """P to a thousandth: of sigma in the position as it was measured, 0.5 m²."""
+    kf = mpt.KalmanFilter(mpt.constant_acceleration(1.0, 0.04, 0.5, P0=np.eye(3)))
+    _, P = kf.step(np.zeros(3), np.eye(3), [1.0], dt=dt)
+    np.testing.assert_allclose(P[0, 0], 0.5, rtol=1e-3)
+
+
+def test_separate_filters_step_with_their_variances():
+    z, r = np.array([[1.0, 2.0], [np.nan, 3.0], [0.0, 1.0]]), np.array([[0.3, 1.0], [np.nan, 2.0], [0.1, 4.0]])
+    t = np.array([0.7, 1.0, 3.0])
+    axes = [mpt.KalmanFilter(CV, t=t, r=r[:, :1]), mpt.KalmanFilter(replace(CV, R=[[2.0]]), t=t, r=r[:, 1:])]
+    both, plane = mpt.Separate(*axes), mpt.KalmanFilter(PLANE, t=t, r=r)
+    x, P = both.model.x0, both.P0
+    for z_k, r_k, dt in zip(z, r, [0.7, 0.3, 2.0], strict=True):
+        x, P = both.step(x, P, z_k, dt=dt, r=r_k)
+    np.testing.assert_allclose(x, plane.filter(z)[-1], rtol=1e-12)
+    np.testing.assert_allclose(P, plane.covariances(z)[-1], rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(both.filter(z), plane.filter(z), rtol=1e-12)
+    # Of filters of which only one was given variances, the other has none to be told.
+    one = mpt.Separate(mpt.KalmanFilter(CV, r=r[:, :1]), mpt.LainiotisFilter(CV))
+    x, _ = one.step(one.model.x0, one.P0, [1.0, 2.0], r=[0.3, np.nan])
+    np.testing.assert_allclose(x, one.filter([[1.0, 2.0], [np.nan, 3.0], [0.0, 1.0]])[0], rtol=1e-12)
+
+
+def test_joint_filters_step_by_dt_and_r():
+    join, kf = mpt.JoinFilter(mpt.KalmanFilter(CV), mpt.KalmanFilter(CV)), mpt.KalmanFilter(CV)
+    ours, theirs = (each.step(CV.x0, CV.P0, [1.0], dt=2.0, r=[0.2]) for each in (join, kf))
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-14)
+
+
+NOT_TAKEN = {
+    "LF, dt": (lambda: LF.step(AXIS.x0, AXIS.P0, [0.0], dt=1.0), "dt: needs to be left out"),
+    "LF, r": (lambda: LF.step(AXIS.x0, AXIS.P0, [0.0], r=[1.0]), "r: needs to be left out"),
+    "SSKF, dt": (lambda: SS.step(AXIS.x0, AXIS.P0, [0.0], dt=1.0), "dt: needs to be left out"),
+    "join, dt": (lambda: mpt.JoinFilter(KF, LF).step(AXIS.x0, AXIS.P0, [0.0], dt=1.0), "dt: needs"),
+    "separate, dt": (lambda: mpt.Separate(LF).step(AXIS.x0, AXIS.P0, [0.0], dt=1.0), "dt: needs to be left out"),
+    "separate, r": (lambda: mpt.Separate(LF).step(AXIS.x0, AXIS.P0, [0.0], r=[1.0]), "r: needs to be left out"),
+    "separate, no r": (
+        lambda: mpt.Separate(mpt.KalmanFilter(CV, r=[[1.0]])).step(CV.x0, CV.P0, [0.0]),
+        "r: needs the variances of z_k",
+    ),
+    "separate, r of others": (
+        lambda: mpt.Separate(mpt.KalmanFilter(CV)).step(CV.x0, CV.P0, [0.0], r=[1.0, 2.0]),
+        r"r: needs a vector of 1 variances, got shape \(2,\)",
+    ),
+    "a dt whose powers overflow": (lambda: mpt.constant_velocity(1e150, 1, 1), "dt: needs at most 1e\\+60 s"),
+    "the same of an acceleration": (lambda: mpt.constant_acceleration(1e70, 1, 1), "dt: needs at most 1e\\+60 s"),
+    "covariances for r": (
+        lambda: mpt.KalmanFilter(PLANE, r=np.tile([[1.0, 0.3], [0.3, 2.0]], (4, 1, 1))),
+        r"r: needs variances, \(N, 2\) or \(N, 2, M\), got what looks like covariances",
+    ),
+}
+
+
+@pytest.mark.parametrize(("call", "words"), NOT_TAKEN.values(), ids=NOT_TAKEN)
+def test_what_a_step_does_not_take_is_refused_by_name(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
+
+
+def test_variances_of_as_many_tracks_as_measurements_are_taken():
+    """Where they do not look like covariances: different ones, the same for all, and a missing one."""
+    rng = np.random.default_rng(0)
+    for r in (rng.uniform(0.1, 1.0, (5, 2, 2)), np.full((5, 2, 2), 0.5), np.full((5, 2, 2), np.nan)):
+        assert mpt.KalmanFilter(PLANE, r=r).r.shape == (5, 2, 2)
+    dense = np.where(np.arange(5)[:, None, None] == 2, [[1.0, 0.3], [0.2, 2.0]], [[1.0, 0.3], [0.3, 2.0]])
+    assert mpt.KalmanFilter(PLANE, r=dense).r.shape == (5, 2, 2)
+
+
+class Forgetting(dict):
+    """As if another thread cleared what is kept as soon as it is there."""
+
+    def __setitem__(self, key, value):
+        super().__setitem__(key, value)
+        self.clear()
+
+
+@pytest.mark.parametrize("name", ["_constants", "_kept"])
+def test_what_is_kept_may_be_gone_at_any_time(name):
+    lf = mpt.LainiotisFilter(AXIS)
+    vars(lf)[name] = Forgetting()
+    z = np.array([[1.0], [np.nan], [2.0]])
+    np.testing.assert_array_equal(lf.filter(z), LF.filter(z))
+    np.testing.assert_array_equal(lf.filter(np.ones((5, 1))), LF.filter(np.ones((5, 1))))
