@@ -245,6 +245,33 @@ def long_tracks():
     return rows
 
 
+def pieces():
+    """Rows for the code that the article on 2014 teaches, beside what else somebody might write for one long track."""
+    axis = replace(AXIS, H=[[1, 0]], P0=100 * np.eye(2))
+    z = mpt.simulate(axis, ROWS, np.random.default_rng(0))[1]
+    gappy = np.where(np.random.default_rng(1).random((ROWS, 1)) < 0.05, np.nan, z)
+    article, kf, track = peers.taught(), mpt.KalmanFilter(axis), f"{ROWS:,} rows as taught"
+    H = np.array([[1.0, 0.0]])
+    works = {
+        f"{track}: in pieces": partial(article["in_pieces"], gappy[:, 0], 80, H),
+        f"{track}: plain loop of numpy": partial(article["one_by_one"], gappy[:, 0], H),
+        f"{track}: Python numbers": partial(peers.plain_numbers(axis), gappy),
+        f"{track}: this package": partial(kf.filter, gappy),
+    }
+    if peers.COMPILER:
+        works[f"{track}: C"] = partial(peers.in_c(axis), gappy)
+    expected = kf.filter(gappy)
+    for name, work in works.items():
+        same(work(), expected, name)
+    whole = f"{track}, none missing: lfilter"
+    works[whole] = partial(peers.by_lfilter(steady_of(axis)), z)
+    same(works[whole]()[100:], kf.filter(z)[100:, 0], whole)  # in 100 rows the start is forgotten to 1e-16
+    samples = measure(works, title=track)
+    ours, *others = works
+    return [row(samples, ours, each, tracks=1) for each in others]
+
+
+ROWS = 10_000  # of the article's recording
 # Goals, by states and rows.
 LOOP = {(4, 200): (">=", 1), (4, 12_000): (">=", 10), (4, 100_000): (">=", 20)}
 IN_C = {(4, 12_000): (">=", 1.3), (4, 100_000): (">=", 2.5)}
@@ -412,7 +439,16 @@ def main():
     load = os.getloadavg()[0]
     speedups.agree(AGREE)
     three_axes.agree(AGREE)
-    rows = [*many_tracks(), *one_track(), *long_tracks(), *own_gaps(), *times_and_smoother(), *layouts(), *study()]
+    rows = [
+        *many_tracks(),
+        *one_track(),
+        *long_tracks(),
+        *pieces(),
+        *own_gaps(),
+        *times_and_smoother(),
+        *layouts(),
+        *study(),
+    ]
     results = {
         "machine": machine() | {"programs that ran at the start": f"{load:.1f}"},
         "versions": versions(),

@@ -4,12 +4,25 @@ Each starts from x(0/0) and P(0/0) of the model; those that take the state befor
 F x0 and F P0 Fᵀ + Q.
 """
 
+import ctypes
+import json
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
 import filterpy.kalman
 import numpy as np
 import simdkalman
+from scipy.signal import lfilter, ss2tf
 from statsmodels.tsa.statespace.kalman_smoother import KalmanSmoother
 
 from mpt_helpers.equations import predicted_covariance
+
+HERE = Path(__file__).parent
+COMPILER = shutil.which("cc")
+ARTICLE = HERE.parent / "notebooks" / "2014_gsm_2d.ipynb"
+TAUGHT = ("kalman-step", "pretend", "relay", "pieces", "one-by-one")  # the cells of it that define its filters
 
 try:
     import jax
@@ -128,3 +141,78 @@ def dynamax_vmap(model):
     parameters = make_lgssm_params(*arrays)
     means = jax.jit(jax.vmap(lambda z: lgssm_filter(parameters, z).filtered_means, in_axes=2, out_axes=2))
     return lambda z: means(z).block_until_ready()
+
+
+# One track of one axis whose positions are measured, H = [1 0], from x(0/0) = 0 and P(0/0) = p I, gaps as NaN: the code
+# of the article on 2014, and what somebody might write instead. Each takes z (N, 1).
+
+
+def taught():
+    """Return what the article on 2014 defines, by name: its step in numpy, its loop `one_by_one` and `in_pieces`."""
+    names, cells = {}, json.loads(ARTICLE.read_text(encoding="utf-8"))["cells"]
+    for cell in cells:
+        if cell["id"] in TAUGHT:
+            exec("".join(cell["source"]), names)
+    return names
+
+
+def _numbers(model):
+    """Return dt, the three entries of Q, r and p of such a model, as Python numbers."""
+    Q = model.Q
+    return (*map(float, (model.F[0, 1], Q[0, 0], Q[0, 1], Q[1, 1], model.R[0, 0], model.P0[0, 0])),)
+
+
+def plain_numbers(model):
+    """Make the loop with F, P and K written out as Python numbers: two unknowns, by hand."""
+    dt, q00, q01, q11, r, p = _numbers(model)
+
+    def one(z):
+        s, v, p00, p01, p11 = 0.0, 0.0, p, 0.0, p
+        found = []
+        for z_k in z[:, 0].tolist():
+            s += dt * v
+            p00 += dt * (2 * p01 + dt * p11) + q00
+            p01 += dt * p11 + q01
+            p11 += q11
+            if z_k == z_k:  # NaN, a missing measurement, is unequal to itself
+                variance = p00 + r
+                k0, k1, surprise = p00 / variance, p01 / variance, z_k - s
+                s += k0 * surprise
+                v += k1 * surprise
+                p11 -= k1 * p01
+                p01 -= k1 * p00
+                p00 -= k0 * p00
+            found.append((s, v))
+        return np.array(found)
+
+    return one
+
+
+def in_c(model):
+    """Make the same loop in C (kalman.c), compiled for this machine."""
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "kalman.so"
+        subprocess.run([COMPILER, "-O2", "-shared", "-fPIC", HERE / "kalman.c", "-o", library], check=True)
+        kalman = ctypes.CDLL(library).kalman
+    array = np.ctypeslib.ndpointer(float, flags="C_CONTIGUOUS")
+    number = ctypes.c_double
+    kalman.argtypes = [array, ctypes.c_long, number, array, number, number, array]
+    dt, q00, q01, q11, r, p = _numbers(model)
+    Q = np.array([q00, q01, q11])
+
+    def one(z):
+        found = np.empty((len(z), 2))
+        kalman(np.ascontiguousarray(z[:, 0]), len(z), dt, Q, r, p, found)
+        return found
+
+    return one
+
+
+def by_lfilter(steady):
+    """Make scipy's `lfilter` of the position from a steady-state filter; nothing may be missing. It starts at z[0]."""
+    weights, feedback = ss2tf(steady.A, steady.B, steady.A[:1], steady.B[:1])
+
+    def one(z):
+        return z[0, 0] + lfilter(weights[0], feedback, z[:, 0] - z[0, 0])
+
+    return one

@@ -54,6 +54,8 @@ def rounded(verdict):
 
 def entry(verdict, corrected):
     """Return an item as an Entry; corrected maps ids of formulas and claims to what is right."""
+    if verdict.verdict == CANNOT_BE_CHECKED and verdict.computed != "-":
+        return Entry(label(verdict), f"[{verdict.computed}]", "", verdict)  # not in our copy, but counted
     if verdict.verdict not in FAILS:
         return Entry(label(verdict), verdict.printed, "", verdict)
     new = rounded(verdict) if verdict.kind == "number" else corrected.get(verdict.id, "")
@@ -108,6 +110,12 @@ def tables(given, failing, corrected):
         else:
             made.append((title, [entry(each, corrected) for each in own], 0))
     return made
+
+
+def lost(given):
+    """Return what our copy has lost of each table, {title: sentence of the cause}."""
+    causes = {place(each): given.causes.get((each.paper, each.cause)) for each in given if each.printed == "?"}
+    return {title: cause.sentence for title, cause in causes.items() if cause}
 
 
 def questions(given, asked):

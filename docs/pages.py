@@ -537,6 +537,7 @@ def write_corrections(env, key, own, about):
         key=key,
         rows=corrections.names_of_rows(own),
         sections=corrections.sections(own, about["corrected"].get(key, {})),
+        lost=corrections.lost(own),
         questions=corrections.questions(own, about["questions"].get(key, {})),
     )
     text = f"---\nhide-toc: true\n---\n# Corrections to {about['papers'][key]['authors']}\n\n{raw_html(html)}\n"

@@ -28,6 +28,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import deque
+from datetime import datetime
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from . import checks
-from .checks import Array
+from .checks import Array, Seconds
 from .recursive import Filter
 
 # What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
@@ -104,7 +105,7 @@ class Expected(NamedTuple):
     half_width: Array
 
 
-def ahead(estimator: Filter, z: ArrayLike, seconds: float) -> Ahead:
+def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> Ahead:
     """Return each fix against what was predicted of it `seconds` before, as an Ahead.
 
     estimator is a filter with covariances, on a grid or with times of its own, whose model says what a step of any
@@ -123,7 +124,7 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: float) -> Ahead:
     (array([0., 1.]), array([3., 3.]), array([-0.02,  0.04]), array([0.56, 0.53]), 2)
     """
     model = _model_of_any_step(estimator)
-    seconds = checks.positive("seconds", seconds)
+    seconds = checks.positive("seconds", checks.as_seconds(seconds))
     z = checks.measurements(z, model.m)
     x, P = estimator.estimates(z)
     if z.ndim == 2:
@@ -262,9 +263,9 @@ class LiveBand:
     at 4 s: 5.14 ± 0.92
     """
 
-    def __init__(self, estimator: Filter, seconds: float, before: Ahead | None = None, level: float = 0.95):
+    def __init__(self, estimator: Filter, seconds: Seconds, before: Ahead | None = None, level: float = 0.95):
         self.model = _model_of_any_step(estimator)
-        self.seconds = checks.positive("seconds", seconds)
+        self.seconds = checks.positive("seconds", checks.as_seconds(seconds))
         self.level = _level(level)
         self.log_f = _start(self.seconds, self.model.m, before, self.level)
         self.average = 1.0  # a: the recent average of NIS / m
@@ -280,8 +281,10 @@ class LiveBand:
         """The factor f of each axis, (m,): 1.96 where the filter's own band of 95 % was right."""
         return np.exp(self.log_f)
 
-    def step(self, t: float, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None) -> Expected:
-        """Return what is measured `seconds` after t (s), and the half-widths of its band, as an Expected.
+    def step(
+        self, t: float | datetime | np.datetime64, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None
+    ) -> Expected:
+        """Return what is measured `seconds` after t (s, or a date), and the half-widths of its band, as an Expected.
 
         z (m,) is the measurement at t, NaN where it is missing or was refused; x (n,) and P (n, n) are the estimate
         after it; r (m,) are the variances of the measurement where it has some of its own. Raises ValueError for
@@ -290,7 +293,7 @@ class LiveBand:
         then the steps are longer than the horizon, and the band would never learn.
         """
         n, m = self.model.n, self.model.m
-        t = checks.number("t", t, "a time in seconds", lambda _: True)
+        t = checks.moment("t", t)
         z = checks.measurements(np.reshape(z, (1, -1)), m)[0].copy()  # it is kept, and the caller may fill it anew
         x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
         checks.no_infinity(z)

@@ -11,7 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from numbers import Real
 from typing import NoReturn
 
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]  # what a model holds and what a filter returns
+Seconds = float | timedelta | np.timedelta64  # a length of time; a number is one of seconds
 
 # A covariance scaled to unit variances has entries of order one and comes out of a few products of doubles: asymmetry
 # or negative eigenvalues below this are rounding, above it they are a mistake. A positive definite matrix must have all
@@ -26,6 +27,10 @@ Array = NDArray[np.float64]  # what a model holds and what a filter returns
 ROUNDING = 1e-12
 # The same for a covariance that a solver has made, for a model at the edge of double precision.
 SOLVED = 1e-6
+# Seconds beyond this, 3,000 years, are no seconds. Unix times are 1.7e9 s today; of which units they are, where they
+# are too large, shows by what makes them less.
+LATEST_TIME = 1e11
+UNITS = {"Unix milliseconds": 1e3, "Unix microseconds": 1e6, "Unix nanoseconds": 1e9}
 
 
 def refuse(name: str, need: str, got: object, error: type[Exception] = ValueError) -> NoReturn:
@@ -261,17 +266,96 @@ def _require_covariances(rows):
 
 
 def times(name: str, value: object) -> Array:
-    """Return times (N,) or (N, M) that do not decrease as a read-only float array, or raise."""
+    """Return times (N,) or (N, M) that do not decrease as a read-only float array in seconds, or raise.
+
+    Numbers are seconds already. Dates are taken for what they are, in seconds from the first: datetime64, datetimes and
+    pandas Timestamps, with or without a zone, in arrays, lists, a pandas index or Series. So are lengths of time.
+
+    >>> times("t", np.array(["2024-05-03T10:00", "2024-05-03T10:01"], "datetime64[m]"))
+    array([ 0., 60.])
+    """
     need = "an (N,) or (N, M) array of finite times that do not decrease"
-    values = real_numbers(name, value, need)
+    values = real_numbers(name, _seconds_of_all(name, value), need)
     if values.ndim not in (1, 2) or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
+    kind = values.dtype
     values = array(name, values, values.shape)
-    back = np.diff(values, axis=0) < 0
-    if back.any():
-        k = np.argwhere(back)[0][0]
+    steps = np.diff(values, axis=0)
+    if (steps < 0).any():
+        k = np.argwhere(steps < 0)[0][0]
         refuse(name, need, f"{values[k + 1].max():.15g} after {values[k].max():.15g}, in row {k + 1}")
+    _require_seconds(name, values, steps, kind)
     return values
+
+
+def as_seconds(value: object) -> object:
+    """Return a length of time, a timedelta of Python, numpy or pandas, in seconds; anything else as it is.
+
+    >>> as_seconds(timedelta(minutes=1)), as_seconds(np.timedelta64(5, "m")), as_seconds(1.5)
+    (60.0, 300.0, 1.5)
+    """
+    if isinstance(value, timedelta):
+        return value.total_seconds()
+    if isinstance(value, np.timedelta64):
+        with suppress(TypeError):  # years and months have no length
+            return float(value / np.timedelta64(1, "s"))
+    return value
+
+
+def moment(name: str, value: object) -> float:
+    """Return a time in seconds, since 1970 where it is a date (datetime, Timestamp, datetime64), or raise.
+
+    >>> moment("t", np.datetime64("1970-01-02")), moment("t", 1.5)
+    (86400.0, 1.5)
+    """
+    if isinstance(value, datetime):
+        value = (value - datetime(1970, 1, 1, tzinfo=value.tzinfo and UTC)).total_seconds()
+    elif isinstance(value, np.datetime64):
+        value = as_seconds(value - np.datetime64("1970-01-01", "s"))
+    return number(name, value, "a time in seconds, or a date", lambda _: True)
+
+
+def _seconds_of_all(name, value):
+    """Return dates and lengths of time as arrays of seconds, dates from the first; anything else as it is."""
+    if value is None or isinstance(value, np.ma.MaskedArray):
+        return value
+    try:
+        values = np.asarray(value)
+    except ValueError:  # rows of different lengths: refused behind this
+        return value
+    if values.dtype.kind == "M" and values.size:
+        if np.datetime_data(values.dtype)[0] in ("Y", "M"):  # which have no length
+            values = values.astype("datetime64[s]")
+        return (values - values.flat[0]) / np.timedelta64(1, "s")
+    if values.dtype.kind == "m" and values.size:
+        return values / np.timedelta64(1, "s")
+    if values.dtype != object or not values.size:
+        return value
+    each = values.ravel().tolist()
+    if all(isinstance(one, datetime) for one in each):
+        if len({one.tzinfo is None for one in each}) == 2:
+            refuse(name, "dates with a zone, or dates without", "both")
+        each = [one - each[0] for one in each]
+    if all(isinstance(one, timedelta) for one in each):
+        return np.reshape([one.total_seconds() for one in each], values.shape)
+    return value
+
+
+def _require_seconds(name, values, steps, kind):
+    """Raise a ValueError where times cannot be seconds: too large, all equal, or rounded away by their type."""
+    largest = np.abs(values).max()
+    if largest > LATEST_TIME:
+        unit = next((unit for unit, size in UNITS.items() if largest / size < LATEST_TIME), None)
+        got = f"{largest:.15g}" if unit is None else f"{largest:.15g}, which looks like {unit} (/ {UNITS[unit]:g})"
+        refuse(name, "times in seconds", got)
+    if len(values) > 2 and not steps.any():
+        refuse(name, "times of which some differ", f"{values.flat[0]:.15g} in all {len(values)} rows")
+    if kind.kind == "f" and kind.itemsize < 8 and (steps > 0).any():
+        rounding = float(np.spacing(kind.type(largest)))
+        if steps[steps > 0].min() < 2 * rounding:
+            refuse(
+                name, "times as float64, or from the first", f"{kind}, which rounds {largest:.10g} to {rounding:g} s"
+            )
 
 
 def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:

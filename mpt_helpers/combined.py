@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
-from .checks import Array
+from .checks import Array, Seconds
 from .filters import KalmanFilter, LainiotisFilter
 from .immutable import same
 from .model import LinearModel, stack
@@ -72,7 +72,7 @@ class JoinFilter(Filter):
         return self.first, self.second
 
     def step(
-        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
@@ -167,7 +167,7 @@ class Separate(Filter):
         return self.filters
 
     def step(
-        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its part of z_k (m,).
 

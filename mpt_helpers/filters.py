@@ -8,8 +8,9 @@ also when all measurements of an epoch are missing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 
 import filterpy.kalman
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from . import checks
 from .algebra import whitened
-from .checks import Array
+from .checks import Array, Seconds
 from .columns import kalman_on_columns
 from .epochs import Epochs, Rows
 from .equations import lainiotis_matrices, lainiotis_step, unit_measurements
@@ -39,7 +40,8 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    t are the times of the epochs (s), (N,) for all tracks or (N, M) for each. They do not decrease; x0 lies one step dt
+    t are the times of the epochs, (N,) for all tracks or (N, M) for each: numbers in s, or dates, as datetime64,
+    datetimes and a pandas index are. They do not decrease; x0 lies one step dt
     of the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
     `constant_acceleration` do. r are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R:
     the accuracy that a receiver states of each fix. They are looked at only where there is a measurement.
@@ -60,7 +62,7 @@ class KalmanFilter(RecursiveFilter):
     t: Array | None
     r: Array | None
 
-    def __init__(self, model: LinearModel, t: ArrayLike | None = None, r: ArrayLike | None = None):
+    def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
         if t is not None and model.dt is None:
             need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
@@ -108,15 +110,15 @@ class KalmanFilter(RecursiveFilter):
         return (self._identity - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
 
     def step(
-        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 
-        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k): a filter
-        with times needs it, others may get it where the model takes steps of other lengths. r (m,) are the variances
-        of the measurements, which a filter with variances needs. Raises ValueError or TypeError for other shapes, for a
-        dt that is negative or so large that doubles do not hold the step, for states and covariances that are not
-        finite, and for a P that is no covariance.
+        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt is the time since x(k/k), in s
+        or a timedelta: a filter with times needs it, others may get it where the model takes steps of other lengths.
+        r (m,) are the variances of the measurements, which a filter with variances needs. Raises ValueError or
+        TypeError for other shapes, for a dt that is negative or so large that doubles do not hold the step, for states
+        and covariances that are not finite, and for a P that is no covariance.
         """
         n, m = self.model.n, self.model.m
         x, P = checks.state(x, P, n)
@@ -125,7 +127,8 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse("dt", "the time since x, as the filter has times", "none")
         if r is None and self.r is not None:
             checks.refuse("r", "the variances of z_k, as the filter has them for each epoch", "none")
-        length = None if dt is None else self._length_of(checks.not_negative("dt", dt))
+        dt = None if dt is None else checks.not_negative("dt", checks.as_seconds(dt))
+        length = None if dt is None else self._length_of(dt)
         if r is not None:
             r = checks.variances_of_one("r", r, seen)
         with np.errstate(over="ignore", invalid="ignore"):  # the largest times are refused by what they make

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
+from .checks import Seconds
 from .fitting import fit
 from .model import LinearModel
 
@@ -20,7 +21,7 @@ UNKNOWN = 0.5  # a standard error of log tau: from there on its span of 95 % cov
 LEAST_FIXES = 100  # a log of fewer says nothing of three unknowns
 
 
-def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: float | None = None) -> LinearModel:
+def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: Seconds | None = None) -> LinearModel:
     """Return `model` with one more state for each measurement: an error that fades slowly (Gauss-Markov, first order).
 
         e(k+1) = a e(k) + w(k),   a = exp(-dt / tau),   w ~ N(0, sigma² (1 - a²)),   e(0) ~ N(0, sigma²)
@@ -62,7 +63,7 @@ def _step_of(model, dt):
     """Return the time step of a model in seconds: its own, or dt where it has none, or raise."""
     if dt is None and model.dt is None:
         checks.refuse("dt", "the time step in seconds, which this model does not say", "none")
-    step = checks.positive("dt", model.dt if dt is None else dt)
+    step = checks.positive("dt", checks.as_seconds(model.dt if dt is None else dt))
     if model.dt not in (None, step):
         checks.refuse("dt", f"the model's own time step, {model.dt:g} s", f"{step:g} s")
     return step
@@ -103,7 +104,7 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     taken, or fewer.
 
     What lasts is larger in some hours than in others, and fades differently. So `known` is the wider of two spans: the
-    one by which the likelihood falls, and the one between the halves of the log (of several logs, between the first
+    one of `fit`, by how much blocks of a log differ, and the one between the halves of the log (of several logs, between the first
     and the last of them), each fitted apart. Where a standard error of log tau is above 0.5, the logs do not determine
     it: a UserWarning gives the span, and asks for more days. The floor is the root mean square about the log's mean,
     less r, in the worst half of a log: a filter should state no less. A constant error is in no number here: it looks

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
-from .checks import Array
+from .checks import Array, Seconds
 from .equations import square_root
 from .immutable import Immutable
 from .motion import Motion, OneLength, Powers, checked, side_by_side
@@ -68,7 +68,7 @@ class LinearModel(Immutable):
         R: ArrayLike,
         x0: ArrayLike | None = None,
         P0: ArrayLike | None = None,
-        dt: float | None = None,
+        dt: Seconds | None = None,
         powers: ArrayLike | None = None,
         motion: Motion | None = None,
     ):
@@ -84,7 +84,7 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
         }
-        dt = None if dt is None else checks.positive("dt", dt)
+        dt = None if dt is None else checks.positive("dt", checks.as_seconds(dt))
         powers = None if powers is None else checks.array("powers", powers, (n,))
         found = _motion(given["F"], given["Q"], dt, powers, motion)
         given |= {"dt": found.dt, "powers": found.powers if isinstance(found, Powers) else None, "motion": found}
@@ -142,7 +142,7 @@ def _motion(F, Q, dt, powers, motion):
     return motion.with_matrices(F, Q) or OneLength(F, Q)
 
 
-def gsm_axis(dt: float, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
+def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
     """Return the model of one axis of a GSM phone: position and velocity (2014 Eq. 3, 2015 Section 2, model B).
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
@@ -162,7 +162,7 @@ def gsm_axis(dt: float, q: float, r: float, x0: ArrayLike | None = None, P0: Arr
 
 
 def constant_velocity(
-    dt: float, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
+    dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
 ) -> LinearModel:
     """Return the model of one axis with nearly constant velocity: position and velocity (2016 Eq. 5).
 
@@ -184,7 +184,7 @@ def constant_velocity(
 
 
 def constant_acceleration(
-    dt: float, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
+    dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
 ) -> LinearModel:
     """Return the model of one axis with nearly constant acceleration: position, velocity and acceleration.
 
@@ -210,7 +210,9 @@ def constant_acceleration(
     return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0, dt=dt, powers=powers)
 
 
-def gps_ins(dt: float, q: float, r: ArrayLike, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
+def gps_ins(
+    dt: Seconds, q: float, r: ArrayLike, x0: ArrayLike | None = None, P0: ArrayLike | None = None
+) -> LinearModel:
     """Return the model of GPS and INS on one axis: position, velocity and the bias of the INS (2007 Eq. 11).
 
         F = [1 dt 0; 0 1 0; 0 0 1],   H = [1 0 0; 0 1 1; 1 -dt 0],   Q = diag(0, q, 0),   R = diag(r)
@@ -230,14 +232,14 @@ def gps_ins(dt: float, q: float, r: ArrayLike, x0: ArrayLike | None = None, P0: 
     if not isinstance(variances, list) or len(variances) not in (2, 3):
         checks.refuse("r", "two or three variances", f"{r!r:.60}")
     R = np.diag([checks.positive("r", variance) for variance in variances])
-    dt, q = checks.positive("dt", dt), checks.not_negative("q", q)
+    dt, q = checks.positive("dt", checks.as_seconds(dt)), checks.not_negative("q", q)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
     return LinearModel(F=F, H=H[: len(R)], Q=np.diag([0, q, 0]), R=R, x0=x0, P0=P0)
 
 
 def _checked(dt, q, r):
-    dt = checks.positive("dt", dt)
+    dt = checks.positive("dt", checks.as_seconds(dt))
     if dt > LONGEST:
         checks.refuse("dt", f"at most {LONGEST:g} s, whose powers are doubles", f"{dt:g} s")
     return dt, checks.not_negative("q", q), checks.positive("r", r)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import checks, engine, steps
-from .checks import Array
+from .checks import Array, Seconds
 from .epochs import Epochs, Rows
 from .immutable import Immutable
 from .model import LinearModel
@@ -94,7 +94,7 @@ class Filter(Immutable):
         raise self._not_recursive()
 
     def step(
-        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Return x(k+1/k+1) and P(k+1/k+1); raises TypeError for a filter that has no step."""
         raise self._not_recursive()
@@ -179,7 +179,7 @@ class RecursiveFilter(Filter):
         return Step(*map(np.array, zip(*each, strict=True)))
 
     def step(
-        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: float | None = None, r: ArrayLike | None = None
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
 

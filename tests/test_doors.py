@@ -265,10 +265,16 @@ class Texts(Times):
         return np.array(["1", "2"], dtype=object)
 
 
-@pytest.mark.parametrize(("column", "got"), [(Times(), "got dates"), (Texts(), "got an array of objects of type str")])
-def test_what_a_column_only_turns_into_numbers_is_refused(column, got):
-    with pytest.raises(TypeError, match=f"t: needs .* {got}"):
-        mpt.KalmanFilter(CV, t=column)
+@pytest.mark.parametrize("name", ["t", "r"])
+def test_what_a_column_only_turns_into_numbers_is_refused(name):
+    with pytest.raises(TypeError, match=f"{name}: needs .* got an array of objects of type str"):
+        mpt.KalmanFilter(CV, **{name: Texts()})
+
+
+def test_a_column_of_dates_is_taken_for_times_and_for_nothing_else():
+    np.testing.assert_array_equal(mpt.KalmanFilter(CV, t=Times()).t, [0, 86400])
+    with pytest.raises(TypeError, match=r"r: needs .* got dates"):
+        mpt.KalmanFilter(CV, r=Times())
 
 
 def chained(error):
@@ -281,8 +287,8 @@ SECOND = np.timedelta64(1, "s")
 @pytest.mark.parametrize(
     ("call", "got"),
     [
-        (lambda: mpt.gsm_axis(timedelta(seconds=1), 0.01, 0.1), "dt: .*its total_seconds() is a number"),
-        (lambda: mpt.gsm_axis(SECOND, 0.01, 0.1), "dt: .*divided by np.timedelta64(1, 's') it is a number"),
+        (lambda: mpt.gsm_axis(1.0, timedelta(seconds=1), 0.1), "q: .*its total_seconds() is a number"),
+        (lambda: mpt.gsm_axis(1.0, SECOND, 0.1), "q: .*divided by np.timedelta64(1, 's') it is a number"),
         (lambda: mpt.gsm_axis(1.0, 0.01, Decimal(1)), "r: needs a positive number, got Decimal('1')"),
         (lambda: KF.filter(None), "z: needs .* of numbers, NaN where one is missing, got None"),
         (lambda: KF.filter([[1.0], [None]]), "z: .* NaN where one is missing, got None among its values"),

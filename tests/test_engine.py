@@ -429,7 +429,7 @@ REFUSED_TIMES = {
     "backwards": (lambda: timed(t=[0, 2, 1]), "t: needs .* do not decrease, got 1 after 2, in row 2"),
     "NaN": (lambda: timed(t=[0, np.nan]), "t: needs .* got NaN or infinity"),
     "length": (lambda: timed(t=T).filter(np.zeros((4, 2))), r"t: needs the epochs and tracks of z, \(4"),
-    "tracks": (lambda: timed(t=np.zeros((4, 3))).filter(np.zeros((4, 2, 2))), "t: needs the epochs"),
+    "tracks": (lambda: timed(t=np.arange(12.0).reshape(4, 3)).filter(np.zeros((4, 2, 2))), "t: needs the epochs"),
     "r of zero": (lambda: timed(r=np.zeros((4, 2))).filter(np.zeros((4, 2))), "r: needs a positive var"),
     "r missing": (lambda: timed(r=[[1, np.nan]]).filter(np.zeros((1, 2))), "r: needs a positive var"),
     "r of other axes": (lambda: timed(r=np.ones((4, 1))), r"r: needs an \(N, 2\) or"),
@@ -558,7 +558,9 @@ def test_the_errors_of_a_fit_are_the_spread_of_its_values():
     assert together.log_likelihood == pytest.approx(metrics.log_likelihood(together.filter, z).sum(), rel=1e-12)
     for name, true in {"q": 0.04, "r": 0.5}.items():
         assert abs(np.log(together.values[name] / true)) < 4 * together.log_errors[name]
-        assert together.log_errors[name] == pytest.approx(fits[0].log_errors[name] / np.sqrt(40), rel=0.5)
+        # Each of the 40 states Student's factor of six blocks, 1.31; together they know theirs to 11 %.
+        stated = np.median([each.log_errors[name] for each in fits]) / 1.31
+        assert together.log_errors[name] == pytest.approx(stated / np.sqrt(40), rel=0.5)
 
 
 def test_a_fit_takes_times_and_gaps():
@@ -636,7 +638,9 @@ def test_a_fit_from_a_process_noise_far_too_small_finds_the_same(q, r):
 
     z = mpt.simulate(make(0.04, 0.5, 3.0, 20.0), 200, np.random.default_rng(3))[1]
     near = mpt.fit(make, z, q1=0.1, r1=1.0, q2=1.0, r2=10.0)
-    far = mpt.fit(make, z, q1=q, r1=r, q2=q, r2=r)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "fit: .* times its guess")  # which it is
+        far = mpt.fit(make, z, q1=q, r1=r, q2=q, r2=r)
     assert far.log_likelihood == pytest.approx(near.log_likelihood, abs=1e-3)
     assert far.values == pytest.approx(near.values, rel=1e-2)
 

@@ -132,6 +132,7 @@ PART = {"in x": True, "in y": False}
         ("'lost': our copy has lost this item: use cannot_check", lambda p: p.check("lost", 1)),
         ("'lost': needs a cause of kind \"copy\", .* got None", lambda p: p.cannot_check("lost", "a cell")),
         ("'lost': needs a cause of kind", lambda p: p.cannot_check("lost", "a cell", cause="one-missing")),
+        ("'lost': needs a finite number for counted", lambda p: p.cannot_check("lost", "", counted=float("nan"))),
         ("'ratio': needs a cause of kind \"copy\", or", lambda p: p.cannot_check("ratio", "", cause="one-missing")),
         ("'ratio': needs a cause, since the verdict is 'differs'", lambda p: p.check("ratio", 1.3)),
         ("'equal': needs a cause, since .* 'holds in part'", lambda p: p.claim("equal", PART, "", basis="simulation")),
@@ -172,6 +173,8 @@ def test_what_cannot_be_checked_says_what_is_missing(paper):
     lost = paper.cannot_check("lost", "the cell is lost", cause="our-copy")
     assert (lost.verdict, lost.reason, lost.basis) == ("cannot be checked", "the cell is lost", "reading")
     assert paper.cannot_check("ratio", "The paper does not say which.").cause == ""
+    assert lost.computed == "-"
+    assert paper.cannot_check("lost", "the cell is lost", cause="our-copy", counted=0.25).computed == "0.25"
 
 
 def test_a_report_has_what_was_given_since_the_last(paper):

@@ -154,12 +154,25 @@ def test_a_corrected_formula_is_what_the_operations_give(given):
                 assert burden.value(side[0], M=M) / int(side[1]) == pytest.approx(total / own), id
 
 
-def test_a_hint_in_a_question_is_right_arithmetic(given):
-    for asked in pages.texts(given)["questions"].values():
-        for text in asked.values():
-            for numbers in re.findall(r"(\d+) = (\d+) \((\d+) \+ (\d+)\) \+ (\d+)", text):
-                whole, times, a, b, more = map(int, numbers)
-                assert whole == times * (a + b) + more
+def test_the_question_on_table_4_names_the_counts_that_its_causes_name(given):
+    """One slip for each of the four counts, said on the page of corrections, on the home page and in the question."""
+    causes = [each for (_, id), each in given.causes.items() if id.startswith("table4-")]
+    pairs = [re.search(r"fit (\d+) operations\. By Table 2 it takes (\d+)", each.sentence).groups() for each in causes]
+    text = pages.texts(given)["questions"]["2014_gsm_2d"]["table4.1.3"]
+    fit, right = text.split("Table 2 gives")
+    assert re.findall(r"\b\d{2,4}\b", fit.split("ratios fit")[1]) == [number for number, _ in pairs]
+    assert re.findall(r"\d+", right) == [number for _, number in pairs]
+    assert len(pairs) == 4
+    assert "four other operation counts" in pages.texts(given)["mistakes"]["table4"]["why"]
+
+
+def test_a_cell_that_our_copy_has_lost_shows_what_was_counted_and_why_it_is_lost():
+    cause = {("p", "copy"): Cause("copy", "copy", "Our copy has lost a cell.", "Nothing.")}
+    gone = verdict("g", "Table 4, row 1", "cannot be checked", "copy", printed="?", computed="0.206")
+    unknown = verdict("h", "Table 5, row 1", "cannot be checked", printed="?", computed="-")
+    assert corrections.entry(gone, {})[:3] == ("row 1", "[0.206]", "")
+    assert corrections.entry(unknown, {})[:3] == ("row 1", "?", "")
+    assert corrections.lost(Verdicts([gone, verdict("t")], cause)) == {"Table 4": "Our copy has lost a cell."}
 
 
 def test_a_page_of_corrections_has_the_tables_whole_and_what_is_wrong_beside_what_is_right():

@@ -165,16 +165,20 @@ class Paper:
             prefix += f"Fails: {where_it_fails}. "
         return self._give(item, evidence, verdict, basis, reason, cause, against, prefix, beyond)
 
-    def cannot_check(self, id: str, missing: str, *, cause: str | None = None) -> Verdict:
+    def cannot_check(self, id: str, missing: str, *, cause: str | None = None, counted: float | None = None) -> Verdict:
         """Record that an item cannot be checked, and what is missing.
 
-        A cause is given where our copy of the paper has lost the item, and only there: it is of kind "copy".
+        A cause is given where our copy of the paper has lost the item, and only there: it is of kind "copy". counted is
+        the number that should stand there, where it is known.
         """
         item = self._item(id)
+        if counted is not None and not _is_finite(counted):
+            raise self._error(id, f"needs a finite number for counted, got {counted!r}")
         lost_by_us = [each.id for each in self.causes.values() if each.kind == "copy"]
         if (item.lost or cause is not None) and cause not in lost_by_us:
             raise self._error(id, f'needs a cause of kind "copy", or none if our copy has the item, got {cause!r}')
-        return self._give(item, "-", CANNOT_BE_CHECKED, "reading", missing, cause)
+        computed = "-" if counted is None else f"{counted:.6g}"
+        return self._give(item, computed, CANNOT_BE_CHECKED, "reading", missing, cause)
 
     def report(self) -> Verdicts:
         """Return the Verdicts given since the last report; as the last line of a cell, it shows and stores them."""

@@ -1,0 +1,480 @@
+"""The article on 2014: every number in its prose is computed here or printed by a cell, and its filters are checked.
+
+A text in `says` has its numbers put in by the test, so that a number that changes makes it fail.
+"""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from conftest import ROOT, part_one, parts, source
+from scipy.linalg import solve_discrete_are
+
+import mpt_helpers as mpt
+import reproduction
+from reproduction import burden
+from reproduction.ledger import stored_verdicts
+from reproduction.papers_2014_2015 import article_2014
+
+NOTEBOOK = ROOT / "notebooks" / "2014_gsm_2d.ipynb"
+CELLS = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+TEXT = re.sub(r"\s+", " ", re.sub(r"\\ ", " ", re.sub(r"[*$]", "", part_one(NOTEBOOK))))  # no markup; [1\ \ 0] is [1 0]
+RESULTS = json.loads((ROOT / "benchmarks" / "results.json").read_text(encoding="utf-8"))
+NOW, NEXT = np.array([[1.0, 0.0]]), np.array([[1.0, 1.0]])
+PACE = 1.5
+
+
+def says(text):
+    """Require that the article says this."""
+    assert re.sub(r"\s+", " ", text) in TEXT, text
+
+
+def code_of(id):
+    (cell,) = (cell for cell in CELLS if cell["id"] == id)
+    return source(cell)
+
+
+def output_of(id):
+    """What a cell prints or shows as text."""
+    (cell,) = (cell for cell in CELLS if cell["id"] == id)
+    texts = ["".join(out.get("text", out.get("data", {}).get("text/plain", ""))) for out in cell["outputs"]]
+    return "\n".join(texts)
+
+
+@pytest.fixture(scope="module")
+def taught():
+    """The names that the cells of the article define."""
+    names = {"article": article_2014}
+    for id in ("kalman-step", "four-positions", "seconds-late", "pretend", "relay", "pieces", "one-by-one"):
+        exec(code_of(id), names)
+    return names
+
+
+def settled(H):
+    """A, K, P and the variance S of the innovations of the settled filter, by scipy."""
+    F, Q = article_2014.AXIS.F, article_2014.AXIS.Q
+    P_p = solve_discrete_are(F.T, H.T, Q, [[0.1]])
+    S = (H @ P_p @ H.T).item() + 0.1
+    K = P_p @ H.T / S
+    A = (np.eye(2) - K @ H) @ F
+    return A, K, P_p - K @ H @ P_p, S
+
+
+def order_of(A):
+    """The paper's M: the first power of A whose norm is below 0.001."""
+    return next(M for M in range(1, 100) if np.linalg.norm(np.linalg.matrix_power(A, M), 2) < 1e-3)
+
+
+# The filter, and why it is late
+
+
+def test_the_step_is_that_of_the_package(taught):
+    x, P, z = np.array([[1.0], [2.0]]), np.array([[2.0, 0.5], [0.5, 1.0]]), 3.5
+    for H in (NOW, NEXT):
+        model = mpt.LinearModel(F=taught["F"], H=H, Q=taught["Q"], R=[[0.1]])
+        ours_x, ours_P = taught["step"](x, P, z, H)
+        package_x, package_P = mpt.KalmanFilter(model).step(x[:, 0], P, np.array([z]))
+        np.testing.assert_allclose(ours_x[:, 0], package_x, rtol=1e-12)
+        np.testing.assert_allclose(ours_P, package_P, rtol=1e-12)
+    np.testing.assert_allclose(taught["Q"], article_2014.AXIS.Q)
+
+
+def test_the_numbers_of_the_scene():
+    says("That makes 10,000 positions")
+    assert 2.7 < 10_000 / 3600 < 2.8  # almost three hours
+    says("each wrong by some 30 centimetres")
+    assert np.sqrt(0.1) == pytest.approx(0.32, abs=0.005)
+    sigma = np.sqrt(settled(NEXT)[2][0, 0])
+    says(f"It says that it knows the position to {100 * sigma:.0f} centimetres")
+    says(f"to {sigma:.3f} m, as it says")
+    says(f"At 1.5 m/s you are 1.5 m further on, and 1.5 / {sigma:.3f} is nearly nine")
+    assert 8.5 < PACE / sigma < 9
+    says("Given present positions it is 1.5 m behind at walking pace, nine times the error that it states")
+    says(f"Its σ is {np.sqrt(settled(NOW)[2][0, 0]):.2f} m")
+
+
+def test_the_walk_of_the_picture_has_the_speed_that_is_said():
+    states, measured = article_2014.walk()
+    says(f"A phone walks at {states[:, 1].min():.1f} to {states[:, 1].max():.1f} m/s")
+    assert (measured - states[:, 0]).std() == pytest.approx(np.sqrt(0.1), rel=0.2)
+
+
+def test_a_walk_of_positions_is_late_by_its_pace_and_its_innovations_lie_within_two_sigma():
+    """What the picture shows and its caption says."""
+    states, measured = article_2014.walk()
+    kf = mpt.KalmanFilter(article_2014.from_unknown(article_2014.AXIS))
+    x = kf.filter(measured[:, None])
+    late = (states[:, 0] - x[:, 0])[2:]
+    assert (late > 2 * np.sqrt(kf.covariances(60)[2:, 0, 0])).all()
+    assert late.mean() == pytest.approx(PACE, abs=0.1)
+    new = mpt.metrics.innovations(kf, measured[:, None])
+    assert np.mean(np.abs(new.values[2:, 0] / np.sqrt(new.S[2:, 0, 0])) < 2) >= 0.95
+
+
+def test_the_four_positions():
+    answer = re.search(r"H = \[1 1\]: the phone is at ([\d.]+) m", output_of("four-positions"))[1]
+    says(f"The last measurement was 4.0. The paper's filter answers {answer}")
+    assert abs(float(answer) - 2.9) < 0.17  # "where the phone was one measurement earlier": the third was 2.9
+
+
+def test_the_usual_test_hardly_sees_the_delay():
+    nis = float(re.search(r"mean NIS ([\d.]+)", output_of("late-test"))[1])
+    says(f"The late filter has a NIS of {nis:.2f}")
+    says(f"Is {nis:.2f} not 1?")
+    (steps,) = re.findall(r"50 % in (\d+)", output_of("late-test"))
+    says(f"Only after {int(steps):,} seconds, almost forty minutes")
+    assert 38 < int(steps) / 60 < 40
+    says(f"The {nis:.2f} and the {int(steps):,} are exact")
+    late, right = re.findall(r"mean NIS ([\d.]+)", output_of("nis-turns"))
+    says(f"NIS is {late} in the late filter and {right} in the right one")
+
+
+# What finds it
+
+
+def test_the_ramp_tells_the_filters_apart():
+    late, right = re.findall(r"the point is at ([\d.]+) m, the filter at ([\d.]+) m", output_of("ramp"))
+    assert float(late[0]) - float(late[1]) == PACE
+    assert right[0] == right[1]
+
+
+def test_seconds_late_is_the_fit_of_the_table(taught):
+    positions, z = article_2014.walks("turns back every 20 s", 60, 5, np.random.default_rng(3))
+    model = article_2014.AXIS
+    expected = article_2014.lateness(model, positions, z, start=10)["late"]
+    x = mpt.KalmanFilter(article_2014.from_unknown(model)).filter(z[:, None])
+    found = [taught["seconds_late"](z[10:, i], x[10:, :, i]) for i in range(5)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_seconds_late_leaves_out_what_is_missing(taught):
+    """A gap in the measurements changes the fit by little; zeros in its place would ruin it."""
+    _, z = article_2014.walks("goes straight on", 200, 1, np.random.default_rng(4))
+    z = z[:, 0]
+    z[50:60] = np.nan
+    x = mpt.KalmanFilter(article_2014.from_unknown(article_2014.AXIS)).filter(z[:, None])
+    assert taught["seconds_late"](z[10:], x[10:]) == pytest.approx(1, abs=0.05)
+    assert abs(taught["seconds_late"](np.nan_to_num(z[10:]), x[10:]) - 1) > 1
+
+
+def test_the_table_of_walkers_is_that_of_the_evidence():
+    says("2,000 simulated walks of each kind, 200 seconds long at 1.5 m/s, without their first ten seconds")
+    rows = [re.split(r" {2,}", line) for line in output_of("lateness").splitlines()[1:]]
+    by_kind = {kind: [row for row in rows if row[0] == kind] for kind in article_2014.WALKERS}
+    for kind, (late, right) in by_kind.items():
+        gap = late[2].replace("-0.00", "0.00")
+        of_late, of_right = (row[4].split()[0] for row in (late, right))
+        says(f"| {kind} | {gap} m | {of_late} | {of_right} |")
+    says(f"for the one who turns back every 20 seconds, the rms error is {by_kind['turns back every 20 s'][1][3]} m")
+
+
+def test_the_condition_of_the_fit_tells_who_moves():
+    sigma = np.sqrt(settled(NOW)[2][1, 1])
+    says(f"at least three times the σ that the filter states for the velocity. Here that is {3 * sigma:.2f} m/s")
+    for line in output_of("lateness").splitlines()[1:]:
+        assert (float(line.split()[-1]) > 3) == (not line.startswith("never moves")), line
+    for line in output_of("lateness-slow").splitlines()[1:]:
+        cells = re.split(r" {2,}", line)
+        if cells[3] != "-":  # where the condition is met, the late filter lies near 1 and the right one near 0
+            low, high = map(float, cells[3].split(" to "))
+            assert low > 0.5 if cells[1] == "[1 Δt]" else high < 0.5, line
+
+
+def test_a_car_is_as_far_behind_as_it_drives_in_a_step():
+    positions = 30.0 * np.arange(1, 101)
+    x = mpt.KalmanFilter(article_2014.from_unknown(article_2014.AXIS)).filter(positions[:, None])
+    says(f"a car at 30 m/s is {positions[-1] - x[-1, 0]:.0f} m behind")
+
+
+def test_part_two_has_what_part_one_refers_to():
+    says("(`lfilter`; Part II, section 6, shows it)")
+    evidence = "\n".join(source(cell) for cell in parts(CELLS)[1])
+    section = evidence.split("### 6. ")[1].split("### 7. ")[0]
+    assert "lfilter(" in section
+    says("Part II shows which they are")
+
+
+def test_to_report_the_prediction_repairs_the_late_filter():
+    row = next(line for line in output_of("four").splitlines() if "F x(k/k)" in line)
+    assert re.search(r"0 Δt v +(0\.23)", row)
+    says("report F @ x instead of x. Its error is 0.23 m too".replace("F @ x", "`F @ x`").replace(" x.", " `x`."))
+
+
+# The Lainiotis filter
+
+
+def test_the_example_by_hand():
+    surprises, runner = [5.0, 5.2], 4.0
+    information, evidence = len(surprises), sum(surprises)
+    mean = (runner + evidence) / (1 + information)
+    says(f"(4.0 + 5.0 + 5.2) / 3 = {mean:.2f}, and its variance is 1/3")
+    says(f"two statements, sum {evidence:.1f}")
+    says(f"O was {information}, the number of statements, and t was {evidence:.1f}, their sum")
+    says(f"({runner} + {evidence:.1f}) / (1 + {information})")
+    says("Your piece has two of them, {} and {}".format(*surprises))
+    says("Its surprises are {} and {}".format(*surprises))
+    says("One says {} and the other {}".format(*surprises))
+    says(f"I make it {runner}, with variance 1")
+    says(f"which begins at {runner} with variance 1. The gain is 1/2, and it moves to 4.5 with variance 1/2")
+    x, P = runner, 1.0
+    for z, gain in zip(surprises, (1 / 2, 1 / 3), strict=True):
+        assert gain == pytest.approx(P / (P + 1))
+        x, P = x + gain * (z - x), P - gain * P
+        if gain == 1 / 2:
+            assert (x, P) == (4.5, 0.5)
+    assert (x, P) == (pytest.approx(mean), pytest.approx(1 / 3))
+    says(f"moves to 4.5 + 0.7/3 = {x:.2f}, with variance 1/3")
+
+
+@pytest.mark.parametrize("L", [1, 2, 7, 60, 500])
+@pytest.mark.parametrize("H", [NOW, NEXT])
+def test_pieces_give_the_estimates_of_the_package_with_gaps_and_of_any_length(taught, L, H):
+    model = mpt.LinearModel(F=taught["F"], H=H, Q=taught["Q"], R=[[0.1]], P0=100 * np.eye(2))
+    _, z = mpt.simulate(model, 131, np.random.default_rng(L))
+    z[np.random.default_rng(1).random(131) < 0.2] = np.nan
+    expected = mpt.KalmanFilter(model).filter(z)
+    np.testing.assert_allclose(taught["in_pieces"](z[:, 0], L, H), expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(taught["one_by_one"](z[:, 0], H), expected, rtol=0, atol=1e-9)
+
+
+def test_a_piece_of_one_measurement_is_the_filter_of_the_paper(taught):
+    """T, O, P are F_n, O_n, P_n; X is K_n z and t is K_m z (Eq. 7)."""
+    F, Q, H, z = taught["F"], taught["Q"], NEXT, 1.7
+    rows = [np.array([[[z]]])], [np.array([[[0.1]]])]
+    X, T, P, t, information = (each[0] for each in taught["pretend"](*rows, H))
+    S = (H @ Q @ H.T).item() + 0.1
+    Kn, Km = Q @ H.T / S, F.T @ H.T / S
+    for ours, paper in ((X, Kn * z), (t, Km * z), (T, F - Kn @ H @ F), (P, Q - Kn @ H @ Q), (information, Km @ H @ F)):
+        np.testing.assert_allclose(ours, paper, atol=1e-14)
+
+
+def test_the_cell_that_compares_says_that_all_agree():
+    assert re.findall(r"the same to a nanometre, (\d+) km from the start: (\w+)", output_of("same")) == [
+        ("66", "True"),
+        ("66", "True"),
+    ]
+
+
+def test_the_best_length_of_a_piece():
+    N = 10_000
+    steps = {L: N / L + 2 * L for L in range(1, N)}
+    best = min(steps, key=steps.get)
+    says(f"the best is L = \\sqrt{{N/2}}, or {best} here")
+    assert best == round(np.sqrt(N / 2))
+    says(f"And {steps[80]:.0f} steps instead of 10,000 are not {N / steps[80]:.0f} times as fast")
+    says(f"each step now works on {N // 80} pieces")
+    assert N % 80 == 0
+
+
+# Measured ratios are said in round numbers; the machines that measure differ by as much.
+ROUGHLY = 1.7
+
+
+def measured(against):
+    """How many times as fast as the plain loop of numpy, by `make bench`."""
+    rows = {row["against"]: row for row in RESULTS["rows"] if row["work"].endswith("rows as taught: in pieces")}
+    (plain,) = (row for name, row in rows.items() if name.endswith("plain loop of numpy"))
+    if against == "in pieces":
+        return plain["against_ms"] / plain["ms"]
+    (row,) = (row for name, row in rows.items() if name.endswith(against))
+    return plain["against_ms"] / row["against_ms"]
+
+
+@pytest.mark.parametrize(
+    ("line", "against"),
+    [
+        (r"\| `in_pieces` \| ([\d,]+) \|", "in pieces"),
+        (r"written out as Python numbers \| ([\d,]+) \|", "Python numbers"),
+        (r"\| that loop in C \| ([\d,]+) \|", "C"),
+        (r"`scipy.signal.lfilter` \| ([\d,]+) \|", "lfilter"),
+    ],
+)
+def test_the_times_of_the_article_are_the_measured_ones(line, against):
+    (said,) = re.findall(line, TEXT)
+    assert 1 / ROUGHLY < measured(against) / float(said.replace(",", "")) < ROUGHLY
+
+
+def test_what_the_article_says_of_times_is_measured():
+    says("The estimates are the same, and here it was ten times as fast")
+    says("there is something a hundred times faster still")
+    for faster in ("C", "lfilter"):
+        assert measured(faster) / measured("in pieces") > 60
+    says("plain Python numbers are faster than pieces")
+    assert measured("Python numbers") > 1.5 * measured("in pieces")
+    (said,) = re.findall(r"With four, our package runs 12,000 rows (\d+) times as fast as a loop over", TEXT)
+    (four,) = (
+        row
+        for row in RESULTS["rows"]
+        if row["work"] == "one track, 4 states, 12,000 rows" and row["against"].endswith("filterpy loop")
+    )
+    assert 1 / ROUGHLY < four["ratio"] / float(said) < ROUGHLY
+    says("200 rows are hardly worth it")
+    (short,) = (
+        row
+        for row in RESULTS["rows"]
+        if row["work"] == "one track, 4 states, 200 rows" and row["against"].endswith("filterpy loop")
+    )
+    assert short["ratio"] < 3
+
+
+# Constant gain, and FIR
+
+
+def test_the_operations_of_the_article_are_those_of_the_paper():
+    right = burden.twelve(axes=2)
+    says(f"a step takes {right['SSKF A']} operations in the paper's model A")
+    says(f"A Kalman step takes {right['KF A']}, and a Lainiotis step {right['LF A']}")
+
+
+def test_the_cost_of_fir_is_taken_apart_as_it_is_counted():
+    M = order_of(settled(NEXT)[0])
+    says(f"with its H, M is {M}. Such a filter")
+    term = burden.product(4, 2, 1)
+    total = burden.total(burden.fir(4, 2, M))
+    says(f"so a term takes {term}, and seventeen take {M * term}")
+    says(f"Adding them up takes {M - 1} times 4, which is {4 * (M - 1)}. Together {total}.")
+    one = burden.total(burden.steady_state(4, 2))
+    says(f"The paper prints 108: one ordinary step ({one}) and the {4 * (M - 1)} additions")
+    assert one + 4 * (M - 1) == 108
+    says("each term is a 4 × 2 matrix times two measurements")
+    says(f"It left out {M - 1} of the {M} products, and counted one with A that FIR does not have")
+    assert total - 108 == (M - 1) * term - burden.product(4, 4, 1) - 4  # the sum with A x is not needed either
+    says(f"after {M} steps no trace of a measurement is left")
+    says(f"only a sum of {M} terms when you want a result")
+    rho = np.abs(np.linalg.eigvals(settled(NEXT)[0])).max()
+    says("The weights shrink by about a third from term to term")
+    assert 1 - rho == pytest.approx(1 / 3, abs=0.03)
+
+
+def test_from_which_step_on_fir_pays():
+    M, one = 17, burden.total(burden.steady_state(4, 2))
+    total = burden.total(burden.fir(4, 2, M))
+    several = {L: burden.total(burden.lifted(4, 2, L)) for L in range(1, 40)}
+    assert all(cost == 28 + 16 * L for L, cost in several.items())
+    equal = next(L for L, cost in several.items() if cost >= total)
+    says(f"That takes 28 + 16 L operations, which reach {total} at L = {equal}")
+    assert (int(np.ceil(108 / one)), int(np.ceil(total / one))) == (3, 7)
+    says("FIR pays from every 7th step on, not every 3rd")
+    says("With 108 operations, FIR would cost no more than ordinary steps from every third step on")
+    says(f"With {total} it is from every seventh")
+    says(f"from 7 on, where the ordinary steps have passed it, and from {equal} on if these are collected")
+    M = order_of(settled(NOW)[0])
+    total = burden.total(burden.fir(4, 2, M))
+    pays, collected = int(np.ceil(total / one)), next(L for L, cost in several.items() if cost >= total)
+    says(f"(With H = [1 0], M is {M}, and it is {pays} and {collected}.)")
+    says(f"every {pays}th step or less often (every {collected}th, if you can collect)")
+    says("a result only every 7th step or less often. (The paper says every third.)")
+    says(f"If the constant gain may collect its measurements meanwhile, it is every {equal}th")
+
+
+def test_what_fir_drops_grows_with_the_distance():
+    A, _, P, _ = settled(NEXT)
+    short, sigma = np.linalg.matrix_power(A, 17)[0, 0], np.sqrt(P[0, 0])
+    says(f"{1000 * short:.2f} mm for each metre from the origin. At 1 km that is {1000 * short:.2f} m, four times")
+    assert 1000 * short / sigma == pytest.approx(4, abs=0.5)
+    says("Count positions from a point within 20 m, and it stays below a tenth of σ")
+    for H in (NEXT, NOW):
+        A, _, P, _ = settled(H)
+        assert 20 * abs(np.linalg.matrix_power(A, order_of(A))[0, 0]) < 0.1 * np.sqrt(P[0, 0])
+
+
+def test_how_far_the_groups_are_apart():
+    (row,) = (each for each in stored_verdicts(NOTEBOOK) if each.id == "behaviour.3")
+    first, from_step = re.search(
+        r"\((\d+) cm of position\) at most.*below 0.1 σ from step (\d+) on", row.computed
+    ).groups()
+    says(f"they differ by {first} cm (rms) at the first step, and by less than 2 cm from step {from_step} on")
+    assert 10 * np.sqrt(settled(NEXT)[2][0, 0]) < 2  # a tenth of σ, in cm
+    (unknown,) = re.findall(r"from P0 = 100 I .* below 0.1 σ from step (\d+) on", row.beyond)
+    says(f"If it does not, the constant gain takes {unknown} steps to come as near")
+
+
+def test_the_constant_gain_may_be_used_after_20_rows():
+    says("constant gain and `lfilter`, without its first 20 rows")
+    before, after = re.search(r"up to ([\d.]+) m .* ([\d.]+) mm after", output_of("lfilter")).groups()
+    assert float(before) > 0.5
+    assert float(after) / 1000 < 0.1 * np.sqrt(settled(NOW)[2][0, 0])  # a tenth of σ
+
+
+# What is printed wrong, and the exercises
+
+
+def test_what_is_printed_wrong_is_what_the_verdicts_say():
+    wrong = [each for each in stored_verdicts(NOTEBOOK) if each.verdict == "erratum"]
+    ratios = [each for each in wrong if each.id.startswith("table4.")]
+    legible = [each for each in stored_verdicts(NOTEBOOK) if each.id.startswith("table4.") and each.printed != "?"]
+    totals = [f"{each.printed} for {each.computed}" for each in wrong if each.id.startswith("table3.")]
+    says(f"two totals of operations ({', and '.join(totals)}), the cost of FIR")
+    says(f"{len(ratios)} of the {len(legible)} speedups that our copy of Table 4 shows, all with a join filter")
+    others = {each.cause for each in wrong if each not in ratios}
+    assert others == {"table3-join", "fir-cost"}
+
+
+def test_the_counts_that_fit_table_4_are_those_that_its_causes_name():
+    causes = reproduction.published("2014_gsm_2d").causes
+    found = re.findall(r"(\w+ [AB]): \[(\d+)\]; Table 3 prints \d+, counted (\d+)", output_of("table4-origin"))
+    said = [
+        re.search(r"involve (\w+), model ([AB]), fit (\d+) .* it takes (\d+)\.", each.sentence)
+        for id, each in causes.items()
+        if id.startswith("table4-")
+    ]
+    assert [(f"{each[1]} {each[2]}", each[3], each[4]) for each in said] == found
+    assert len(found) == 4
+    fit = {name: int(number) / int(right) for name, number, right in found}
+    assert "off by 1 % only" in causes["table4-1191"].meaning
+    assert fit["JKLF A"] == pytest.approx(0.99, abs=0.005)
+    assert f"{100 * fit['JSSKLF A'] - 100:.0f} % slower" in causes["table4-118"].meaning
+    assert "twice as slow" in causes["table4-98"].meaning
+    assert fit["JSSKLF B"] == pytest.approx(2, abs=0.1)
+    assert "Two of them reverse" in causes["table4-640"].meaning
+    assert re.search(r"counted .* 2$", output_of("table4-size"), re.MULTILINE)
+
+
+SOLUTIONS = {
+    "exercise-h": (
+        "mine = None",
+        "mine = np.linalg.lstsq(states, reports, rcond=None)[0]",
+        "mine = [1, 0]",
+        r"not yet: with your H .* off by 1\.\d+ m \(rms\); the noise alone is 0\.3\d m",
+    ),
+    "exercise-lainiotis": (
+        "    return None",
+        """    S = H @ Q @ H.T + r
+    Kn, Km = Q @ H.T / S, F.T @ H.T / S
+    Fn, Pn, On = F - Kn @ H @ F, Q - Kn @ H @ Q, Km @ H @ F
+    A = Fn @ np.linalg.inv(np.eye(2) + P @ On)
+    return A @ (x + P @ Km * z) + Kn * z, Pn + A @ P @ Fn.T""",
+        "    return F @ x, P",
+        r"not yet: x is off by up to [\d.]+, P by up to [\d.]+; a Kalman step gives x = ",
+    ),
+    "exercise-m": ("M = 20", "M = 34", "M = 33", r"not yet: 33 terms drop up to [\d.]+ m of 10,000 m"),
+}
+
+
+@pytest.mark.parametrize("id", SOLUTIONS)
+def test_an_exercise_says_kindly_how_far_off_an_answer_is(taught, capsys, id):
+    placeholder, right, wrong, said = SOLUTIONS[id]
+    cell = code_of(id)
+    assert cell.count(placeholder) == 1
+    for answer, pattern in ((placeholder, "not yet"), (right, "right"), (wrong, said)):
+        exec(cell.replace(placeholder, answer), dict(taught))
+        assert re.match(pattern, capsys.readouterr().out), answer
+
+
+@pytest.mark.parametrize(
+    ("judge", "answer", "said"),
+    [
+        ("judge_h", [1, 2, 3], "not yet: H needs two numbers"),
+        ("judge_step", lambda x, P, z: (1.0, P), "not yet: needs x of two numbers"),
+        ("judge_order", 60, "enough, and 26 more than needed"),
+    ],
+)
+def test_an_exercise_is_kind_to_answers_of_another_form(judge, answer, said):
+    assert getattr(article_2014, judge)(answer).startswith(said)
+
+
+def test_every_name_of_a_figure_is_a_figure_of_the_article():
+    article, _ = parts(CELLS)
+    drawn = set(re.findall(r'save_figure\(fig, "2014_gsm_2d_(\w+)"\)', "\n".join(map(source, article))))
+    assert set(re.findall(r"Figure `(\w+)`", TEXT)) == drawn == {"late", "pieces", "fir_cost"}
