@@ -104,11 +104,11 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     taken, or fewer.
 
     What lasts is larger in some hours than in others, and fades differently. So `known` is the wider of two spans: the
-    one of `fit`, by how much blocks of a log differ, and the one between the halves of the log (of several logs, between the first
-    and the last of them), each fitted apart. Where a standard error of log tau is above 0.5, the logs do not determine
-    it: a UserWarning gives the span, and asks for more days. The floor is the root mean square about the log's mean,
-    less r, in the worst half of a log: a filter should state no less. A constant error is in no number here: it looks
-    like another position. To a floor add that of your receiver, in squares.
+    one of `fit`, by how much blocks of a log differ, and the one between the halves of the log (of several logs,
+    between the first and the last of them), each fitted apart. Where a standard error of log tau is above 0.5, the logs
+    do not determine it: a UserWarning gives the span, and asks for more days. The floor is the root mean square about
+    the log's mean, less r, in the worst half of a log: a filter should state no less. A constant error is in no number
+    here: it looks like another position. To a floor add that of your receiver, in squares.
 
     Raises ValueError for a log of fewer than 100 fixes, for times that do not increase or have no common step, and for
     logs that differ in step or axes.
@@ -120,7 +120,7 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     >>> [float(each[0].round(1)) for each in (found.r, found.sigma, found.tau / 60, found.floor)]
     [0.3, 0.9, 10.2, 0.9]
     >>> (found.known["tau"][0] / 60).round().tolist()
-    [7.0, 14.0]
+    [7.0, 16.0]
     """
     if not logs:
         checks.refuse("logs", "at least one pair (t, z)", "none")
