@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md, "Adding a paper", followed to the letter in a copy of the project: the smallest fifth paper."""
+"""CONTRIBUTING.md followed to the letter in a copy of the project: the smallest fifth paper, a motion and a filter."""
 
 import json
 import os
@@ -61,7 +61,7 @@ def copy(tmp_path_factory):
     path = copy / "README.md"
     (line,) = blocks("text")
     text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("\n\n## Your own track", f"\n{line}\n## Your own track", 1), encoding="utf-8")
+    path.write_text(text.replace("\n\n**Everything again", f"\n{line}\n**Everything again", 1), encoding="utf-8")
     write_the_notebook(copy / "notebooks" / f"{KEY}.ipynb")
     run(copy, "-m", "reproduction", "reproduce", KEY)
     run(copy, "-m", "reproduction", "readme")
@@ -149,3 +149,75 @@ def test_the_page_names_every_part():
     (table,) = re.findall(r"(?s)\| part \|.*?\n\n", PAGE)
     for name in ("mpt_helpers/", "reproduction/", "ledger/", "notebooks/", "docs/", "benchmarks/", "tests/"):
         assert f"`{name}`" in table, name
+
+
+def written(copy, kind):
+    """Write the file that the page adds to the package, a "motion" or a "filter", into the copy; return its name."""
+    ((name, text),) = re.findall(rf"Here `mpt_helpers/(\w+)\.py`.*?```python {kind}\n(.*?)```", PAGE, re.DOTALL)
+    (copy / "mpt_helpers" / f"{name}.py").write_text(text, encoding="utf-8")
+    return name
+
+
+MOTION = """\
+import numpy as np
+import mpt_helpers as mpt
+from mpt_helpers.forgetful import Forgetful
+rng = np.random.default_rng(5)
+t = np.cumsum(rng.exponential(2.0, 300))
+made = lambda q, r: mpt.LinearModel(motion=Forgetful(1.0, 20.0, q), H=[[1, 0]], R=[[r]], P0=np.eye(2))
+model = made(0.04, 0.5)
+x, z, at = np.zeros(2), np.empty((300, 1)), t[0] - 1
+truth, errors = np.empty((300, 2)), []
+for k in range(300):
+    F, Q = model.motion.over(t[k] - at)
+    x = F @ x + np.linalg.cholesky(Q + 1e-15 * np.eye(2)) @ rng.standard_normal(2)
+    truth[k], z[k], at = x, x[0] + rng.normal(0, np.sqrt(0.5)), t[k]
+z[rng.random(300) < 0.2] = np.nan
+kf = mpt.KalmanFilter(model, t=t)
+x, P, at, plain = np.zeros(2), np.eye(2), t[0] - 1, []
+for k in range(300):
+    F, Q = model.motion.over(t[k] - at)
+    x, P, at = F @ x, F @ P @ F.T + Q, t[k]
+    if np.isfinite(z[k, 0]):
+        K = P[:, 0] / (P[0, 0] + 0.5)
+        x, P = x + K * (z[k, 0] - x[0]), P - np.outer(K, P[0])
+    plain.append(x)
+print(np.abs(kf.filter(z) - plain).max() < 1e-9)
+smooth = kf.smooth(z)
+print(np.mean((truth - smooth.x)[:, 0] ** 2 < 4 * smooth.P[:, 0, 0]) > 0.85)
+found = mpt.fit(lambda q, r: mpt.KalmanFilter(made(q, r), t=t), z, q=0.1, r=1.0)
+print(abs(np.log(found.values["r"] / 0.5)) < 3 * found.log_errors["r"])
+a = mpt.metrics.ahead(kf, z, 3.0)
+print(np.isfinite(mpt.metrics.following(a)).any())"""
+
+
+def test_a_motion_is_one_file(copy):
+    """With times and gaps of its own it is filtered as by a plain loop, smoothed, fitted, and given a band."""
+    assert written(copy, "motion") == "forgetful"
+    assert run(copy, "-c", MOTION).split() == 4 * ["True"]
+
+
+FILTER = """\
+import numpy as np
+import mpt_helpers as mpt
+from mpt_helpers.fading import FadingFilter
+rng = np.random.default_rng(6)
+model = mpt.constant_velocity(1.0, 0.01, 0.1, P0=np.eye(2))
+z = np.cumsum(rng.standard_normal((200, 1, 3)), axis=0)
+z[rng.random(z.shape) < 0.2] = np.nan
+found = FadingFilter(model, alpha=1.05).filter(z)
+for track in range(3):
+    x, P = np.zeros(2), np.eye(2)
+    for k in range(200):
+        x, P = model.F @ x, 1.05**2 * model.F @ P @ model.F.T + model.Q
+        if np.isfinite(z[k, 0, track]):
+            K = P[:, 0] / (P[0, 0] + 0.1)
+            x, P = x + K * (z[k, 0, track] - x[0]), P - np.outer(K, P[0])
+        assert np.allclose(found[k, :, track], x, rtol=1e-9, atol=1e-9)
+print("alike")"""
+
+
+def test_a_filter_is_one_file(copy):
+    """Tracks with gaps of their own are filtered as by a plain loop."""
+    assert written(copy, "filter") == "fading"
+    assert run(copy, "-c", FILTER).split() == ["alike"]
