@@ -293,7 +293,7 @@ def smoothed(code, phase, arc, most):
     only. Where there is no arc (-1), the code stays.
 
     >>> phase = np.array([[0.0], [10.0], [20.0]])
-    >>> smoothed(np.array([[101.0], [109.0], [120.0]]), phase, np.array([[1], [1], [1]])).ravel()
+    >>> smoothed(np.array([[101.0], [109.0], [120.0]]), phase, np.array([[1], [1], [1]]), most=10).ravel()
     array([101., 110., 120.])
     """
     offset, count, ranges = np.zeros(code.shape[1]), np.zeros(code.shape[1]), code.copy()
