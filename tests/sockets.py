@@ -21,7 +21,9 @@ def talk_through_files():
     made = KernelManager.__init__
 
     def made_with_files(self, *args, **kwargs):
-        self._folder = TemporaryDirectory(prefix="kernel-")
-        made(self, *args, **through_files(self._folder.name) | kwargs)
+        if "transport" not in kwargs:  # as where this was called twice
+            self._folder = TemporaryDirectory(prefix="kernel-")
+            kwargs = through_files(self._folder.name) | kwargs
+        made(self, *args, **kwargs)
 
     KernelManager.__init__ = made_with_files
