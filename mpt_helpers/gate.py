@@ -1,0 +1,363 @@
+"""Which fixes of a recorded track are faults: one pass of a Kalman filter in sequence, which makes a mask.
+
+A receiver errs in two ways that no filter expects. Single fixes, or a few in a row, lie far off; and the whole track
+jumps, as when the signal comes back, and goes on from elsewhere. The gate tells one from the other:
+
+1. A fix is refused if its NIS, its squared distance from what the filter predicts in units of what it expects, is above
+   a limit. The filter goes on as if the fix were missing.
+2. Refused fixes that follow one another and agree *with each other* begin a new piece, from the first of them.
+3. Of these pieces the cheapest chain is kept. To drop a piece costs as many as it has fixes, a jump between two that
+   are kept costs ten. Where the way between two pieces is no faster than the track usually is, there is no jump: the
+   mobile has turned, and both are one piece.
+
+The limit is far above what noise explains: a chi-square limit of 99.9 % would refuse a fifth of the good fixes of real
+tracks, whose motion is calm and wild by turns. What is refused becomes NaN, and the fast filters take it for missing.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import checks
+from .filters import KalmanFilter, LainiotisFilter
+
+# Two pieces are joined, without a jump, where the way between them is at most so many times as fast as the fastest
+# twentieth of all steps: between consecutive fixes of a clean track none was.
+FASTER, OF_STEPS = 2.0, 0.95
+# What a jump costs, in fixes: a piece of fewer fixes between two jumps is an outlier.
+JUMP = 10
+# A piece is charged for so many of its steps that are too fast, a jump each. A piece of more fixes than that costs, as
+# a train ride within a walk, is never dropped for its speed.
+MOST_TOO_FAST = 2
+# A receiver repeats its position so often, and then jumps: it had lost the signal.
+REPEATS = 2
+# A piece that strays by less than this part of the jump at its end, hardly moves beside it.
+HARDLY = 0.1
+# A piece is tried after the ones that ended at most so many pieces before it. More in a row are never dropped.
+LOOK_BACK = 30
+
+
+def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 3) -> NDArray[np.intp]:
+    """Return the piece of each fix of a track, (N,): 0, 1, ... in order of time, and -1 where the fix is refused.
+
+    kf is a Kalman or Lainiotis filter of any model, with its times and variances; z is (N, m), NaN where a measurement
+    is missing. A row without measurements is no fix and gets -1 too. A row that is partly NaN is judged by the rest. A
+    fix is refused where its NIS, of all its measurements together, is above `limit`; so many refused fixes in a row as
+    `patience` says, which agree with each other, begin a new piece. Each piece is a track of its own, to be filtered
+    from its own first fix: the first one starts from the model's x0 and P0, as `kf` does, the others from x0 and P0
+    moved to their first fix.
+
+    The rule was made on recorded tracks: see `gate`. It takes some 3 us a row for stacks of `constant_velocity` whose
+    rows are not partly NaN, and some 30 us for others. Raises TypeError for another filter, as one of constant gain,
+    and ValueError for many tracks and for a limit or a patience that is not positive.
+
+    >>> from mpt_helpers.model import constant_velocity
+    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, P0=[[1, 0], [0, 1]]))
+    >>> z = np.arange(30.0)[:, None]
+    >>> z[10] += 50  # one outlier
+    >>> z[18:] += 200  # and a jump
+    >>> gated(kf, z)
+    array([ 0,  0,  0,  0,  0,  0,  0,  0,  0,  0, -1,  0,  0,  0,  0,  0,  0,
+            0,  1,  1,  1,  1,  1,  1,  1,  1,  1,  1,  1,  1])
+    """
+    if not isinstance(kf, KalmanFilter | LainiotisFilter):
+        checks.refuse("kf", "a KalmanFilter, whose gain follows its covariance", f"a {type(kf).__name__}", TypeError)
+    z = checks.measurements(z, kf.model.m)
+    if z.ndim == 3:
+        checks.refuse("z", "one track, (N, m): each track has a gate of its own", f"shape {z.shape}")
+    checks.no_infinity(z)
+    limit, patience = checks.positive("limit", limit), checks.count("patience", patience)
+    return pieces(kf, z, [], limit, patience)
+
+
+def pieces(kf, z, begins, limit, patience):
+    """Return the piece of each fix as `gated` does. No piece goes on into the rows that begin another recording.
+
+    The filter starts anew at each row of `begins`, as at a new piece, and from x0 and P0 at row 0 unless that is one of
+    them. The way from one recording to the next is no jump.
+    """
+    seen = ~np.isnan(z)
+    steps = _steps_of(kf, z, seen)
+    found = _in_sequence(steps, seen.any(axis=1), set(begins), limit, patience)
+    unit = z / np.sqrt(np.diag(kf.model.R))
+    times = _times_of(kf, len(z))
+    recording = np.zeros(len(z), dtype=int)
+    recording[list(begins)] = 1
+    recording = np.cumsum(recording)
+    found = [part for rows in found for part in _without_repeats_at_the_end(z, rows)]
+    number = np.full(len(z), -1)
+    for k, rows in enumerate(_cheapest_chain(found, unit, times, recording)):
+        number[rows] = k
+    return number
+
+
+def _in_sequence(steps, fixes, begins, limit, patience):
+    """Return the rows of each piece, in order of their first rows, by rules 1 and 2."""
+    found, rows = [], []
+    state, candidates = steps.origin(), []  # a candidate: its state and its rows, all refused and in agreement
+    for k in range(len(fixes)):
+        if k in begins:
+            found.append(rows)
+            rows, state, candidates = [], None, []
+        if state is None:  # before the first fix of a recording
+            if fixes[k]:
+                state, rows = steps.start(k), [k]
+            continue
+        nis, predicted = steps.look(state, k)
+        if not fixes[k]:
+            state = predicted
+            candidates = [(steps.look(each, k)[1], own) for each, own in candidates]
+            continue
+        if nis <= limit:
+            state = steps.take(predicted, k)
+            rows.append(k)
+            if candidates:
+                candidates = []
+            continue
+        state, agreed = predicted, []
+        for each, own in candidates:
+            nis, predicted = steps.look(each, k)
+            if nis <= limit:
+                agreed.append((steps.take(predicted, k), [*own, k]))
+        candidates = [*agreed, (steps.start(k), [k])]
+        if len(candidates[0][1]) == patience:
+            found.append(rows)
+            (state, rows), candidates = candidates[0], []
+    found.append(rows)
+    return [rows for rows in found if rows]
+
+
+def _without_repeats_at_the_end(z, rows):
+    """Return the rows of a piece, and apart from them its last ones where they repeat one position."""
+    last = len(rows) - 1
+    while last > 0 and np.array_equal(z[rows[last - 1]], z[rows[-1]], equal_nan=True):
+        last -= 1
+    if last == 0 or len(rows) - 1 - last < REPEATS:
+        return [rows]
+    return [rows[: last + 1], rows[last + 1 :]]
+
+
+def _cheapest_chain(found, z, times, recording):
+    """Return the rows of the pieces that are kept, those without a jump between them as one, by rule 3.
+
+    z (N, m) is in units of its noise, recording (N,) says which fixes belong to one recording.
+    """
+    if not found:
+        return []
+    fast = FASTER * _usual_speed(found, z, times)
+    firsts, lasts = [rows[0] for rows in found], [rows[-1] for rows in found]
+
+    def jump(i, j):
+        """Tell whether the way from the end of piece i to the start of piece j is too fast."""
+        a, b = lasts[i], firsts[j]
+        return recording[a] == recording[b] and _distance(z, a, b) > fast * (times[b] - times[a])
+
+    to_drop = [len(rows) for rows in found]
+    for j in range(len(found) - 1):
+        if jump(j, j + 1) and _hardly_moves(z, found[j], firsts[j + 1]):
+            to_drop[j] = 0
+    to_keep = [JUMP * min(_too_fast(z, times, rows, fast), MOST_TOO_FAST) for rows in found]
+    # The cost of all pieces up to j, where j is the last that is kept; and the one that is kept before it.
+    cost, before = [], []
+    for j in range(len(found)):
+        ways = [(sum(to_drop[:j]), 0, None)] if j < LOOK_BACK else []
+        dropped = 0
+        for i in range(j - 1, max(j - 1 - LOOK_BACK, -1), -1):
+            ways.append((cost[i] + dropped + JUMP * jump(i, j), j - i, i))
+            dropped += to_drop[i]
+        least, _, i = min(ways, key=lambda way: way[:2])
+        cost.append(least + to_keep[j])
+        before.append(i)
+    ends = range(max(0, len(found) - LOOK_BACK), len(found))
+    j = min(ends, key=lambda j: (cost[j] + sum(to_drop[j + 1 :]), -j))
+    kept = []
+    while j is not None:
+        kept.append(j)
+        j = before[j]
+    kept.reverse()
+    joined = [list(found[kept[0]])]
+    for i, j in pairwise(kept):
+        if jump(i, j) or recording[lasts[i]] != recording[firsts[j]]:
+            joined.append(list(found[j]))
+        else:
+            joined[-1] += found[j]
+    return joined
+
+
+def _usual_speed(found, z, times):
+    """Return the speed that 95 % of the steps within pieces do not exceed; infinite where there are no steps."""
+    a = np.concatenate([rows[:-1] for rows in found]).astype(int)
+    b = np.concatenate([rows[1:] for rows in found]).astype(int)
+    seconds = times[b] - times[a]
+    a, b, seconds = a[seconds > 0], b[seconds > 0], seconds[seconds > 0]
+    if not len(a):
+        return np.inf
+    return float(np.quantile(np.sqrt(np.nansum((z[b] - z[a]) ** 2, axis=1)) / seconds, OF_STEPS))
+
+
+def _distance(z, a, b):
+    """Return how far two fixes are apart, in what both of them have measured."""
+    return float(np.sqrt(np.nansum((z[b] - z[a]) ** 2)))
+
+
+def _too_fast(z, times, rows, fast):
+    rows = np.array(rows)
+    return int(np.sum(np.sqrt(np.nansum(np.diff(z[rows], axis=0) ** 2, axis=1)) > fast * np.diff(times[rows])))
+
+
+def _hardly_moves(z, rows, following):
+    """Tell whether a piece stays where it is, beside the jump from its end to a following row."""
+    strayed = np.sqrt(np.nansum((z[rows] - z[rows[0]]) ** 2, axis=1)).max()
+    return len(rows) > REPEATS and strayed < HARDLY * _distance(z, rows[-1], following)
+
+
+def _times_of(kf, N):
+    """Return the times of the rows; in steps where the model does not say how long they are."""
+    if getattr(kf, "t", None) is None:
+        return np.arange(N) * (kf.model.dt or 1.0)
+    if kf.t.shape != (N,):
+        checks.refuse("kf", f"a time of each of the {N} rows of z", f"times of shape {kf.t.shape}")
+    return kf.t
+
+
+def _variances_of(kf, z, seen):
+    """Return the variances of the measurements (N, m), or None where they are the model's R."""
+    r = getattr(kf, "r", None)
+    if r is None:
+        return None
+    if r.shape != z.shape:
+        checks.refuse("kf", f"variances of the shape of z, {z.shape}", f"shape {r.shape}")
+    if not (np.isfinite(r[seen]) & (r[seen] > 0)).all():
+        checks.refuse("r", "a positive variance of every measurement that is there", "another")
+    return r
+
+
+# What follows is all that knows how a filter takes a step. Both classes do the same:
+#   origin()            the state before the first row, x0 and P0
+#   start(k)            the state after a first fix, of row k
+#   look(state, k)      the NIS of row k, and the state there before it is measured
+#   take(predicted, k)  the state after it is measured
+
+
+def _steps_of(kf, z, seen):
+    times, variances = _times_of(kf, len(z)), _variances_of(kf, z, seen)
+    lengths = np.ones(len(z))
+    if getattr(kf, "t", None) is not None:
+        lengths[1:] = np.diff(times) / kf.model.dt
+    if _is_a_stack_of_equal_axes(kf.model, variances, seen):
+        return _EqualAxes(kf.model, lengths, variances, z)
+    return _AnyModel(kf.model, lengths, variances, z, seen)
+
+
+class _AnyModel:
+    """A Kalman filter in matrices; a state is x (n,), P (n, n)."""
+
+    def __init__(self, model, lengths, variances, z, seen):
+        self._model, self._variances, self._z, self._seen = model, variances, z, seen
+        self._lengths = lengths
+        self._steps = {}  # F and Q by length
+
+    def origin(self):
+        return self._model.x0, self._model.P0
+
+    def start(self, k):
+        F, Q = self._step(1.0)
+        H, _ = self._measured(k)
+        x, P = F @ self._model.x0, F @ self._model.P0 @ F.T + Q
+        x = x + np.linalg.pinv(H) @ (self._z[k][self._seen[k]] - H @ x)
+        return self.take(self._before(x, P, k), k)
+
+    def look(self, state, k):
+        F, Q = self._step(self._lengths[k])
+        x, P, *_ = state
+        predicted = self._before(F @ x, F @ P @ F.T + Q, k)
+        unit = predicted[2]
+        return float(unit @ unit), predicted
+
+    def take(self, predicted, k):
+        x, P, unit, W = predicted
+        return x + W.T @ unit, P - W.T @ W
+
+    def _step(self, length):
+        if length not in self._steps:
+            if len(self._steps) > 1000:
+                self._steps.clear()
+            model = self._model
+            self._steps[length] = (model.F, model.Q) if length == 1 else model.over(length)
+        return self._steps[length]
+
+    def _measured(self, k):
+        seen = self._seen[k]
+        R = self._model.R if self._variances is None else np.diag(np.where(seen, self._variances[k], 1))
+        return self._model.H[seen], R[np.ix_(seen, seen)]
+
+    def _before(self, x, P, k):
+        """Return x, P, the innovation at unit covariance, and W with K = Wᵀ L⁻¹: P changes by - Wᵀ W."""
+        H, R = self._measured(k)
+        L = np.linalg.cholesky(H @ P @ H.T + R)
+        both = np.linalg.solve(L, np.column_stack([self._z[k][self._seen[k]] - H @ x, H @ P]))
+        return x, P, both[:, 0], both[:, 1:]
+
+
+def _is_a_stack_of_equal_axes(model, variances, seen):
+    """Tell whether all axes of a track share one 2x2 covariance: equal axes of position and velocity, seen together."""
+    n, m = model.n, model.m
+    if n != 2 * m or model.powers is None or not np.array_equal(model.powers, [1.5, 0.5] * m):
+        return False
+    axis = slice(0, 2)
+    eye = np.eye(m)
+    alike = all(np.array_equal(M, np.kron(eye, M[axis, axis])) for M in (model.F, model.Q, model.P0))
+    if not alike or not np.array_equal(model.H, np.kron(eye, [[1.0, 0.0]])):
+        return False
+    if not np.array_equal(model.R, model.R[0, 0] * eye) or not (seen.all(axis=1) == seen.any(axis=1)).all():
+        return False
+    return variances is None or bool((variances == variances[:, :1])[seen].all())
+
+
+class _EqualAxes:
+    """The same for equal axes of position and velocity: plain numbers, some ten times as fast.
+
+    A state is P11, P12, P22 of one axis, and the positions and the velocities of all.
+    """
+
+    def __init__(self, model, lengths, variances, z):
+        self._z, self._lengths = z.tolist(), lengths.tolist()
+        N = len(self._z)
+        self._r = [float(model.R[0, 0])] * N if variances is None else variances[:, 0].tolist()
+        self._dt = float(model.F[0, 1])
+        self._q = float(model.Q[0, 0]), float(model.Q[0, 1]), float(model.Q[1, 1])
+        self._P0 = float(model.P0[0, 0]), float(model.P0[0, 1]), float(model.P0[1, 1])
+        self._x0 = model.x0[::2].tolist(), model.x0[1::2].tolist()
+
+    def origin(self):
+        return *self._P0, *self._x0
+
+    def start(self, k):
+        _, (a, b, c, _, velocities, _, S) = self._look(self.origin(), k, 1.0)
+        position = self._z[k]
+        return self.take((a, b, c, position, velocities, [0.0] * len(position), S), k)
+
+    def look(self, state, k):
+        return self._look(state, k, self._lengths[k])
+
+    def take(self, predicted, k):
+        a, b, c, positions, velocities, off, S = predicted
+        K, L, kept = a / S, b / S, self._r[k] / S
+        positions = [s + K * e for s, e in zip(positions, off, strict=True)]
+        velocities = [v + L * e for v, e in zip(velocities, off, strict=True)]
+        return a * kept, b * kept, c - b * L, positions, velocities
+
+    def _look(self, state, k, length):
+        a, b, c, positions, velocities, *_ = state
+        q11, q12, q22 = self._q
+        dt = self._dt * length
+        a += dt * (2 * b + dt * c) + q11 * length**3
+        b += dt * c + q12 * length**2
+        c += q22 * length
+        positions = [s + dt * v for s, v in zip(positions, velocities, strict=True)]
+        off = [z - s for z, s in zip(self._z[k], positions, strict=True)]
+        S = a + self._r[k]
+        return sum([e * e for e in off]) / S, (a, b, c, positions, velocities, off, S)
