@@ -34,7 +34,7 @@ JUMP = 10
 MOST_TOO_FAST = 2
 # A receiver repeats its position so often, and then jumps: it had lost the signal.
 REPEATS = 2
-# A piece that strays by less than this part of the jump at its end, hardly moves beside it.
+# A piece that strays by less than this part of the way from the piece before it to the one after it hardly moves.
 HARDLY = 0.1
 # A piece is tried after the ones that ended at most so many pieces before it. More in a row are never dropped.
 LOOK_BACK = 30
@@ -149,30 +149,37 @@ def _cheapest_chain(found, z, times, recording):
         return []
     fast = FASTER * _usual_speed(found, z, times)
     firsts, lasts = [rows[0] for rows in found], [rows[-1] for rows in found]
+    strayed = [_strayed(z, rows) for rows in found]
 
     def jump(i, j):
         """Tell whether the way from the end of piece i to the start of piece j is too fast."""
         a, b = lasts[i], firsts[j]
         return recording[a] == recording[b] and _distance(z, a, b) > fast * (times[b] - times[a])
 
-    to_drop = [len(rows) for rows in found]
-    for j in range(len(found) - 1):
-        if jump(j, j + 1) and _hardly_moves(z, found[j], firsts[j + 1]):
-            to_drop[j] = 0
+    def dropped(i, j):
+        """Return the cost of dropping the pieces between i and j.
+
+        One that stayed where it was, while the mobile went on its way at a usual speed, is a receiver without signal.
+        """
+        costs = [len(found[k]) for k in range(i + 1, j)]
+        if len(costs) == 0 or jump(i, j):
+            return sum(costs)
+        way = _distance(z, lasts[i], firsts[j])
+        stuck = [len(found[k]) > REPEATS and strayed[k] < HARDLY * way for k in range(i + 1, j)]
+        return sum(cost for cost, free in zip(costs, stuck, strict=True) if not free)
+
     to_keep = [JUMP * min(_too_fast(z, times, rows, fast), MOST_TOO_FAST) for rows in found]
     # The cost of all pieces up to j, where j is the last that is kept; and the one that is kept before it.
     cost, before = [], []
     for j in range(len(found)):
-        ways = [(sum(to_drop[:j]), 0, None)] if j < LOOK_BACK else []
-        dropped = 0
-        for i in range(j - 1, max(j - 1 - LOOK_BACK, -1), -1):
-            ways.append((cost[i] + dropped + JUMP * jump(i, j), j - i, i))
-            dropped += to_drop[i]
+        ways = [(sum(map(len, found[:j])), 0, None)] if j < LOOK_BACK else []
+        for i in range(max(j - LOOK_BACK, 0), j):
+            ways.append((cost[i] + dropped(i, j) + JUMP * jump(i, j), j - i, i))
         least, _, i = min(ways, key=lambda way: way[:2])
         cost.append(least + to_keep[j])
         before.append(i)
     ends = range(max(0, len(found) - LOOK_BACK), len(found))
-    j = min(ends, key=lambda j: (cost[j] + sum(to_drop[j + 1 :]), -j))
+    j = min(ends, key=lambda j: (cost[j] + sum(map(len, found[j + 1 :])), -j))
     kept = []
     while j is not None:
         kept.append(j)
@@ -208,10 +215,9 @@ def _too_fast(z, times, rows, fast):
     return int(np.sum(np.sqrt(np.nansum(np.diff(z[rows], axis=0) ** 2, axis=1)) > fast * np.diff(times[rows])))
 
 
-def _hardly_moves(z, rows, following):
-    """Tell whether a piece stays where it is, beside the jump from its end to a following row."""
-    strayed = np.sqrt(np.nansum((z[rows] - z[rows[0]]) ** 2, axis=1)).max()
-    return len(rows) > REPEATS and strayed < HARDLY * _distance(z, rows[-1], following)
+def _strayed(z, rows):
+    """Return how far the fixes of a piece are from its first one at most."""
+    return float(np.sqrt(np.nansum((z[rows] - z[rows[0]]) ** 2, axis=1)).max())
 
 
 def _times_of(kf, N):
