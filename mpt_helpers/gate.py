@@ -16,6 +16,7 @@ tracks, whose motion is calm and wild by turns. What is refused becomes NaN, and
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -27,15 +28,17 @@ from .filters import KalmanFilter, LainiotisFilter
 # Two pieces are joined, without a jump, where the way between them is at most so many times as fast as the fastest
 # twentieth of all steps: between consecutive fixes of a clean track none was.
 FASTER, OF_STEPS = 2.0, 0.95
+# A fix that the filter expects is one of a new start nevertheless, if that expects it so much better: in units of -2 log
+# of a probability density. One jump in e^10 = 22,000 fixes is as usual as one is in a day's track.
+RARE = 20.0
 # What a jump costs, in fixes: a piece of fewer fixes between two jumps is an outlier.
 JUMP = 10
 # A piece is charged for so many of its steps that are too fast, a jump each. A piece of more fixes than that costs, as
 # a train ride within a walk, is never dropped for its speed.
 MOST_TOO_FAST = 2
-# A receiver repeats its position so often, and then jumps: it had lost the signal.
-REPEATS = 2
-# A piece that strays by less than this part of the way from the piece before it to the one after it hardly moves.
-HARDLY = 0.1
+# A receiver without signal repeats its position, and jumps when the signal is back. So many fixes that stray by less
+# than this part of the way from the piece before them to the one after them are taken for that.
+STUCK, HARDLY = 3, 0.1
 # A piece is tried after the ones that ended at most so many pieces before it. More in a row are never dropped.
 LOOK_BACK = 30
 
@@ -87,9 +90,11 @@ def pieces(kf, z, begins, limit, patience):
     recording = np.zeros(len(z), dtype=int)
     recording[list(begins)] = 1
     recording = np.cumsum(recording)
-    found = [part for rows in found for part in _without_repeats_at_the_end(z, rows)]
     number = np.full(len(z), -1)
-    for k, rows in enumerate(_cheapest_chain(found, unit, times, recording)):
+    if not found:
+        return number
+    way = _Way(found, unit, times, recording)
+    for k, rows in enumerate(_cheapest_chain(_without_stuck_ones(found, way), way, recording)):
         number[rows] = k
     return number
 
@@ -111,18 +116,18 @@ def _in_sequence(steps, fixes, begins, limit, patience):
             state = predicted
             candidates = [(steps.look(each, k)[1], own) for each, own in candidates]
             continue
-        if nis <= limit:
-            state = steps.take(predicted, k)
-            rows.append(k)
-            if candidates:
-                candidates = []
-            continue
-        state, agreed = predicted, []
+        agreed = []
         for each, own in candidates:
-            nis, predicted = steps.look(each, k)
-            if nis <= limit:
-                agreed.append((steps.take(predicted, k), [*own, k]))
-        candidates = [*agreed, (steps.start(k), [k])]
+            other_nis, other = steps.look(each, k)
+            if other_nis <= limit:
+                agreed.append((steps.take(other, k), [*own, k], steps.surprise(other_nis, other)))
+        surprise = steps.surprise(nis, predicted) if agreed else -math.inf
+        if nis <= limit and all(surprise <= each + RARE for *_, each in agreed):
+            state, candidates = steps.take(predicted, k), []
+            rows.append(k)
+            continue
+        state = predicted
+        candidates = [(each, own) for each, own, _ in agreed] + [(steps.start(k), [k])]
         if len(candidates[0][1]) == patience:
             found.append(rows)
             (state, rows), candidates = candidates[0], []
@@ -130,56 +135,78 @@ def _in_sequence(steps, fixes, begins, limit, patience):
     return [rows for rows in found if rows]
 
 
-def _without_repeats_at_the_end(z, rows):
-    """Return the rows of a piece, and apart from them its last ones where they repeat one position."""
-    last = len(rows) - 1
-    while last > 0 and np.array_equal(z[rows[last - 1]], z[rows[-1]], equal_nan=True):
-        last -= 1
-    if last == 0 or len(rows) - 1 - last < REPEATS:
-        return [rows]
-    return [rows[: last + 1], rows[last + 1 :]]
+def _without_stuck_ones(found, way):
+    """Return the rows of the pieces without those where a receiver without signal has stood still.
 
-
-def _cheapest_chain(found, z, times, recording):
-    """Return the rows of the pieces that are kept, those without a jump between them as one, by rule 3.
-
-    z (N, m) is in units of its noise, recording (N,) says which fixes belong to one recording.
+    That is before a step that is too fast, if it would be none from where the fixes began to stay in one place.
     """
-    if not found:
-        return []
-    fast = FASTER * _usual_speed(found, z, times)
+    rows = np.concatenate(found)
+    stuck = np.zeros(len(rows), dtype=bool)
+    for k in np.flatnonzero(way.too_fast(rows[:-1], rows[1:])):
+        near = HARDLY * way.distance(rows[k], rows[k + 1])
+        tail = k
+        while tail > 0 and not stuck[tail - 1] and way.distance(rows[tail - 1], rows[k]) <= near:
+            tail -= 1
+        if tail > 0 and k + 1 - tail >= STUCK and not way.too_fast(rows[tail - 1 : tail], rows[k + 1 : k + 2])[0]:
+            stuck[tail : k + 1] = True
+    refused = set(rows[stuck].tolist())
+    left = ([row for row in each if row not in refused] for each in found)
+    return [each for each in left if each]
+
+
+class _Way:
+    """How far fixes are apart, z (N, m) in units of their noise, and whether one is too far from another in its time.
+
+    Those of different recordings never are.
+    """
+
+    def __init__(self, found, z, times, recording):
+        self._z, self._times, self._recording = z, times, recording
+        a = np.concatenate([rows[:-1] for rows in found]).astype(int)
+        b = np.concatenate([rows[1:] for rows in found]).astype(int)
+        seconds = times[b] - times[a]
+        speeds = self._lengths(a, b)[seconds > 0] / seconds[seconds > 0]
+        self._fast = FASTER * float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
+
+    def too_fast(self, a, b):
+        """Tell of each way from a row of a to a row of b whether it is faster than a track usually is."""
+        a, b = np.array(a, dtype=int), np.array(b, dtype=int)
+        seconds = np.maximum(self._times[b] - self._times[a], 1e-9)
+        return (self._recording[a] == self._recording[b]) & (self._lengths(a, b) > self._fast * seconds)
+
+    def distance(self, a, b):
+        """Return how far two fixes are apart, in what both of them have measured."""
+        return float(self._lengths(a, b))
+
+    def _lengths(self, a, b):
+        return np.sqrt(np.nansum((self._z[b] - self._z[a]) ** 2, axis=-1))
+
+
+def _cheapest_chain(found, way, recording):
+    """Return the rows of the pieces that are kept, those without a jump between them as one, by rule 3."""
     firsts, lasts = [rows[0] for rows in found], [rows[-1] for rows in found]
-    strayed = [_strayed(z, rows) for rows in found]
+    sizes = [len(rows) for rows in found]
+    jumps = {}
 
     def jump(i, j):
         """Tell whether the way from the end of piece i to the start of piece j is too fast."""
-        a, b = lasts[i], firsts[j]
-        return recording[a] == recording[b] and _distance(z, a, b) > fast * (times[b] - times[a])
+        if (i, j) not in jumps:
+            jumps[i, j] = bool(way.too_fast([lasts[i]], [firsts[j]])[0])
+        return jumps[i, j]
 
-    def dropped(i, j):
-        """Return the cost of dropping the pieces between i and j.
-
-        One that stayed where it was, while the mobile went on its way at a usual speed, is a receiver without signal.
-        """
-        costs = [len(found[k]) for k in range(i + 1, j)]
-        if len(costs) == 0 or jump(i, j):
-            return sum(costs)
-        way = _distance(z, lasts[i], firsts[j])
-        stuck = [len(found[k]) > REPEATS and strayed[k] < HARDLY * way for k in range(i + 1, j)]
-        return sum(cost for cost, free in zip(costs, stuck, strict=True) if not free)
-
-    to_keep = [JUMP * min(_too_fast(z, times, rows, fast), MOST_TOO_FAST) for rows in found]
+    too_fast = [int(way.too_fast(rows[:-1], rows[1:]).sum()) for rows in found]
+    to_keep = [JUMP * min(steps, MOST_TOO_FAST) for steps in too_fast]
     # The cost of all pieces up to j, where j is the last that is kept; and the one that is kept before it.
     cost, before = [], []
     for j in range(len(found)):
-        ways = [(sum(map(len, found[:j])), 0, None)] if j < LOOK_BACK else []
+        ways = [(sum(sizes[:j]), 0, None)] if j < LOOK_BACK else []
         for i in range(max(j - LOOK_BACK, 0), j):
-            ways.append((cost[i] + dropped(i, j) + JUMP * jump(i, j), j - i, i))
-        least, _, i = min(ways, key=lambda way: way[:2])
+            ways.append((cost[i] + sum(sizes[i + 1 : j]) + JUMP * jump(i, j), j - i, i))
+        least, _, i = min(ways, key=lambda each: each[:2])
         cost.append(least + to_keep[j])
         before.append(i)
     ends = range(max(0, len(found) - LOOK_BACK), len(found))
-    j = min(ends, key=lambda j: (cost[j] + sum(map(len, found[j + 1 :])), -j))
+    j = min(ends, key=lambda j: (cost[j] + sum(sizes[j + 1 :]), -j))
     kept = []
     while j is not None:
         kept.append(j)
@@ -192,32 +219,6 @@ def _cheapest_chain(found, z, times, recording):
         else:
             joined[-1] += found[j]
     return joined
-
-
-def _usual_speed(found, z, times):
-    """Return the speed that 95 % of the steps within pieces do not exceed; infinite where there are no steps."""
-    a = np.concatenate([rows[:-1] for rows in found]).astype(int)
-    b = np.concatenate([rows[1:] for rows in found]).astype(int)
-    seconds = times[b] - times[a]
-    a, b, seconds = a[seconds > 0], b[seconds > 0], seconds[seconds > 0]
-    if not len(a):
-        return np.inf
-    return float(np.quantile(np.sqrt(np.nansum((z[b] - z[a]) ** 2, axis=1)) / seconds, OF_STEPS))
-
-
-def _distance(z, a, b):
-    """Return how far two fixes are apart, in what both of them have measured."""
-    return float(np.sqrt(np.nansum((z[b] - z[a]) ** 2)))
-
-
-def _too_fast(z, times, rows, fast):
-    rows = np.array(rows)
-    return int(np.sum(np.sqrt(np.nansum(np.diff(z[rows], axis=0) ** 2, axis=1)) > fast * np.diff(times[rows])))
-
-
-def _strayed(z, rows):
-    """Return how far the fixes of a piece are from its first one at most."""
-    return float(np.sqrt(np.nansum((z[rows] - z[rows[0]]) ** 2, axis=1)).max())
 
 
 def _times_of(kf, N):
@@ -245,6 +246,7 @@ def _variances_of(kf, z, seen):
 #   origin()            the state before the first row, x0 and P0
 #   start(k)            the state after a first fix, of row k
 #   look(state, k)      the NIS of row k, and the state there before it is measured
+#   surprise(nis, predicted)   -2 log of the probability density of row k, but for a constant
 #   take(predicted, k)  the state after it is measured
 
 
@@ -283,8 +285,11 @@ class _AnyModel:
         unit = predicted[2]
         return float(unit @ unit), predicted
 
+    def surprise(self, nis, predicted):
+        return nis + predicted[4]
+
     def take(self, predicted, k):
-        x, P, unit, W = predicted
+        x, P, unit, W, _ = predicted
         return x + W.T @ unit, P - W.T @ W
 
     def _step(self, length):
@@ -301,11 +306,14 @@ class _AnyModel:
         return self._model.H[seen], R[np.ix_(seen, seen)]
 
     def _before(self, x, P, k):
-        """Return x, P, the innovation at unit covariance, and W with K = Wᵀ L⁻¹: P changes by - Wᵀ W."""
+        """Return x, P, the innovation at unit covariance, W with K = Wᵀ L⁻¹, log det S.
+
+        P changes by - Wᵀ W.
+        """
         H, R = self._measured(k)
         L = np.linalg.cholesky(H @ P @ H.T + R)
         both = np.linalg.solve(L, np.column_stack([self._z[k][self._seen[k]] - H @ x, H @ P]))
-        return x, P, both[:, 0], both[:, 1:]
+        return x, P, both[:, 0], both[:, 1:], 2 * float(np.log(np.diag(L)).sum())
 
 
 def _is_a_stack_of_equal_axes(model, variances, seen):
@@ -348,6 +356,9 @@ class _EqualAxes:
 
     def look(self, state, k):
         return self._look(state, k, self._lengths[k])
+
+    def surprise(self, nis, predicted):
+        return nis + len(predicted[5]) * math.log(predicted[6])
 
     def take(self, predicted, k):
         a, b, c, positions, velocities, off, S = predicted
