@@ -28,9 +28,9 @@ from .filters import KalmanFilter, LainiotisFilter
 # Two pieces are joined, without a jump, where the way between them is at most so many times as fast as the fastest
 # twentieth of all steps: between consecutive fixes of a clean track none was.
 FASTER, OF_STEPS = 2.0, 0.95
-# A fix that the filter expects is one of a new start nevertheless, if that expects it so much better: in units of -2 log
-# of a probability density. One jump in e^10 = 22,000 fixes is as usual as one is in a day's track.
-RARE = 20.0
+# A fix that the filter expects belongs to a new start nevertheless, if that expects it so much better, in units of -2
+# log of a probability density. At 0 good fixes are lost to new starts, at 20 the gate misses shifts on sparse tracks.
+RARE = 5.0
 # What a jump costs, in fixes: a piece of fewer fixes between two jumps is an outlier.
 JUMP = 10
 # A piece is charged for so many of its steps that are too fast, a jump each. A piece of more fixes than that costs, as
@@ -166,13 +166,13 @@ class _Way:
         b = np.concatenate([rows[1:] for rows in found]).astype(int)
         seconds = times[b] - times[a]
         speeds = self._lengths(a, b)[seconds > 0] / seconds[seconds > 0]
-        self._fast = FASTER * float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
+        self._fast = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
 
-    def too_fast(self, a, b):
-        """Tell of each way from a row of a to a row of b whether it is faster than a track usually is."""
+    def too_fast(self, a, b, at_most=FASTER):
+        """Tell of each way from a row of a to a row of b whether it is so many times as fast as a track usually is."""
         a, b = np.array(a, dtype=int), np.array(b, dtype=int)
         seconds = np.maximum(self._times[b] - self._times[a], 1e-9)
-        return (self._recording[a] == self._recording[b]) & (self._lengths(a, b) > self._fast * seconds)
+        return (self._recording[a] == self._recording[b]) & (self._lengths(a, b) > at_most * self._fast * seconds)
 
     def distance(self, a, b):
         """Return how far two fixes are apart, in what both of them have measured."""
@@ -183,42 +183,62 @@ class _Way:
 
 
 def _cheapest_chain(found, way, recording):
-    """Return the rows of the pieces that are kept, those without a jump between them as one, by rule 3."""
-    firsts, lasts = [rows[0] for rows in found], [rows[-1] for rows in found]
-    sizes = [len(rows) for rows in found]
+    """Return the rows of the pieces that are kept, those without a jump between them as one, by rule 3.
+
+    A piece is dropped by parts: what stands between refused fixes, and its first and its last fix, which may be faults
+    that agreed with the others by chance.
+    """
+    parts, of_piece = [], []
+    for k, rows in enumerate(found):
+        own = _parts(rows)
+        parts += own
+        of_piece += [k] * len(own)
+    firsts, lasts = [rows[0] for rows in parts], [rows[-1] for rows in parts]
+    dropped = np.concatenate([[0], np.cumsum([len(rows) for rows in parts])]).tolist()  # the fixes of the first ones
     jumps = {}
 
     def jump(i, j):
-        """Tell whether the way from the end of piece i to the start of piece j is too fast."""
+        """Tell whether the way from the end of a part to the start of one of another piece is too fast.
+
+        Where parts are dropped between them it must be a usual speed, lest they are dropped to make time for the way.
+        """
         if (i, j) not in jumps:
-            jumps[i, j] = bool(way.too_fast([lasts[i]], [firsts[j]])[0])
+            at_most = 1.0 if j > i + 1 else FASTER
+            jumps[i, j] = of_piece[i] != of_piece[j] and way.too_fast(lasts[i : i + 1], firsts[j : j + 1], at_most)[0]
         return jumps[i, j]
 
-    too_fast = [int(way.too_fast(rows[:-1], rows[1:]).sum()) for rows in found]
+    too_fast = [int(way.too_fast(rows[:-1], rows[1:]).sum()) for rows in parts]
     to_keep = [JUMP * min(steps, MOST_TOO_FAST) for steps in too_fast]
-    # The cost of all pieces up to j, where j is the last that is kept; and the one that is kept before it.
+    # The cost of all parts up to j, where j is the last that is kept; and the one that is kept before it.
     cost, before = [], []
-    for j in range(len(found)):
-        ways = [(sum(sizes[:j]), 0, None)] if j < LOOK_BACK else []
+    for j in range(len(parts)):
+        ways = [(dropped[j], 0, None)] if j < LOOK_BACK else []
         for i in range(max(j - LOOK_BACK, 0), j):
-            ways.append((cost[i] + sum(sizes[i + 1 : j]) + JUMP * jump(i, j), j - i, i))
+            ways.append((cost[i] + dropped[j] - dropped[i + 1] + JUMP * jump(i, j), j - i, i))
         least, _, i = min(ways, key=lambda each: each[:2])
         cost.append(least + to_keep[j])
         before.append(i)
-    ends = range(max(0, len(found) - LOOK_BACK), len(found))
-    j = min(ends, key=lambda j: (cost[j] + sum(sizes[j + 1 :]), -j))
+    ends = range(max(0, len(parts) - LOOK_BACK), len(parts))
+    j = min(ends, key=lambda j: (cost[j] + dropped[-1] - dropped[j + 1], -j))
     kept = []
     while j is not None:
         kept.append(j)
         j = before[j]
     kept.reverse()
-    joined = [list(found[kept[0]])]
+    joined = [list(parts[kept[0]])]
     for i, j in pairwise(kept):
         if jump(i, j) or recording[lasts[i]] != recording[firsts[j]]:
-            joined.append(list(found[j]))
+            joined.append(list(parts[j]))
         else:
-            joined[-1] += found[j]
+            joined[-1] += parts[j]
     return joined
+
+
+def _parts(rows):
+    """Return the rows of a piece between those that are refused, its first and its last one apart."""
+    cuts = np.flatnonzero(np.diff(rows) > 1) + 1
+    cuts = np.unique(np.concatenate([[0, 1], cuts, [len(rows) - 1, len(rows)]]))
+    return [rows[begin:end] for begin, end in pairwise(cuts.tolist()) if end > begin]
 
 
 def _times_of(kf, N):
