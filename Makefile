@@ -8,18 +8,18 @@ NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 .PHONY: reproduce test nbval site site-test build extras bench clock mutants seeds test-all workflows lock
 
 reproduce: $(VENV)/.ok
-	$(PY) -m mpt_helpers reproduce
-	$(PY) -m mpt_helpers readme
+	$(PY) -m reproduction reproduce
 
 test: $(VENV)/.ok
 	@echo "all of the tests; a part of them: $(PY) -m pytest tests/test_filters.py -k lainiotis"
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(PY) -m pytest -n auto -p tests.exact $(NBVAL) mpt_helpers tests notebooks
+	$(PY) -m pytest -n auto -p tests.exact $(NBVAL) mpt_helpers reproduction docs/break_sensor.py tests notebooks
+	@echo "make test: all is well: style, tests, doctests, and every byte of the notebooks' outputs and figures"
 
 # The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.
 nbval: $(VENV)/.ok
-	$(PY) -m pytest -n auto --dist loadfile $(NBVAL) notebooks
+	$(PY) -m pytest -n auto --dist loadfile -p tests.sockets $(NBVAL) notebooks
 
 site: $(VENV)/.site
 	$(PY) docs/pages.py

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import peers
 import speedups
+import three_axes
 from report import write_readme
 from tqdm import tqdm
 
@@ -410,12 +411,14 @@ def main():
     """Measure everything, then write both files."""
     load = os.getloadavg()[0]
     speedups.agree(AGREE)
+    three_axes.agree(AGREE)
     rows = [*many_tracks(), *one_track(), *long_tracks(), *own_gaps(), *times_and_smoother(), *layouts(), *study()]
     results = {
         "machine": machine() | {"programs that ran at the start": f"{load:.1f}"},
         "versions": versions(),
         "rows": rows,
         "speedups": wall_clock(),
+        "three axes": three_axes.on_the_clock(measure),
         "commands": commands(),
     }
     write_whole(HERE / "results.json", (json.dumps(results, indent=1) + "\n").encode())

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from mpt_helpers.files import write_whole
-from mpt_helpers.ledger.tables import Table
+from reproduction.ledger.tables import Table
 
 HERE = Path(__file__).parent
 PAIRS = {
@@ -43,8 +43,19 @@ def tables(results):
         "machine": ", ".join(described) + ".",
         "rows": Table(head, rows).markdown(),
         "speedups": Table(clock_head, clock).markdown(),
+        "three-axes": three_axes(results["three axes"]).markdown(),
         "commands": f"```text\n{results['commands']}\n```",
     }
+
+
+def three_axes(rows):
+    """Return the table of the ways to run a filter for three axes: operations, and times over that of the first."""
+    lines = []
+    for each in rows:
+        times = [f"{each[kind]:.2g}" if kind in each else "" for kind in ("one", "many")]
+        lines.append([each["name"], f"{each['operations']:,}", *times])
+    head = "one step for three axes", "operations", "time, one phone", "time, many phones"
+    return Table(head, lines)
 
 
 def in_words(row):

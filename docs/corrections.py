@@ -6,7 +6,7 @@ The sections follow the causes of the slips and wordings. A table of the paper i
 import re
 from typing import NamedTuple
 
-from mpt_helpers.ledger.verdicts import CANNOT_BE_CHECKED, FAILS
+from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, FAILS
 
 CORRECTED_KINDS = ("slip", "wording")
 

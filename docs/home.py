@@ -7,11 +7,12 @@ import math
 import re
 from typing import NamedTuple
 
+import break_sensor
 import numpy as np
 
 import mpt_helpers as mpt
-from mpt_helpers.ledger.verdicts import FAILS, HOLDS, IN_PART
-from mpt_helpers.papers import break_sensor, burden
+from reproduction import burden
+from reproduction.ledger.verdicts import FAILS, HOLDS, IN_PART
 
 AXES = 2  # operations are those of a track in the plane
 SPEED_2016, ACCELERATION_2016 = 20.0, 2.0  # m/s and m/s², the papers' examples

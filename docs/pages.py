@@ -19,6 +19,7 @@ from typing import NamedTuple
 from urllib.parse import urlencode
 
 import archive
+import break_sensor
 import corrections
 import home
 import numpy as np
@@ -30,9 +31,9 @@ from markupsafe import Markup, escape
 
 import mpt_helpers as mpt
 from mpt_helpers import plots
-from mpt_helpers.ledger import Verdicts, keys, stored_verdicts
-from mpt_helpers.ledger.verdicts import BASES, CANNOT_BE_CHECKED, CAUSE_KINDS, FIELDS, OF_CLAIMS, VERDICTS
-from mpt_helpers.papers import break_sensor
+from reproduction import figures
+from reproduction.ledger import Verdicts, keys, stored_verdicts
+from reproduction.ledger.verdicts import BASES, CANNOT_BE_CHECKED, CAUSE_KINDS, FIELDS, OF_CLAIMS, VERDICTS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -226,7 +227,7 @@ def home_page(given, about):
 def draw_sensor(folder):
     """Draw what the first figure shows first, as sensor.svg, and return what the page needs to know of it."""
     fig = break_sensor.draw("gap")
-    alt = plots.save_figure(fig, "sensor", folder).alt
+    alt = figures.save_figure(fig, "sensor", folder).alt
     scene, track = break_sensor.SCENES["gap"], break_sensor.average()
     return {
         "data": break_sensor.for_the_page(),
@@ -339,7 +340,7 @@ def draw_still(preset, folder):
         for axis in (each.xaxis, each.yaxis):
             axis.set_major_formatter("{x:g}")  # the exponents of powers of ten would be small
             axis.set_minor_formatter("")
-    plots.save_figure(fig, "live", folder)
+    figures.save_figure(fig, "live", folder)
 
 
 def draw_accuracy(text, folder):
@@ -354,7 +355,7 @@ def draw_accuracy(text, folder):
     ax["map"].grid(visible=False)
     ax["map"].xaxis.tick_top()
     fig.colorbar(drawn, ax=ax["map"], label="digits that hold", location="bottom", aspect=40)
-    plots.save_figure(fig, "accuracy", folder)
+    figures.save_figure(fig, "accuracy", folder)
 
 
 def picture(figure, root="", folder="figures"):

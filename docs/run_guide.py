@@ -14,6 +14,7 @@ from pathlib import Path
 import matplotlib
 
 from mpt_helpers import plots
+from reproduction import figures
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "guide"
@@ -32,7 +33,7 @@ def run(text, names=None):
                     exec(compile(part["code"], "a block of guide.md", "exec"), names)
                 yield part, printed.getvalue()
             elif "fig" in names:
-                yield part, plots.save_figure(names.pop("fig"), part["name"], place).png
+                yield part, figures.save_figure(names.pop("fig"), part["name"], place).png
 
 
 @contextlib.contextmanager

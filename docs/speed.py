@@ -4,7 +4,7 @@ import json
 import math
 from pathlib import Path
 
-from mpt_helpers.ledger.tables import Table
+from reproduction.ledger.tables import Table
 
 RESULTS = Path(__file__).parents[1] / "benchmarks" / "results.json"
 PAIRS = {
@@ -79,6 +79,15 @@ def tables(rows):
         ]
         made.append((tracks, Table(["what", "ratio", "beside", "ms"], lines).markdown()))
     return made
+
+
+def three_axes(rows):
+    """Return the ways to run a filter for three axes as a table in Markdown: operations, and ratios to the first."""
+    lines = []
+    for each in rows:
+        times = [f"{each[kind]:.2g}" if kind in each else "" for kind in ("one", "many")]
+        lines.append([each["name"], f"{each['operations']:,}", *times])
+    return Table(["one step for three axes", "operations", "time, one phone", "time, many phones"], lines).markdown()
 
 
 def clock(speedups):

@@ -12,12 +12,13 @@ from pathlib import Path
 from shutil import which
 from urllib.parse import parse_qs, unquote, urldefrag, urlencode, urljoin, urlsplit
 
+import break_sensor
 import numpy as np
 import pytest
 
 import mpt_helpers as mpt
-from mpt_helpers.ledger.verdicts import CAUSE_KINDS, FAILS, HOLDS
-from mpt_helpers.papers import break_sensor
+import reproduction
+from reproduction.ledger.verdicts import CAUSE_KINDS, FAILS, HOLDS
 
 HTML = Path(__file__).parent / "_build" / "html"
 PAGES = [str(path.relative_to(HTML)) for path in sorted(HTML.rglob("*.html"))]
@@ -322,7 +323,7 @@ def test_home_lists_each_claim_that_fails_as_one_line_that_opens(visit, records)
     findings = {
         (key, cause.id)
         for key in {row["paper"] for row in records}
-        for cause in mpt.published(key).causes.values()
+        for cause in reproduction.published(key).causes.values()
         if cause.kind == "finding"
     }
     others = [
@@ -866,7 +867,7 @@ CORRECTIONS = [place for place in PAGES if place.startswith("corrections/")]
 def test_a_page_of_corrections_strikes_what_is_printed_and_prints_on_two_pages(visit, records, place):
     page = visit(place)
     key = Path(place).stem
-    kinds = {cause.id: cause.kind for cause in mpt.published(key).causes.values()}
+    kinds = {cause.id: cause.kind for cause in reproduction.published(key).causes.values()}
     own = [row for row in records if row["paper"] == key and kinds.get(row["cause"]) in ("slip", "wording")]
     wrong = [row for row in own if row["verdict"] in FAILS]
     struck = page.locator(".corrections del")

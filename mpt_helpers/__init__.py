@@ -12,7 +12,7 @@ To see how the filters work, read in this order:
 - `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead.
 
 `riccati` solves for the limits, `metrics` judges results, `fitting` finds the parameters of a model, `monte_carlo` runs
-studies of many runs, `checks` refuses bad input. The rest reproduces the papers.
+studies of many runs, `checks` refuses bad input.
 """
 
 __version__ = "0.3.0"
@@ -22,7 +22,6 @@ from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit
 from .lasting import lasting_error
-from .ledger import Table, gap_text, published
 from .model import (
     LinearModel,
     constant_acceleration,
@@ -48,19 +47,16 @@ __all__ = [
     "Separate",
     "SteadyStateFilter",
     "SteadyStatePredictor",
-    "Table",
     "constant_acceleration",
     "constant_velocity",
     "exact_motion",
     "fir_order",
     "fit",
-    "gap_text",
     "gps_ins",
     "gsm_axis",
     "lasting_error",
     "mean_track",
     "metrics",
-    "published",
     "riccati",
     "simulate",
     "six_filters",

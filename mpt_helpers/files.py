@@ -1,18 +1,9 @@
-"""Where the project's files are; and files are written whole or not at all."""
+"""Files are written whole or not at all."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-
-
-def project() -> Path:
-    """Return the project's root, seen from there or from its notebooks/. Raises FileNotFoundError elsewhere."""
-    here = Path.cwd()
-    root = here.parent if here.name == "notebooks" else here
-    if not any(root.glob("notebooks/*.ipynb")):
-        raise FileNotFoundError(f"{here}: needs the project's root or its notebooks/, with notebooks in it")
-    return root
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact import talk_through_files
 from hypothesis import Phase, settings
+from sockets import talk_through_files
 
 import mpt_helpers as mpt
 
@@ -104,7 +104,7 @@ import random
 from pathlib import Path
 SEED = 1
 random.seed(SEED)
-from mpt_helpers.ledger import read_paper
+from reproduction.ledger import read_paper
 paper = read_paper("small", Path("small.toml").read_text())
 paper.check("count", 17)
 paper.check("ratio", 1.3, basis="simulation", band=(1.28, 1.31))
@@ -129,11 +129,11 @@ def write_notebook(path, *sources):
 @pytest.fixture
 def project(tmp_path, monkeypatch):
     """A project with one notebook on the made-up paper, which is the only one that the package has, to work in."""
-    for folder in ("notebooks", "figures", "mpt_helpers/ledger"):
+    for folder in ("notebooks", "figures", "reproduction/ledger"):
         (tmp_path / folder).mkdir(parents=True)
-    (tmp_path / "mpt_helpers/ledger/small.toml").write_text(PAPER)
+    (tmp_path / "reproduction/ledger/small.toml").write_text(PAPER)
     (tmp_path / "notebooks/small.toml").write_text(PAPER)
     write_notebook(tmp_path / "notebooks/small.ipynb", VERDICTS, "1 + 1")
-    monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", tmp_path / "mpt_helpers/ledger")
+    monkeypatch.setattr("reproduction.ledger.paper.FOLDER", tmp_path / "reproduction/ledger")
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -7,9 +7,7 @@ percent. The kernel works at the project's root, where `make reproduce` works in
 
 import os
 import re
-import sys
 import tempfile
-import uuid
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,31 +22,13 @@ TOGETHER = (".ipynb", "test_fifth_paper.py")  # ends of files whose tests need o
 
 def pytest_configure(config):
     """Make the folder into which the kernels draw, and in it the code that each runs before its first cell."""
+    from tests.sockets import talk_through_files  # here: a kernel, which imports this file, needs none of it
+
     talk_through_files()
     drawn = tempfile.TemporaryDirectory(prefix="drawn-")
     config.add_cleanup(drawn.cleanup)
     os.environ[DRAWN] = drawn.name
     Path(drawn.name, STARTUP).write_text('__import__("exact").watch()\n', encoding="utf-8")  # leaves no name behind
-
-
-def talk_through_files():
-    """Let kernels use sockets that are files, each with a name of its own, in place of ports.
-
-    jupyter_client finds ports that are free and leaves them to the kernel: another kernel, of tests that run beside
-    these, may take one before. Where the path would be longer than a socket's may be, they keep to ports.
-    """
-    from jupyter_client import KernelManager
-
-    from mpt_helpers.__main__ import LONGEST_SOCKET
-
-    made = KernelManager.__init__
-
-    def made_with_files(self, *args, **kwargs):
-        path = os.path.join(tempfile.gettempdir(), f"kernel-{uuid.uuid4().hex}")
-        made(self, *args, **{"transport": "ipc", "ip": path} | kwargs)
-
-    if sys.platform == "linux" and len(os.path.join(tempfile.gettempdir(), "kernel-" + 32 * "0")) <= LONGEST_SOCKET:
-        KernelManager.__init__ = made_with_files
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -72,7 +52,7 @@ def is_cell(item):
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item):
     """Let the kernel of a notebook, which its first cell starts, run `watch`; kernels of other tests must not."""
-    from mpt_helpers.__main__ import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
+    from reproduction.execute import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
 
     with pytest.MonkeyPatch.context() as here:
         if is_cell(item):
@@ -103,36 +83,36 @@ def pytest_runtest_call(item):
 
 def watch():
     """In the kernel: go to the project's root, test each figure that is saved, and save it elsewhere."""
-    from mpt_helpers import plots
+    from reproduction import figures
 
     os.chdir("..")
-    save = plots.save_figure
+    save = figures.save_figure
 
     def save_figure(fig, name):
-        plots.project()  # is found from here too
-        every_change_is_described(fig, plots)
+        figures.project()  # is found from here too
+        every_change_is_described(fig, figures)
         return save(fig, name, os.environ[DRAWN])
 
-    plots.save_figure = save_figure
+    figures.save_figure = save_figure
 
 
-def every_change_is_described(fig, plots):
+def every_change_is_described(fig, figures):
     """Scale each line, area, bar and image by 1.01, one at a time: the description, which nbval compares, must change.
 
-    Drawn values below plots.QUANTUM are described with one digit, and left out here; of many bars, twenty are tried.
+    Drawn values below figures.QUANTUM are described with one digit, and left out here; of many bars, twenty are tried.
     """
     for outer in fig.axes:
         alone = SimpleNamespace(axes=[outer], texts=[], legends=[])  # faster than the whole figure each time
-        before = plots.describe(alone)
+        before = figures.describe(alone)
         for ax in (outer, *outer.child_axes):
             for artist in (*ax.lines, *ax.collections, *ax.patches[:20], *ax.images):
                 for values, put in drawn_numbers(artist):
-                    if max(map(abs, values.ravel()), default=0) > plots.QUANTUM:
+                    if max(map(abs, values.ravel()), default=0) > figures.QUANTUM:
                         put(1.01 * values)
-                        changed = plots.describe(alone) != before
+                        changed = figures.describe(alone) != before
                         assert changed, f"1 % more is not described: {artist} {artist.get_label()}"
                         put(values)
-        assert plots.describe(alone) == before
+        assert figures.describe(alone) == before
 
 
 def drawn_numbers(artist):

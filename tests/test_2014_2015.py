@@ -9,7 +9,8 @@ from conftest import ROOT, part_one, source
 from scipy.linalg import solve_discrete_are
 
 import mpt_helpers as mpt
-from mpt_helpers.papers import article_2014, burden
+from reproduction import burden
+from reproduction.papers_2014_2015 import article_2014
 
 TRACKS, STEPS = 20_000, 60
 ARTICLE = part_one(ROOT / "notebooks" / "2014_gsm_2d.ipynb")
@@ -372,20 +373,3 @@ def test_fir_against_one_product_costs_what_the_article_says():
         costs = {L: burden.total(burden.lifted(n, m, L)) for L in range(1, 30)}
         assert [L for L, cost in costs.items() if cost == fir] == [equal]
         assert min(L for L, cost in costs.items() if cost > fir) == less
-
-
-def test_the_first_cell_of_2015_says_what_its_cells_compute():
-    cells = {cell["id"]: cell for cell in cells_of("2015_mpt_3d")}
-    first = source(cells["title"])
-    outputs = {id: str(cell.get("outputs", "")) for id, cell in cells.items()}
-    for number, id in (
-        ("10.1 m", "growth"),
-        ("207 operations", "table3"),
-        ("30 and 102", "table3"),
-        ("1660", "table3"),
-        ("504 and 72", "table3"),
-        ("484 and 64", "table3"),
-    ):
-        assert number in first
-        for each in re.findall(r"[\d.]+", number):
-            assert re.search(rf"(?<![\d.]){each}(?![\d.])", outputs[id]), (each, id)

@@ -11,14 +11,12 @@ from conftest import ROOT, part_one, source
 from scipy.linalg import solve_discrete_are
 from scipy.stats import multivariate_normal
 
-import mpt_helpers as mpt
-from mpt_helpers.ledger import stored_verdicts
-from mpt_helpers.ledger.verdicts import HOLDS
+import reproduction
 from mpt_helpers.metrics import error_moments
-from mpt_helpers.papers import article_2016 as article
-from mpt_helpers.papers import burden
-from mpt_helpers.papers import readings_2016 as readings
-from mpt_helpers.papers import table1_2016 as table1
+from reproduction import burden, figures
+from reproduction.ledger import stored_verdicts
+from reproduction.ledger.verdicts import HOLDS
+from reproduction.paper_2016 import article, readings, table1
 
 NOTEBOOK = ROOT / "notebooks" / "2016_prediction.ipynb"
 TEXT = re.sub(r"\s+", " ", part_one(NOTEBOOK).replace("*", ""))
@@ -384,17 +382,16 @@ def test_the_formulas_that_fail_are_those_that_the_article_names():
 
 
 def test_the_printed_numbers_are_those_of_the_ledger():
-    items = mpt.published("2016_prediction").items
+    items = reproduction.published("2016_prediction").items
     for key, numbers in table1.PRINTED.items():
         parts = ["estimation", *(f"prediction.{N}" for N in range(1, 6))]
         assert [float(items[f"table1.{part}.{key}"].printed) for part in parts] == list(numbers)
 
 
 def test_no_figure_of_the_article_is_empty(tmp_path):
-    from mpt_helpers import plots
 
     for name in ("draw_table1", "draw_start", "draw_time_step"):
-        saved = plots.save_figure(getattr(article, name)(), name, tmp_path)
+        saved = figures.save_figure(getattr(article, name)(), name, tmp_path)
         assert saved.description.count("  line ") >= 6
         assert Path(tmp_path, f"{name}.svg").is_file()
 

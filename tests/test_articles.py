@@ -1,33 +1,11 @@
-"""The form of a notebook: Part I, an article with limits to its length; Part II, its evidence, which stands alone."""
+"""The form of a notebook: Part I, an article; Part II, its evidence, which stands alone."""
 
 import builtins
 import dis
 import re
-from typing import NamedTuple
 
 import pytest
 from conftest import parts, source
-
-
-class Limits(NamedTuple):
-    """What Part I and Part II may have at most. Without cells for Part II, the notebook has one part."""
-
-    cells: int
-    words: int
-    evidence_cells: int
-
-
-LIMITS = {
-    "2007_mms_kalman": Limits(16, 1100, 70),
-    "2014_gsm_2d": Limits(14, 1120, 60),
-    "2015_mpt_3d": Limits(20, 700, 0),  # the whole notebook has the length of one article
-    "2016_prediction": Limits(14, 1010, 60),
-}
-USUAL = Limits(14, 1000, 60)
-FIRST_CELL = 120  # words
-FIRST_PICTURE = 5  # lines of code, up to the first picture and with it
-PICTURES = 4
-LINES = 12  # of a code cell that teaches
 
 DRAWS = re.compile(r"\b(plt|ax|axes|panel)\s*[.\[]|\bplots\.(panels|finish|legend_below)\b|\bmatplotlib\b")
 COUNTS = re.compile(r"\b\d+ (slip|wording|finding|cell)s?\b|\b\d+ of \d+ claims\b")
@@ -41,11 +19,6 @@ def article(notebook):
     return key, *parts(cells)
 
 
-def words(text):
-    """How many words a text has, formulas not counted."""
-    return len(re.sub(r"(?s)\$\$.*?\$\$|\$.*?\$", " ", text).split())
-
-
 def prose(cells):
     return [source(cell) for cell in cells if cell["cell_type"] == "markdown"]
 
@@ -54,23 +27,8 @@ def code(cells):
     return [source(cell) for cell in cells if cell["cell_type"] == "code"]
 
 
-def lines(text):
-    return [line for line in text.splitlines() if line.strip()]
-
-
 def has_picture(cell):
     return any("image/png" in out.get("data", {}) for out in cell.get("outputs", []))
-
-
-def lines_to_the_first_picture(cells):
-    """Lines of code up to the first cell that shows a picture, and with it; None without a picture."""
-    count = 0
-    for cell in cells:
-        if cell["cell_type"] == "code":
-            count += len(lines(source(cell)))
-            if has_picture(cell):
-                return count
-    return None
 
 
 def names_from_elsewhere(texts):
@@ -96,54 +54,35 @@ def names_from_elsewhere(texts):
     return sorted(set(missing))
 
 
-def test_part_one_keeps_to_its_limits(article):
-    key, article, evidence = article
-    most = LIMITS.get(key, USUAL)
-    assert len(article) <= most.cells
-    assert sum(map(words, prose(article))) <= most.words
-    assert len(evidence) <= most.evidence_cells
-    assert bool(evidence) == bool(most.evidence_cells)
+def test_a_notebook_has_both_parts(article):
+    _, article, evidence = article
+    assert article
+    assert evidence
 
 
-def test_the_first_cell_is_an_answer(article):
-    """A title, a few lines, two or three findings that each open with something in bold to do; nothing is counted."""
+def test_an_article_opens_with_a_title_and_prose(article):
+    """And counts no slips: that is the evidence's business."""
     _, article, _ = article
-    first = source(article[0])
     assert article[0]["cell_type"] == "markdown"
-    assert first.startswith("# ")
-    assert words(first) <= FIRST_CELL
-    findings = re.findall(r"(?m)^(?:\d\.|-) (.*)", first)
-    assert 2 <= len(findings) <= 3
-    assert all(re.match(r"\*\*[^*]+\.\*\* ", each) for each in findings)
-    assert not COUNTS.search(first)
+    assert source(article[0]).startswith("# ")
+    assert not COUNTS.search(source(article[0]))
 
 
 def test_the_counts_open_the_evidence(article):
-    """In the first cell of Part II, or in the text of the only part."""
-    _, article, evidence = article
-    assert COUNTS.search(source(evidence[0]) if evidence else "\n".join(prose(article)))
+    _, _, evidence = article
+    assert COUNTS.search(source(evidence[0]))
 
 
-def test_the_picture_comes_first(article):
-    _, article, _ = article
-    count = lines_to_the_first_picture(article)
-    assert count is not None
-    assert count <= FIRST_PICTURE
-    assert sum(map(has_picture, article)) <= PICTURES
-
-
-def test_code_that_teaches_is_short(article):
-    _, article, _ = article
-    for text in code(article):
-        if not GIVES_A_VERDICT.search(text):
-            assert len(text.splitlines()) <= LINES, text
+def test_an_article_has_pictures_and_its_evidence_too(article):
+    _, *both = article
+    for part in both:
+        assert any(map(has_picture, part))
 
 
 def test_verdicts_stand_in_the_evidence(article):
     _, article, evidence = article
-    if evidence:
-        assert not [text for text in code(article) if GIVES_A_VERDICT.search(text)]
-        assert [text for text in code(evidence) if GIVES_A_VERDICT.search(text)]
+    assert not [text for text in code(article) if GIVES_A_VERDICT.search(text)]
+    assert [text for text in code(evidence) if GIVES_A_VERDICT.search(text)]
 
 
 def test_no_part_uses_a_name_of_the_other(article):
@@ -153,7 +92,7 @@ def test_no_part_uses_a_name_of_the_other(article):
 
 
 def test_a_notebook_has_no_drawing_code(article):
-    """What draws stands in papers/, so that a figure is two lines wherever the notebook is shown."""
+    """What draws stands in reproduction/, so that a figure is two lines wherever the notebook is shown."""
     _, *both = article
     for text in code([*both[0], *both[1]]):
         assert not DRAWS.search(text), text
@@ -188,7 +127,7 @@ def test_the_second_part_begins_at_its_heading():
         ("ax['a'].plot(x)", True),
         ("plt.show()", True),
         ("fig, ax = plots.panels([['a']])", True),
-        ("fig = article.draw_start()\nplots.save_figure(fig, 'x')", False),
+        ("fig = article.draw_start()\nsave_figure(fig, 'x')", False),
         ("relax.go()", False),
     ],
 )

@@ -7,7 +7,7 @@ import sys
 import pytest
 from conftest import ROOT
 
-import mpt_helpers as mpt
+import reproduction
 
 BENCHMARKS = ROOT / "benchmarks"
 RESULTS = json.loads((BENCHMARKS / "results.json").read_text())
@@ -70,7 +70,7 @@ def test_the_steps_that_are_timed_are_the_same_filter():
 def test_the_clock_agrees_with_the_papers_counts_where_each_track_has_its_own_covariance():
     """To a factor of two; for one track the calls cost most, and tracks that share coefficients cost all the same."""
     for key, pairs in RESULTS["speedups"].items():
-        items = mpt.published(key).items
+        items = reproduction.published(key).items
         for pair, clock in pairs.items():
             counted = float(items[f"speedup.{pair}"].printed)
             assert counted / 2 < clock["own"] < counted * 2

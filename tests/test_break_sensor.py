@@ -1,10 +1,10 @@
 """Break the sensor: the scenes, and that the track shown flatters nobody."""
 
+import break_sensor
 import numpy as np
 import pytest
 
 import mpt_helpers as mpt
-from mpt_helpers.papers import break_sensor
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mpt_helpers import plots
-from mpt_helpers.ledger import Item
-from mpt_helpers.papers import burden, table4
+from reproduction import burden, figures
+from reproduction.ledger import Item
+from reproduction.papers_2014_2015 import table4
 
 
 class Counted(float):
@@ -91,21 +92,22 @@ def test_formulas_are_read_as_they_are_printed(text):
 @pytest.mark.parametrize(
     ("text", "got"),
     [
-        ("", "its end"),
-        ("2n +", "its end"),
-        ("n^2", r"'\^'"),
-        ("n)", "'\\)'"),
-        ("2n 3", "'3'"),
-        ("(n", "its end"),
-        ("n²²", "'²'"),
-        ("x", "x"),
-        ("n.real", "'.'"),
-        ("print(n)", "p"),
-        ("__import__('os')", "_"),
-        ("9**9", "'\\*'"),
+        ("", "''"),
+        ("2n +", r"'2n \+'"),
+        ("n^2", r"'\^' in 'n\^2'"),
+        ("n)", r"'n\)'"),
+        ("2n 3", "'2n 3'"),
+        ("(n", r"'\(n'"),
+        ("n²²", "'²' in 'n²²'"),
+        ("x", "'x' in 'x'"),
+        ("n.real", r"'\.' in 'n.real'"),
+        ("print(n)", "'p' in"),
+        ("__import__('os')", "'_' in"),
+        ("9**9", r"'\*' in"),
     ],
 )
 def test_what_is_no_formula_is_refused(text, got):
+    """Nothing but numbers, the letters, brackets and operators of the papers is ever evaluated."""
     with pytest.raises(ValueError, match=f"formula: needs .*, got {got}"):
         burden.value(text, n=2, m=1)
 
@@ -143,7 +145,7 @@ def test_the_description_of_the_map_tells_its_states():
     fig, ax = plots.panels([["map"]])
     states = np.array([[table4.NONE, table4.WRONG], [table4.LOST, table4.NONE]])
     table4.draw(ax["map"], states, ["KF", "JKLF"], {"JKLF": "1, not 2"}, framed=[(0, 1)])
-    told = plots.describe(fig)
+    told = figures.describe(fig)
     assert all(text in told for text in ("'?'", "'1, not 2'", "patch"))
     other, ax = plots.panels([["map"]])
     table4.draw(
@@ -153,4 +155,4 @@ def test_the_description_of_the_map_tells_its_states():
         {"JKLF": "1, not 2"},
         [(0, 1)],
     )
-    assert plots.describe(other) != told
+    assert figures.describe(other) != told

@@ -11,11 +11,13 @@ from conftest import ROOT, write_notebook
 from exact import every_change_is_described
 
 from mpt_helpers import plots
-from mpt_helpers.__main__ import main
+from reproduction import figures
+from reproduction.__main__ import main
 
 FIRST = """\
 from mpt_helpers import plots
-from mpt_helpers.ledger import Table
+from reproduction.figures import save_figure
+from reproduction.ledger import Table
 def draw(name):
     fig, ax = plots.panels([["a"]])
     ax["a"].plot([1, 2, 3], label="a")
@@ -25,7 +27,7 @@ TABLE = 'Table(["a"], [["one"]])'
 
 
 def figure(name):
-    return f'fig = draw("{name}")\nplots.save_figure(fig, "small_{name}")'
+    return f'fig = draw("{name}")\nsave_figure(fig, "small_{name}")'
 
 
 # What a cell holds, and what is done to it after it was executed.
@@ -100,7 +102,7 @@ def test_all_that_a_reader_sees_is_compared(executed):
 class DescribesTitlesOnly:
     """Stands for `plots`, with a description that no number changes."""
 
-    QUANTUM = plots.QUANTUM
+    QUANTUM = figures.QUANTUM
 
     @staticmethod
     def describe(fig):
@@ -121,7 +123,7 @@ class DescribesTitlesOnly:
 def test_a_drawing_that_the_description_leaves_out_is_seen(draw):
     fig, ax = plots.panels([["a"]])
     draw(ax["a"])
-    every_change_is_described(fig, plots)
+    every_change_is_described(fig, figures)
     with pytest.raises(AssertionError, match="1 % more is not described"):
         every_change_is_described(fig, DescribesTitlesOnly)
 
@@ -130,4 +132,4 @@ def test_an_inset_is_refused_since_it_is_not_described():
     fig, ax = plots.panels([["a"]])
     ax["a"].inset_axes([0.5, 0.5, 0.4, 0.4]).plot([1, 2, 3])
     with pytest.raises(AssertionError, match="1 % more is not described"):
-        every_change_is_described(fig, plots)
+        every_change_is_described(fig, figures)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import mpt_helpers as mpt
-from mpt_helpers.papers import experiments_2007 as runs
-from mpt_helpers.papers import positioning
+from reproduction.paper_2007 import experiments as runs
+from reproduction.paper_2007 import positioning
 
 SIGMAS = np.array([1.0, 0.01])
 MODEL = replace(mpt.gps_ins(0.5, 0.01, (*SIGMAS**2, 2.0)), x0=[1.0, 2.0, 3.0], P0=np.diag([100.0, 1.0, 1.0]))

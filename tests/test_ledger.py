@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from conftest import NOTEBOOKS, PAPER, ROOT, parts, source
 
-import mpt_helpers as mpt
-from mpt_helpers.ledger import Item, Verdicts, keys, read_paper, shipped_verdicts, stored_verdicts
-from mpt_helpers.ledger.verdicts import BASES, HOLDS, MIME
+import reproduction
+from reproduction.ledger import Item, Verdicts, keys, read_paper, shipped_verdicts, stored_verdicts
+from reproduction.ledger.verdicts import BASES, HOLDS, MIME
 
 GRID = """
 items = []
@@ -35,7 +35,7 @@ def paper():
 def path(tmp_path, monkeypatch):
     """Where a notebook on the made-up paper would stand."""
     (tmp_path / "test.toml").write_text(PAPER)
-    monkeypatch.setattr("mpt_helpers.ledger.paper.FOLDER", tmp_path)
+    monkeypatch.setattr("reproduction.ledger.paper.FOLDER", tmp_path)
     return tmp_path / "test.ipynb"
 
 
@@ -208,6 +208,7 @@ def test_a_report_is_one_line_and_a_folded_table(paper):
     assert "<td>gap 0 &lt; 1</td>" in data["text/html"]
     assert [record["id"] for record in data[MIME]] == list(paper.items)
     fields = ["paper", "id", "where", "kind", "printed", "computed", "verdict", "reason", "basis", "cause"]
+    fields.append("beyond")
     assert list(data[MIME][0]) == fields
 
 
@@ -230,7 +231,7 @@ def test_the_bar_of_claims_has_every_claim_once(paper):
     given.append(paper.claim("equal", False, "", basis="exact", cause="one-missing", against=["count"]))
     given.append(paper.cannot_check("equal", "It does not say when."))
     bar = Verdicts(given, paper.report().causes).tally().claims_bar()
-    words = ["hold", "hold in part", "fail", "contradict their own paper", "cannot be checked"]
+    words = ["hold", "hold under a condition", "fail", "contradict their own paper", "cannot be checked"]
     assert bar == list(zip(words, [2, 1, 1, 1, 1], strict=True))
 
 
@@ -276,7 +277,7 @@ def test_a_malformed_file_is_refused_by_name(text, message):
 
 def test_an_unknown_paper_lists_the_known_ones():
     with pytest.raises(ValueError, match=f"key: needs one of {', '.join(keys())}, got '2013'"):
-        mpt.published("2013")
+        reproduction.published("2013")
 
 
 @pytest.mark.parametrize(
@@ -377,15 +378,10 @@ def test_a_notebook_that_is_older_than_the_file_is_refused(paper, old, new, mess
 
 
 def test_the_ledger_knows_no_filter_and_imports_fast():
-    """Its own imports alone, without those of the package around it."""
-    code = (
-        "import sys, types; package = types.ModuleType('mpt_helpers'); "
-        f"package.__path__ = [{str(ROOT / 'mpt_helpers')!r}]; sys.modules['mpt_helpers'] = package; "
-        "import mpt_helpers.ledger; print(*sorted(sys.modules))"
-    )
+    code = "import reproduction.ledger, sys; print(*sorted(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    own = [name for name in loaded if name.startswith("mpt_helpers.")]
-    assert own == ["mpt_helpers.ledger", *(f"mpt_helpers.ledger.{name}" for name in ("paper", "tables", "verdicts"))]
+    own = [name for name in loaded if name.startswith(("mpt_helpers", "reproduction.ledger."))]
+    assert own == [f"reproduction.ledger.{name}" for name in ("paper", "tables", "verdicts")]
     assert not {"scipy", "matplotlib", "pandas", "filterpy", "IPython"} & set(loaded)
 
 
@@ -397,7 +393,7 @@ def test_every_paper_has_a_notebook_and_every_notebook_a_paper():
 def test_every_item_has_a_verdict_and_the_package_ships_what_the_notebook_stores(key):
     shipped = shipped_verdicts(key)
     stored = stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb")
-    assert list(mpt.published(key).complete(stored)) == list(shipped), "stale: python -m mpt_helpers reproduce"
+    assert list(reproduction.published(key).complete(stored)) == list(shipped), "stale: run `make reproduce`"
     for each in stored:
         assert each.basis in BASES
         assert each.verdict in HOLDS or each.reason

@@ -10,12 +10,11 @@ import pytest
 from conftest import NOTEBOOKS, ROOT, source
 from matplotlib.image import imread
 
-from mpt_helpers.__main__ import tidied
-from mpt_helpers.ledger.verdicts import MIME
-from mpt_helpers.plots import SavedFigure
+from reproduction.execute import tidied
+from reproduction.figures import SavedFigure
+from reproduction.ledger.verdicts import MIME
 
 FIGURES = ROOT / "figures"
-LINES = 15  # of code in a cell
 WIDTH = 110  # characters of a line that a reader must read
 GIVES_A_VERDICT = re.compile(r"\bpaper\.(check|claim|cannot_check|report)\(")
 
@@ -56,13 +55,6 @@ def test_a_notebook_is_stored_as_reproduce_and_tidy_store_it(notebook):
     for cell in code(cells):
         streams = [out["output_type"] == "stream" for out in cell["outputs"]]
         assert [True, True] not in [streams[i : i + 2] for i in range(len(streams))], "streams in pieces"
-
-
-def test_cells_are_short(notebook):
-    _, cells = notebook
-    for cell in code(cells):
-        if cell not in ledger_cells(cells):
-            assert len(source(cell).splitlines()) <= LINES, f"{cell['id']} is long"
 
 
 def test_no_line_of_an_output_is_wider_than_a_page(notebook):

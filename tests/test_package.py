@@ -18,6 +18,7 @@ import pytest
 from conftest import AXIS
 
 import mpt_helpers as mpt
+import reproduction
 
 PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
@@ -26,21 +27,21 @@ CORE += ["recursive", "filters", "steady", "predictor", "combined", "bands", "me
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"recursion": set(), "equations": set(), "columns": set(), "partition": {"equations"}}
 OF_THE_CORE |= ARRAYS_ONLY | {"smoothing": {"columns", "partition", "recursion"}, "monte_carlo": {"checks"}}
+OTHERS = {"plots": set(), "files": set(), "tracks": {"checks"}}
+# What a room of the reproduction may import of it; a paper's folder, named by its year, imports no other's.
+REPRODUCTION = Path(reproduction.__file__).parent
 ROOMS = {
-    "ledger": {"ledger", "checks"},
-    "plots": {"plots", "checks", "files"},
-    "tracks": {"tracks", "checks"},
-    "papers": {*CORE, "monte_carlo", "plots", "papers"},
+    "ledger": {"ledger"},
+    "project": set(),
+    "figures": {"project"},
+    "burden": set(),
+    "paper": {"burden", "figures"},
+    "execute": set(),
+    "runner": {"ledger", "project", "execute"},
+    "__main__": {"ledger", "project", "execute", "runner"},
+    "__init__": {"ledger"},
 }
-BESIDE = {  # modules of one paper
-    "experiments_2007": {"positioning"},
-    "article_2007": {"positioning", "recorded_2007"},
-    "recorded_2007": {"positioning", "experiments_2007"},
-    "article_2014": {"burden", "table4"},
-    "article_2015": {"burden"},
-    "article_2016": {"readings_2016", "table1_2016"},
-    "readings_2016": {"table1_2016"},
-}
+OF_FILTERS = {"ledger": set(), "project": set(), "figures": {"plots", "files"}, "burden": {"checks"}}
 STEADY = mpt.SteadyStateFilter.from_kalman(AXIS)
 EVERY_FILTER = {
     **mpt.six_filters(AXIS),
@@ -51,9 +52,13 @@ EVERY_FILTER = {
 
 
 def imports(path):
-    """What a file imports, wherever in it: names of this package as tuples from its root on."""
-    module = path.relative_to(PACKAGE.parent).with_suffix("").parts
-    inside, outside = set(), set()
+    """Return what a file imports, wherever in it: {package: names in it} for both halves, and all other packages."""
+    top = path.parent
+    while (top.parent / "__init__.py").exists():
+        top = top.parent
+    module = path.relative_to(top.parent).with_suffix("").parts
+    inside = {"mpt_helpers": set(), "reproduction": set()}
+    outside = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names = [tuple(each.name.split(".")) for each in node.names]
@@ -63,33 +68,47 @@ def imports(path):
             names = [(*base, each.name) for each in node.names]
         else:
             continue
-        inside |= {name[1:] for name in names if name[0] == PACKAGE.name}
-        outside |= {name[0] for name in names if name[0] != PACKAGE.name}
+        for first, *rest in names:
+            if first in inside:
+                inside[first].update(rest[:1])
+            else:
+                outside.add(first)
     return inside, outside
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: path.stem)
+def test_the_package_knows_nothing_of_the_reproduction(path):
+    inside, _ = imports(path)
+    assert inside["reproduction"] == set()
 
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
 def test_the_core_imports_what_stands_before_it_and_few_libraries(name):
     inside, outside = imports(PACKAGE / f"{name}.py")
-    assert {first for first, *_ in inside} <= OF_THE_CORE[name]
+    assert inside["mpt_helpers"] <= OF_THE_CORE[name]
     assert outside - set(sys.stdlib_module_names) <= {"numpy", "scipy", "filterpy", "tqdm"}
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_the_other_rooms_do_not_meet(room):
-    """The ledger knows no filter; the papers use the core and plots, and nothing of each other."""
-    paths = sorted((PACKAGE / room).rglob("*.py")) or [PACKAGE / f"{room}.py"]
-    for path in paths:
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_stands_beside_the_core_imports_little_of_it(name):
+    inside, _ = imports(PACKAGE / f"{name}.py")
+    assert inside["mpt_helpers"] <= OTHERS[name]
+
+
+def test_the_upper_half_keeps_to_its_rooms():
+    """The ledger knows no filter, and a paper nothing of another."""
+    for path in sorted(REPRODUCTION.rglob("*.py")):
+        first = path.relative_to(REPRODUCTION).parts[0].removesuffix(".py")
+        room = "paper" if first.startswith("paper") else first
         inside, _ = imports(path)
-        assert {first for first, *_ in inside} <= ROOMS[room], path
-        beside = {name[1] for name in inside if name[0] == "papers"}
-        assert beside <= BESIDE.get(path.stem, set()), path
+        assert inside["reproduction"] <= ROOMS[room] | {first}, path
+        assert inside["mpt_helpers"] <= OF_FILTERS.get(room, inside["mpt_helpers"]), path
 
 
 def test_every_module_stands_in_one_of_the_rooms():
-    names = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "__main__", "files"}  # where files are
-    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    assert names | folders == {*CORE, "monte_carlo", *ROOMS}
+    names = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "__main__"}
+    assert names == {*CORE, "monte_carlo", *OTHERS}
+    assert not list(PACKAGE.glob("*/__init__.py"))
 
 
 IMPORT = """\
@@ -116,7 +135,7 @@ def test_importing_costs_what_the_libraries_cost_and_no_matplotlib():
     """
     cost, loaded = imported()
     assert "mpt_helpers.metrics" in loaded
-    assert not {"matplotlib", "mpt_helpers.plots", "mpt_helpers.papers"} & loaded
+    assert not {"matplotlib", "mpt_helpers.plots", "reproduction"} & loaded
     assert cost <= 1.15 or any(imported()[0] <= 1.15 for _ in range(2))
 
 

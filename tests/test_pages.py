@@ -9,6 +9,7 @@ import tarfile
 from types import SimpleNamespace
 
 import archive
+import break_sensor
 import corrections
 import home
 import numpy as np
@@ -18,10 +19,10 @@ import speed
 from conftest import NOTEBOOKS, ROOT
 
 import mpt_helpers as mpt
-from mpt_helpers.ledger import Verdicts, keys, stored_verdicts
-from mpt_helpers.ledger.paper import Cause
-from mpt_helpers.ledger.verdicts import FAILS, Verdict
-from mpt_helpers.papers import break_sensor, burden
+from reproduction import burden
+from reproduction.ledger import Verdicts, keys, stored_verdicts
+from reproduction.ledger.paper import Cause
+from reproduction.ledger.verdicts import FAILS, Verdict
 
 
 def verdict(id, where="Table 4, row 1", verdict="reproduced", cause="", **other):
@@ -258,7 +259,7 @@ def cells():
             "cell_type": "code",
             "id": "draw",
             "metadata": {"tags": ["hide-input"]},
-            "source": 'plots.save_figure(fig, "2014_gsm_2d_fig1")',
+            "source": 'figures.save_figure(fig, "2014_gsm_2d_fig1")',
             "outputs": [picture],
         },
         {"cell_type": "code", "id": "won", "metadata": {"tags": ["hide-input", "ledger"]}, "source": "", "outputs": []},
@@ -338,7 +339,7 @@ def test_a_caption_is_the_paragraph_with_the_name_of_the_figure():
 
 def test_a_figure_of_our_own_is_listed_under_the_title_of_its_section():
     own = cells()
-    own[2]["source"] = 'plots.save_figure(fig, "2014_gsm_2d_gain")'
+    own[2]["source"] = 'figures.save_figure(fig, "2014_gsm_2d_gain")'
     assert pages.figures_of("2014_gsm_2d", own)[0].heading == "What we found (figure `gain`)"
     own[1] = own[0] | {"source": "## 4. How close?\n\nVery."}
     assert pages.figures_of("2014_gsm_2d", own)[0].heading == "How close? (figure `gain`)"

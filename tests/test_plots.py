@@ -10,7 +10,9 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from mpt_helpers import plots
-from mpt_helpers.plots import alt_text, describe, finish, panels, save_figure, visible_gap
+from mpt_helpers.plots import finish, panels
+from reproduction import figures
+from reproduction.figures import alt_text, describe, save_figure, visible_gap
 
 
 def line(ax, y):
@@ -334,7 +336,7 @@ def test_points_that_differ_in_their_last_bits_are_drawn_alike(scale):
         ax["a"].set_yscale(scale)
         line(ax["a"], y)
         band(ax["a"], y)
-        (settled,) = plots._settled(fig).axes
+        (settled,) = figures._settled(fig).axes
         drawn.append((settled.lines[0].get_ydata(), settled.collections[0].get_paths()[0].vertices))
     for first, second in zip(*drawn, strict=True):
         np.testing.assert_array_equal(first, second)
@@ -345,7 +347,7 @@ def test_an_infinite_value_leaves_the_rest_of_its_line(scale):
     fig, ax = panels([["a"]])
     (drawn,) = ax["a"].plot([1.0, 2.0, np.inf, np.nan, 5.0])
     ax["a"].set(yscale=scale, ylim=(1, 10))
-    settled = plots._settled(fig).axes[0].lines[0].get_ydata()
+    settled = figures._settled(fig).axes[0].lines[0].get_ydata()
     np.testing.assert_allclose(settled, drawn.get_ydata(), rtol=1e-8)
 
 
@@ -356,5 +358,5 @@ def test_axes_drawn_to_scale_are_described_without_the_limits_that_fill_their_pa
         ax["a"].plot([0.0, 1.0], [0.0, 1.0])
         ax["a"].set_aspect("equal", "datalim")
         fig.draw_without_rendering()
-        described.add(plots.describe(fig))
+        described.add(figures.describe(fig))
     assert len(described) == 1

@@ -7,9 +7,9 @@ import pytest
 from oracles import matrices, textbook_kalman
 
 import mpt_helpers as mpt
-from mpt_helpers.papers import experiments_2007 as runs
-from mpt_helpers.papers import positioning
-from mpt_helpers.papers.positioning import adaptive_line, line_fit, line_sigma
+from reproduction.paper_2007 import experiments as runs
+from reproduction.paper_2007 import positioning
+from reproduction.paper_2007.positioning import adaptive_line, line_fit, line_sigma
 
 RIGA = positioning.place(56.95, 24.1)
 # Ranges are some 2e7 m, so that a double holds them to 4e-9 m; a GDOP of 100, more than any sky here has, leaves 4e-7.

@@ -12,10 +12,8 @@ from conftest import ROOT, parts, source
 
 import mpt_helpers as mpt
 from mpt_helpers import plots
-from mpt_helpers.papers import article_2007 as article
-from mpt_helpers.papers import positioning
-from mpt_helpers.papers import recorded_2007 as recorded
-from mpt_helpers.papers.positioning import line_sigma
+from reproduction.paper_2007 import article, positioning, recorded
+from reproduction.paper_2007.positioning import line_sigma
 
 sys.path.insert(0, str(ROOT / "notebooks" / "data"))
 import make_table

@@ -6,8 +6,8 @@ import pytest
 from conftest import NOTEBOOKS, ROOT, VERDICTS, write_notebook
 from tools import seeds
 
-from mpt_helpers.__main__ import main
-from mpt_helpers.ledger import shipped_verdicts
+from reproduction.__main__ import main
+from reproduction.ledger import shipped_verdicts
 
 
 def test_every_simulation_verdict_holds_for_24_of_25_other_seeds():
@@ -63,7 +63,7 @@ PART = '  { id = "part", where = "Section 2", kind = "claim", printed = "A equal
 
 
 def test_a_verdict_that_moves_with_the_seed_is_counted(project, monkeypatch, capsys):
-    for folder in ("notebooks", "mpt_helpers/ledger"):
+    for folder in ("notebooks", "reproduction/ledger"):
         toml = project / folder / "small.toml"
         toml.write_text(toml.read_text().replace("]\n", PART, 1))
     claim = next(line for line in VERDICTS.splitlines() if '"equal"' in line)

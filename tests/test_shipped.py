@@ -1,6 +1,8 @@
 """What is shipped, and that GitHub and `.ci/run` call the commands of the Makefile and nothing else."""
 
 import re
+import subprocess
+import tarfile
 import zipfile
 
 import pytest
@@ -9,7 +11,6 @@ from conftest import ROOT
 from tools import shipped
 
 import mpt_helpers
-from mpt_helpers.ledger import keys
 
 MAKEFILE = (ROOT / "Makefile").read_text()
 COMMANDS = re.search(r"(?m)^\.PHONY: (.*)", MAKEFILE)[1].split()
@@ -21,12 +22,21 @@ def wheel(tmp_path_factory):
     return zipfile.ZipFile(shipped.build(tmp_path_factory.mktemp("dist"))[0])
 
 
-def test_the_wheel_has_the_package_and_what_the_papers_print_and_nothing_else(wheel):
+def test_the_wheel_has_the_package_and_nothing_else(wheel):
     names = {name for name in wheel.namelist() if not name.startswith(f"mpt_helpers-{mpt_helpers.__version__}.")}
     folder = ROOT / "mpt_helpers"
-    kinds = (".py", ".toml", ".json", ".typed")
+    kinds = (".py", ".typed")
     assert names == {str(path.relative_to(ROOT)) for path in folder.rglob("*") if path.suffix in kinds}
-    assert {f"mpt_helpers/ledger/{key}.toml" for key in keys()} <= names
+
+
+def test_the_source_archive_has_what_a_checkout_has(tmp_path):
+    """So that `make reproduce` and `make test` work from it."""
+    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if tracked.returncode:
+        pytest.skip("not a git checkout: what belongs to it is not known")
+    with tarfile.open(shipped.build(tmp_path)[1]) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert set(tracked.stdout.split()) - names == set()
 
 
 def test_the_version_stands_in_one_place_and_is_that_of_the_citation():

@@ -9,8 +9,8 @@ from conftest import MODELS_2016, ROOT, parts, source
 from scipy.stats import multivariate_normal
 
 import mpt_helpers as mpt
-from mpt_helpers import ledger
-from mpt_helpers.papers import table1_2016 as table1
+from reproduction import ledger
+from reproduction.paper_2016 import table1
 
 COLUMNS = table1.columns()
 PRINTED = {key: column.printed for key, column in COLUMNS.items()}
@@ -207,6 +207,6 @@ def test_the_notebook_counts_what_the_verdicts_say():
     path = ROOT / "notebooks" / "2016_prediction.ipynb"
     _, evidence = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
     tally = ledger.stored_verdicts(path).tally()
-    in_part = dict(tally.claims_bar())["hold in part"]
+    in_part = dict(tally.claims_bar())["hold under a condition"]
     causes = ", ".join(tally.cause_text(kind) for kind in ("slip", "wording", "finding"))
     assert f"{causes}; {tally.claims_text()}, {in_part} in part." in source(evidence[0])

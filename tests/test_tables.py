@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mpt_helpers.ledger.tables import Table, cell_text, gap_text
+from reproduction.ledger.tables import Table, cell_text, gap_text
 
 
 def test_a_table_prints_and_displays_the_same_cells():

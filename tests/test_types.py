@@ -14,7 +14,9 @@ from conftest import AXIS, ROOT
 from tools import shipped
 
 import mpt_helpers as mpt
+import reproduction
 from mpt_helpers import bands, metrics, plots, riccati, tracks
+from reproduction import figures
 
 # What holds of the types of results; each line is one that a checker must accept.
 RIGHT = """\
@@ -61,7 +63,6 @@ found = mpt.fit(lambda q, r: mpt.constant_velocity(1.0, q, r), z, q=1.0, r=1.0)
 assert_type(found.values, dict[str, float])
 assert_type(found.filter.filter(z), Array)
 mpt.study(lambda rng, M: rng.standard_normal(M), runs=10, seed=1, workers=2)
-assert_type(mpt.published("2014_gsm_2d").check("speedup.kf-lf-a", 670 / 509).verdict, str)
 fig, ax = plots.panels([["a"]])
 plots.finish(ax["a"], "k", "A line")
 names = {kf: "a filter", model: "a model"}
@@ -205,7 +206,7 @@ CALLS = [
     Call(mpt.simulate, None, (AXIS, 3, np.random.default_rng(1))),
     Call(mpt.fir_order, None, ([[0.5]], 0.1)),
     Call(mpt.six_filters, None, (AXIS,)),
-    Call(mpt.gap_text, None, (1e-3,)),
+    Call(reproduction.gap_text, None, (1e-3,)),
     Call(metrics.relative_gap, None, ([1, 2], [1, 3])),
     Call(metrics.innovations, None, (KF, Z)),
     Call(metrics.nis, None, (KF, Z)),
@@ -214,7 +215,7 @@ CALLS = [
     Call(metrics.error_moments, None, (STEADY, AXIS, 3)),
     Call(riccati.rekf, None, (AXIS,)),
     Call(riccati.relf, None, (AXIS,)),
-    Call(plots.visible_gap, None, ([0.1],)),
+    Call(figures.visible_gap, None, ([0.1],)),
     Call(mpt.LinearModel.over, mpt.constant_velocity(1, 1, 1), (2,)),
     *(Call(getattr(type(each), name), each, (Z,)) for each in (KF, STEADY) for name in ("filter", "estimates")),
     *(Call(type(each).step, each, ([0, 1], np.eye(2), [1])) for each in (KF, STEADY, mpt.LainiotisFilter(AXIS))),

@@ -1,5 +1,5 @@
 // "Break the sensor": one axis, 60 fixes, three filters. The filters come first; they are those of the package
-// (mpt_helpers/papers/break_sensor.py), which also made the track, the scenes and the sentences. A test in the browser
+// (docs/break_sensor.py), which also made the track, the scenes and the sentences. A test in the browser
 // holds x, P, K and NIS to it. What is broken stands in the address: #sensor=gap&lost=28-35&pulled=46:2.6.
 const sensor = (() => {
   // Symmetric matrices are [P_ss, P_sv, P_vv], states are [s, v], F = [1 dt; 0 1], H = [h, g].

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mpt_helpers.ledger import Table
+from reproduction.ledger import Table
 
 ROOT = Path(__file__).parents[2]
 NBVAL = ["-p", "tests.exact", "--nbval", "--nbval-current-env"]
 COMMANDS = {
-    "`make reproduce`": ["-m", "mpt_helpers", "reproduce"],
+    "`make reproduce`": ["-m", "reproduction", "reproduce"],
     "`make test`": ["-m", "pytest", "-q", "-n", "auto", *NBVAL, "mpt_helpers", "tests", "notebooks"],
 }
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from mpt_helpers.files import write_whole
-from mpt_helpers.ledger.tables import Table
+from reproduction.ledger.tables import Table
 
 ROOT = Path(__file__).parents[2]
 LEAST = 0.95  # of the mutants must be caught

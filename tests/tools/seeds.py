@@ -16,10 +16,12 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
-from mpt_helpers.__main__ import NOTEBOOKS, project, settings_of_nobody, staged
 from mpt_helpers.files import write_whole
-from mpt_helpers.ledger import keys, stored_verdicts
-from mpt_helpers.ledger.verdicts import IN_PART
+from reproduction.execute import settings_of_nobody
+from reproduction.ledger import keys, stored_verdicts
+from reproduction.ledger.verdicts import IN_PART
+from reproduction.project import NOTEBOOKS, project
+from reproduction.runner import staged
 
 SEEDS = 25
 LEAST = 24

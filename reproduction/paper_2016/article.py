@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import plots
-from ..filters import KalmanFilter
-from ..metrics import error_moments
-from ..model import constant_acceleration, constant_velocity
-from . import readings_2016 as readings
-from . import table1_2016 as table1
+from mpt_helpers import plots
+from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.metrics import error_moments
+from mpt_helpers.model import constant_acceleration, constant_velocity
+
+from . import readings, table1
 
 STEPS = 10_000  # of the averages of Table 1, read as percent
 TIME_STEPS = (0.5, 1.0, 2.0)  # seconds

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..filters import KalmanFilter
+from mpt_helpers.filters import KalmanFilter
+
 from . import positioning
 
 # The paper does not say which measurement belongs to the third row of H_k, [1 -dt 0]. Each reading computes it from the

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from dataclasses import asdict, dataclass, fields
 from html import escape
@@ -19,13 +20,13 @@ BASES = ("identity", "arithmetic", "exact", "simulation", "recording", "reading"
 WRONG = ("slip", "wording", "finding")
 CAUSE_KINDS = (*WRONG, "copy")
 
-# The output of a notebook cell in which `python -m mpt_helpers` and the site find the verdicts.
+# The output of a notebook cell in which `python -m reproduction` and the site find the verdicts.
 MIME = "application/vnd.mpt-helpers.verdicts+json"
 
 # What a claim with this verdict is called where claims are counted.
 OF_CLAIMS = {
     REPRODUCED: "hold",
-    IN_PART: "hold in part",
+    IN_PART: "hold under a condition",
     DIFFERS: "fail",
     ERRATUM: "contradict their own paper",
     CANNOT_BE_CHECKED: "cannot be checked",
@@ -47,8 +48,10 @@ def counted(number: int, word: str) -> str:
 class Verdict:
     """The verdict on one item of a paper.
 
-    basis says what the verdict rests on (one of BASES), cause is the id of the reason that it shares with other
-    verdicts ("" where it holds), cell the id of the notebook cell that gave it (once a notebook stores it).
+    The verdict judges the item in the setting that the paper states or evidently means, by the paper's own measure;
+    beyond says what we found outside that setting, and never changes the verdict. basis says what the verdict rests on
+    (one of BASES), cause is the id of the reason that it shares with other verdicts ("" where it holds), cell the id of
+    the notebook cell that gave it (once a notebook stores it).
     """
 
     paper: str
@@ -61,6 +64,7 @@ class Verdict:
     reason: str
     basis: str
     cause: str
+    beyond: str = ""
     cell: str = ""
 
     def __repr__(self):
@@ -124,7 +128,7 @@ class Verdicts(list[Verdict]):
     """
 
     IN_TEXT = ("id", "printed", "computed", "verdict", "basis", "cause")
-    IN_HTML = ("id", "where", "printed", "computed", "verdict", "basis", "cause", "reason")
+    IN_HTML = ("id", "where", "printed", "computed", "verdict", "basis", "cause", "reason", "beyond")
 
     def __init__(self, verdicts, causes=()):
         super().__init__(verdicts)
@@ -137,6 +141,10 @@ class Verdicts(list[Verdict]):
     def records(self) -> list[dict[str, str]]:
         """Return the verdicts as a list of dictionaries of text."""
         return [asdict(each) for each in self]
+
+    def as_json(self) -> str:
+        """Return the verdicts as the text of a JSON file."""
+        return f"{json.dumps(self.records(), indent=1, ensure_ascii=False)}\n"
 
     def tally(self) -> Tally:
         """Return the Tally: causes counted with their cells, claims apart from everything else."""

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg import toeplitz
 from scipy.special import gammaincc
 
-from .. import checks
-from ..equations import square_root
+from mpt_helpers import checks
+from mpt_helpers.equations import square_root
 
 EARTH_RADIUS = 6_378_137.0  # m, at the equator
 FLATNESS = 6.69437999014e-3  # e² of the WGS 84 ellipsoid

@@ -2,12 +2,15 @@
 
 import numpy as np
 
-from .. import plots
-from ..filters import KalmanFilter
-from ..metrics import innovations
-from ..model import LinearModel, gsm_axis, simulate
-from ..steady import SteadyStateFilter
-from . import burden, table4
+from mpt_helpers import plots
+from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.metrics import innovations
+from mpt_helpers.model import LinearModel, gsm_axis, simulate
+from mpt_helpers.steady import SteadyStateFilter
+
+from .. import burden
+from ..figures import visible_gap
+from . import table4
 
 AXIS = gsm_axis(dt=1.0, q=0.01, r=0.1)  # Example 1
 WALK = 1.5  # m/s, walking pace
@@ -118,7 +121,7 @@ def draw_gain(gains, limit, rho):
     for (label, gain), style in zip(gains.items(), ("C0-", "C1--"), strict=True):
         k = np.arange(1, len(gain) + 1)
         ax["gain"].plot(k[:15], gain[:15], style, label=label)
-        ax["left"].semilogy(k, plots.visible_gap(np.abs(gain - limit)), style)
+        ax["left"].semilogy(k, visible_gap(np.abs(gain - limit)), style)
     ax["left"].semilogy(k, rho ** (2 * k), "k:", label=f"ρ²ᵏ, ρ = {rho:.3f}")
     plots.finish(ax["gain"], "step k", "gain of the position")
     plots.finish(ax["left"], "step k", "distance to the limit")

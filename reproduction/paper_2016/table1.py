@@ -12,8 +12,8 @@ from math import factorial
 import numpy as np
 from scipy.special import erf
 
-from ..model import constant_acceleration, constant_velocity, simulate
-from ..steady import SteadyStateFilter
+from mpt_helpers.model import constant_acceleration, constant_velocity, simulate
+from mpt_helpers.steady import SteadyStateFilter
 
 LARGEST_N = 5  # steps ahead in the table
 # After TRANSIENT steps the mean of |e| is taken as constant; after 2·TRANSIENT the mean of e as zero.

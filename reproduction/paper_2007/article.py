@@ -4,10 +4,11 @@ from itertools import permutations
 
 import numpy as np
 
-from .. import plots
-from ..lasting import lasting_error
-from ..metrics import rms
-from . import recorded_2007 as recorded
+from mpt_helpers import plots
+from mpt_helpers.lasting import lasting_error
+from mpt_helpers.metrics import rms
+
+from . import recorded
 from .positioning import line_sigma
 
 LENGTHS = np.array([2, 3, 5, 10, 20, 35, 50, 75, 100])

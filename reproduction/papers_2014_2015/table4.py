@@ -19,7 +19,7 @@ def numbers_behind(cells, known):
     known maps some of the indices to their numbers. For each other index the result lists the whole numbers up to
     10,000 that agree, at the printed digits, with every ratio to a known number.
 
-    >>> from mpt_helpers.ledger import Item
+    >>> from reproduction.ledger import Item
     >>> cells = {(0, 1): Item("t.1", "Table", "number", "2.00"), (1, 0): Item("t.2", "Table", "number", "0.500")}
     >>> numbers_behind(cells, known={0: 10})
     {1: [5]}
@@ -41,7 +41,7 @@ def compare(cells, numbers):
 
     A wrong ratio reverses a comparison if it is above 1 and the right one below, or the other way round.
 
-    >>> from mpt_helpers.ledger import Item
+    >>> from reproduction.ledger import Item
     >>> cells = {(0, 1): Item("t.1", "Table", "number", "0.50"), (1, 0): Item("t.2", "Table", "number", "0.90")}
     >>> compare(cells, numbers=[1, 2])
     (array([[3, 0],

@@ -14,11 +14,11 @@ from functools import cache
 import numpy as np
 from scipy.special import chdtri
 
-from .. import plots
-from ..filters import KalmanFilter
-from ..metrics import chi_square_band, error_moments, rms
-from ..model import LinearModel, gsm_axis, simulate
-from ..steady import FIRFilter, SteadyStateFilter
+from mpt_helpers import plots
+from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.metrics import chi_square_band, error_moments, rms
+from mpt_helpers.model import LinearModel, gsm_axis, simulate
+from mpt_helpers.steady import FIRFilter, SteadyStateFilter
 
 FIXES = 60
 SPEED = 1.5  # m/s, walking pace

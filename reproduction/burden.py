@@ -10,13 +10,13 @@ it gives exactly the printed totals: of a symmetric result only the upper triang
 
 import itertools
 import re
-from collections import deque
 from fractions import Fraction
 
-from .. import checks
+from mpt_helpers import checks
 
-EXPONENTS = {"²": 2, "³": 3}
-END = "its end"  # stands after the last token of a formula
+# What Python writes for what the papers do; these and numbers are all that is evaluated of a formula.
+OPERATORS = {"+": "+", "-": "-", "/": "/", "(": "(", ")": ")", "²": "**2", "³": "**3"}
+FACTORS_END = tuple("0123456789)²³")
 
 
 def product(p, q, r):
@@ -66,6 +66,21 @@ def kalman(n, m):
         ("x(k+1/k+1) = [I - K H] x(k+1/k) + K z(k+1)", n),
         ("P(k+1/k+1) = [I - K H] P(k+1/k)", symmetric_product(n, n)),
     ]
+
+
+def kalman_columns(n, m, axes):
+    """Return the operations of one Kalman step for several axes that share P and K, side by side as columns.
+
+    P and K are made once; what contains x or z is done for each axis.
+
+    >>> total(kalman_columns(n=2, m=1, axes=3)), 3 * total(kalman(n=2, m=1))
+    (101, 207)
+    """
+    operations = []
+    for name, burden in kalman(n, m):
+        of_each_axis = "x(k" in name or "z(k" in name
+        operations.append((name, axes * burden if of_each_axis else burden))
+    return operations
 
 
 def lainiotis(n, m):
@@ -165,53 +180,20 @@ def value(formula, **letters):
     >>> value("2n² + 2nm - n + (M - 1)n", n=4, m=2, M=17)
     Fraction(108, 1)
     """
-    tokens = deque(re.findall(r"\d+(?:\.\d+)?|\S", formula))
-    tokens.append(END)
-    result = _sum(tokens, letters)
-    if tokens[0] != END:
-        checks.refuse("formula", "an operator or its end", f"{tokens[0]!r} in {formula!r}")
-    return result
-
-
-def _sum(tokens, letters):
-    """Take the terms of a sum from the left of the tokens, and return the sum; a minus may stand before the first."""
-    sign = tokens.popleft() if tokens[0] == "-" else "+"
-    total = Fraction(0)
-    while True:
-        term = _product(tokens, letters)
-        total += term if sign == "+" else -term
-        if tokens[0] not in ("+", "-"):
-            return total
-        sign = tokens.popleft()
-
-
-def _product(tokens, letters):
-    """Take factors that follow one another, or are divided by one another, and return their product."""
-    result = _power(tokens, letters)
-    while tokens[0] in ("/", "(") or tokens[0] in letters:
-        if tokens[0] == "/":
-            tokens.popleft()
-            result /= _power(tokens, letters)
-        else:
-            result *= _power(tokens, letters)
-    return result
-
-
-def _power(tokens, letters):
-    """Take a number, a letter or a sum in brackets, with its exponent, and return its value."""
-    token = tokens.popleft()
-    if token == "(":
-        base = _sum(tokens, letters)
-        token = tokens.popleft()
-        if token != ")":
-            checks.refuse("formula", "a bracket that is closed", token)
-    elif token[0].isdecimal():
-        base = Fraction(token)
-    elif token in letters:
-        base = Fraction(letters[token])
-    else:
-        checks.refuse("formula", f"a number, a bracket or one of the letters {', '.join(letters)}", token)
-    return base ** EXPONENTS[tokens.popleft()] if tokens[0] in EXPONENTS else base
+    in_python = before = ""
+    for token in re.findall(r"\d+(?:\.\d+)?|\S", formula):
+        a_number = token[0].isdecimal()
+        if not (a_number or token in letters or token in OPERATORS) or (token in "²³" and before in ("²", "³")):
+            need = f"numbers, brackets and the letters {', '.join(letters)}"
+            checks.refuse("formula", need, f"{token!r} in {formula!r}")
+        if (token in letters or token == "(") and (before in letters or before[-1:] in FACTORS_END):
+            in_python += "*"  # what stands side by side is multiplied
+        in_python += f"Fraction({token!r})" if a_number else OPERATORS.get(token, token)
+        before = token
+    try:
+        return eval(in_python, {"Fraction": Fraction} | {name: Fraction(each) for name, each in letters.items()})
+    except (SyntaxError, NameError, TypeError):
+        checks.refuse("formula", "one that can be computed", repr(formula))
 
 
 def formula_holds(formula, operations, letters="nm"):

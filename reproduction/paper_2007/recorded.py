@@ -10,14 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..checks import refuse
-from ..filters import KalmanFilter
-from ..fitting import fit
-from ..lasting import lasting_error
-from ..metrics import nis, rms
-from ..model import constant_velocity, gps_ins
+from mpt_helpers.checks import refuse
+from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.fitting import fit
+from mpt_helpers.lasting import lasting_error
+from mpt_helpers.metrics import nis, rms
+from mpt_helpers.model import constant_velocity, gps_ins
+
 from . import positioning
-from .experiments_2007 import exact_moments
+from .experiments import exact_moments
 
 TABLES = {"ESBC": "esbc_2020_177.csv.gz", "NYA1": "nya1_2024_124.csv.gz"}
 KINDS = ("one frequency", "two frequencies")

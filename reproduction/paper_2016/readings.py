@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import table1_2016 as table1
-from .table1_2016 import AXES, averages, log_likelihood, relative_errors
+from . import table1
+from .table1 import AXES, averages, log_likelihood, relative_errors
 
 UNITS = {"percent": 100, "fraction": 1}
 LENGTHS = {"percent": np.arange(9000, 11001, 25), "fraction": np.arange(85, 111)}  # tried

@@ -99,6 +99,7 @@ class Paper:
         cause: str | None = None,
         against: Iterable[str] = (),
         reason: str = "",
+        beyond: str = "",
     ) -> Verdict:
         """Compare a computed number with the printed one, and return the Verdict.
 
@@ -106,6 +107,7 @@ class Paper:
         simulations, it is `within band` when the printed number lies inside. Otherwise it `differs`, or is an `erratum`
         if `against` names items of the paper from which the value follows and which were reproduced: then the paper
         contradicts itself. A failing verdict needs a cause; its sentence serves as the reason unless you give one.
+        beyond says what was found outside the paper's setting: it stands beside the verdict, and never changes it.
         Raises ValueError for an argument that makes no sense, naming the item.
         """
         item = self._item(id, ["number"])
@@ -122,7 +124,7 @@ class Paper:
             low, high = band
             verdict = WITHIN_BAND if low <= float(item.printed) <= high else DIFFERS
             computed += f" [{low:.6g}, {high:.6g}]"
-        return self._give(item, computed, verdict, basis, reason, cause, against)
+        return self._give(item, computed, verdict, basis, reason, cause, against, beyond=beyond)
 
     def claim(
         self,
@@ -134,11 +136,14 @@ class Paper:
         cause: str | None = None,
         against: Iterable[str] = (),
         reason: str = "",
+        beyond: str = "",
     ) -> Verdict:
         """Record whether a claim, a formula or what a figure shows holds, with the evidence, and return the Verdict.
 
         holds is a bool, or a mapping {condition in words: bool}. It is `reproduced` when all hold and `holds in part`
         when some do; the verdict names the conditions. When none holds, it `differs` or is an `erratum`, as in `check`.
+        A condition lies inside the setting that the paper states or evidently means. What was found outside it (other
+        starts, steps, recordings) is beyond: a sentence that stands beside the verdict, and never changes it.
         """
         item = self._item(id, ["formula", "claim", "figure"])
         conditions = holds if isinstance(holds, Mapping) else {}
@@ -158,7 +163,7 @@ class Paper:
             prefix += f"Holds: {where_it_holds}. "
         if where_it_fails:
             prefix += f"Fails: {where_it_fails}. "
-        return self._give(item, evidence, verdict, basis, reason, cause, against, prefix)
+        return self._give(item, evidence, verdict, basis, reason, cause, against, prefix, beyond)
 
     def cannot_check(self, id: str, missing: str, *, cause: str | None = None) -> Verdict:
         """Record that an item cannot be checked, and what is missing.
@@ -217,7 +222,7 @@ class Paper:
             raise self._error(id, "our copy has lost this item: use cannot_check")
         return item
 
-    def _give(self, item, computed, verdict, basis, reason, cause, against=(), prefix=""):
+    def _give(self, item, computed, verdict, basis, reason, cause, against=(), prefix="", beyond=""):
         """Return the Verdict and keep it for the report; what holds has no cause, what fails has its sentence."""
         if basis not in BASES:
             raise self._error(item.id, f"needs one of the bases {', '.join(BASES)}, got {basis!r}")
@@ -242,7 +247,7 @@ class Paper:
             sides = "; ".join(f"{self.items[id].where}: {self.items[id].printed}" for id in against)
             reason = f"{reason} Against {sides}."
         reason = (prefix + reason).strip()
-        given = Verdict(self.key, *astuple(item), computed, verdict, reason, basis, cause or "")
+        given = Verdict(self.key, *astuple(item), computed, verdict, reason, basis, cause or "", beyond)
         self._outcomes[item.id] = verdict
         self._to_report.append(given)
         return given
@@ -377,7 +382,7 @@ def shipped_verdicts(*some: str) -> Verdicts:
 
 def _read_verdicts(path, paper, records):
     """Return the records of a file as a list of Verdicts on this paper, or raise."""
-    cure = f"run `python -m mpt_helpers reproduce {paper.key}`"
+    cure = f"run `python -m reproduction reproduce {paper.key}`"
     try:
         given = [Verdict(**record) for record in records]
     except TypeError as error:

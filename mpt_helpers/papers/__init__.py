@@ -1,1 +1,0 @@
-"""What only one or two of the papers need."""

@@ -1,0 +1,189 @@
+"""The command line: `python -m reproduction` reproduce, verdicts, readme, tidy."""
+
+import argparse
+import csv
+import os
+import re
+import shutil
+import subprocess
+import sys
+from functools import partial
+from textwrap import fill
+
+from mpt_helpers import __version__
+from mpt_helpers.files import write_whole
+
+from .execute import tidied
+from .ledger import keys, shipped_verdicts
+from .ledger.tables import Table
+from .ledger.verdicts import CANNOT_BE_CHECKED, FAILS, FIELDS, HOLDS, OF_CLAIMS, WRONG
+from .project import FIGURES, LEDGER, NOTEBOOKS, CommandError, chosen, chosen_notebooks, project
+from .runner import reproduce
+
+BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
+
+
+def reproduce_and_say(some):
+    """Reproduce notebooks and, where it is all of them, the README's counts; end with a line on what is changed."""
+    written = reproduce(some)
+    root = project()
+    if not some and (root / "README.md").is_file():
+        write_readme()
+    print(outcome(root, written))
+
+
+def outcome(root, written):
+    """Return a line on what a run wrote, {path: whether its bytes changed}: as committed, or what is not.
+
+    Where the project is no git checkout, what stood there before is compared.
+    """
+    made = f"all {len(written)} files that they make"
+    places = [NOTEBOOKS, FIGURES, LEDGER / "*.json", "README.md"]
+    git = ["git", "-C", str(root), "status", "--porcelain", "--no-renames", "--", *map(str, places)]
+    asked = subprocess.run(git, capture_output=True, text=True)
+    if asked.returncode == 0:
+        differ, same = [line[3:] for line in asked.stdout.splitlines()], "as committed"
+    else:
+        differ, same = [str(path) for path, changed in written.items() if changed], "as before"
+    if differ:
+        return f"the notebooks ran; not {same}: {', '.join(differ)}"
+    return f"the notebooks ran, and {made} are {same}, byte for byte"
+
+
+def tidy(some):
+    """Rewrite notebooks so that after `jupyter execute --inplace` or JupyterLab only outputs differ."""
+    import nbformat
+
+    for key, path in chosen_notebooks(project(), some).items():
+        try:
+            notebook = nbformat.reads(path.read_text(encoding="utf-8"), as_version=4)
+        except Exception as error:  # nbformat's own, or what a file of another form leads to
+            raise CommandError(f"{key}: needs a notebook ({error!r:.200})") from None
+        write_whole(path, f"{nbformat.writes(tidied(notebook))}\n".encode())
+
+
+def as_text(verdicts, every, width):
+    """Return Verdicts as text in lines of a width: all counts, then each paper's causes, and its rows if `every`."""
+    wrapped = partial(fill, width=width, break_on_hyphens=False)
+    by_paper = {paper: verdicts.of(paper) for paper in dict.fromkeys(each.paper for each in verdicts)}
+    several = len(by_paper) > 1
+    summaries = {"all papers": verdicts} | by_paper if several else by_paper
+    lines = []
+    for name, some in summaries.items():
+        tally = some.tally()
+        lines.append(wrapped(f"{name}: {tally.claims_text()}; {tally.values_text()}; {tally.causes_text()}."))
+    for paper, own in by_paper.items():
+        lines += ["", f"{paper}:"] if several else []
+        rows = []
+        for kind, cells in own.tally().causes.items():
+            for place, count in cells.items():
+                cause = own.causes[place]
+                rows.append(f"{kind} {cause.id} ({count}): {cause.sentence} {cause.meaning}")
+        for each in own if every else []:
+            why = ", ".join(part for part in (each.basis, each.cause) if part)
+            row = f"{each.id}: {each.where}: printed {each.printed}; computed {each.computed}"
+            beyond = f" Beyond: {each.beyond}" if each.beyond else ""
+            rows.append(f"{row}; {each.verdict} ({why}). {each.reason}{beyond}")
+        lines += [wrapped(row, initial_indent="  ", subsequent_indent="    ") for row in rows]
+    return "\n".join(lines or ["no verdicts are stored yet: run `make reproduce`"])
+
+
+def show_verdicts(some, form):
+    """Print the stored verdicts of some papers, or of all: as "json", "csv", text on "all" or on the causes only."""
+    verdicts = shipped_verdicts(*chosen(some, keys()))
+    if form == "json":
+        print(verdicts.as_json(), end="")
+    elif form == "csv":
+        writer = csv.DictWriter(sys.stdout, FIELDS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(verdicts.records())
+    else:
+        print(as_text(verdicts, form == "all", shutil.get_terminal_size().columns))
+    sys.stdout.flush()
+
+
+def readme(verdicts):
+    """Return the README's block on Verdicts: what was found in words, then what holds, a row for each paper."""
+    tally = verdicts.tally()
+    lost = tally.causes["copy"].total()
+    unchecked = tally.claims[CANNOT_BE_CHECKED] + tally.values[CANNOT_BE_CHECKED]
+    sentences = [
+        f"**What we found: {tally.wrong_text()}.**",
+        f"Of the {unchecked} cells that cannot be checked, {lost} are missing or illegible in our copy;",
+        f"for {unchecked - lost} the paper leaves something out.",
+    ]
+    claims, values = [], []
+    for paper in [*dict.fromkeys(each.paper for each in verdicts), "all"]:
+        own = tally if paper == "all" else verdicts.of(paper).tally()
+        name = paper if paper == "all" else f"[{paper}]({NOTEBOOKS}/{paper}.ipynb)"
+        claims.append([name, own.claims.total(), *(own.claims[verdict] for verdict in OF_CLAIMS)])
+        agree, disagree = (sum(own.values[each] for each in some) for some in (HOLDS, FAILS))
+        causes = [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in WRONG]
+        values.append([name, own.values.total(), agree, disagree, own.values[CANNOT_BE_CHECKED], *causes])
+    of_values = ["numbers, formulas, figures", "agree", "do not", "cannot be checked"]
+    tables = [
+        Table(["paper", "claims", *OF_CLAIMS.values()], claims),
+        Table(["paper", *of_values, *(f"{kind}s (cells)" for kind in WRONG)], values),
+    ]
+    return "\n\n".join([" ".join(sentences), *(table.markdown() for table in tables)])
+
+
+def write_readme():
+    """Write the block on the verdicts into the README; raises CommandError where it has no place for it."""
+    path = project() / "README.md"
+    block = readme(shipped_verdicts())
+    text, places = BLOCK.subn(lambda old: f"{old[1]}\n{block}\n\n{old[2]}", path.read_text(encoding="utf-8"))
+    if places != 1:
+        raise CommandError(f"{path.name}: needs one place for the verdicts, got {places}")
+    write_whole(path, text.encode())
+
+
+def main(arguments=None):
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m reproduction", description="Four papers, reproduced.")
+    parser.add_argument("--version", action="version", version=f"mpt_helpers {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("reproduce", help="execute the notebooks in place and write every figure")
+    clean = commands.add_parser("tidy", help="normalise notebooks so that only outputs differ in git")
+    show = commands.add_parser("verdicts", help="print what holds and what is wrong, without running anything")
+    for command in (run, clean, show):
+        command.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
+    form = show.add_mutually_exclusive_group()
+    form.add_argument("--all", action="store_const", dest="form", const="all", help="print every verdict")
+    form.add_argument("--json", action="store_const", dest="form", const="json", help="print every verdict as JSON")
+    form.add_argument("--csv", action="store_const", dest="form", const="csv", help="print every verdict as CSV")
+    commands.add_parser("readme", help="write the counts of the verdicts into the README")
+    options = parser.parse_args(arguments)
+    if options.command == "verdicts" and not sys.stdout.isatty() and hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(encoding="utf-8")  # into files, also where the terminal has another encoding
+    try:
+        if options.command == "reproduce":
+            reproduce_and_say(options.keys)
+        elif options.command == "tidy":
+            tidy(options.keys)
+        elif options.command == "verdicts":
+            show_verdicts(options.keys, options.form)
+        else:
+            write_readme()
+        return 0
+    except BrokenPipeError:  # as in `verdicts | head`: what is not yet written goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0 if options.command == "verdicts" else 1
+    except ModuleNotFoundError as error:
+        if error.name not in ("nbformat", "nbclient"):
+            raise
+        print(f"error: {options.command} needs Jupyter: pip install 'mpt_helpers[notebooks]'", file=sys.stderr)
+        return 1
+    except (CommandError, OSError, ValueError) as failure:  # OSError: a full disk; ValueError: the ledger's files
+        print(f"error: {failure}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("error: interrupted", file=sys.stderr)
+        return 130
+    except SystemExit as end:  # of a run that was terminated
+        print("error: terminated", file=sys.stderr)
+        return end.code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
