@@ -17,10 +17,11 @@ studies of many runs, `checks` refuses bad input.
 
 __version__ = "0.3.0"
 
-from . import metrics, riccati
+from . import metrics, riccati, tracks
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit
+from .gate import gated
 from .lasting import lasting_error
 from .model import (
     LinearModel,
@@ -36,6 +37,7 @@ from .model import (
 from .monte_carlo import study
 from .predictor import Predictor, SteadyStatePredictor
 from .steady import FIRFilter, SteadyStateFilter, fir_order
+from .tracks import track
 
 __all__ = [
     "FIRFilter",
@@ -52,6 +54,7 @@ __all__ = [
     "exact_motion",
     "fir_order",
     "fit",
+    "gated",
     "gps_ins",
     "gsm_axis",
     "lasting_error",
@@ -62,4 +65,6 @@ __all__ = [
     "six_filters",
     "stack",
     "study",
+    "track",
+    "tracks",
 ]

@@ -17,16 +17,23 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
-from . import checks, gate, metrics
+from . import checks, gate, metrics, report
 from .checks import Array
+from .files import write_whole
 from .filters import KalmanFilter
 from .model import constant_velocity, stack
+from .recordings import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LEVEL = 0.95
 OWN = 1.96  # standard deviations, of a normal distribution's 95 %
@@ -394,6 +401,25 @@ def band_of(line: Stretches, motion: Motion, each: Usual, seconds: float) -> Ban
 
 
 @dataclass(frozen=True)
+class Source:
+    """The file that a track is from.
+
+    rows (N,): which fixes of the recording those of the track are; left_out: how many others there are, by reason
+    origins: of each plane of the track the latitude, longitude (°) and height (m); plane (N,): in which one a fix lies;
+    empty and zero for a file in metres
+    said: what was taken for what, and what is unusual, in words
+    """
+
+    path: Path
+    recording: Recording
+    rows: NDArray[np.intp]
+    left_out: dict[str, int]
+    origins: list[tuple[float, float, float]]
+    plane: NDArray[np.intp]
+    said: list[str]
+
+
+@dataclass(frozen=True)
 class Cleaned:
     """A recorded track without its faults.
 
@@ -404,7 +430,10 @@ class Cleaned:
     q, r: of all axes, m²/s³ and m²; log_errors: standard errors of their logarithms, infinite for an r that is the
         rounding of the numbers
     band: a Band, or None for a track too short to judge one on
+    rounding: whether r is that rounding: the recorder has smoothed the positions, and their noise does not show
     filter: the KalmanFilter of all stretches on one line of time, `line`
+    recordings: the rows where a recording begins: the first one, after a pause, and in another segment
+    source: the file that the track is from, or None
     """
 
     t: Array
@@ -420,6 +449,7 @@ class Cleaned:
     filter: KalmanFilter
     line: Stretches
     recordings: list[int]
+    source: Source | None = None
 
     @property
     def mask(self) -> NDArray[np.bool_]:
@@ -430,6 +460,32 @@ class Cleaned:
     def refused(self) -> NDArray[np.intp]:
         """The rows of the fixes that are refused."""
         return np.flatnonzero(~self.mask & np.isfinite(self.z).any(axis=1))
+
+    @property
+    def stretches(self) -> int:
+        """How many stretches there are."""
+        return int(self.pieces.max()) + 1
+
+    def report(self) -> str:
+        """Return what was done to the track and found about it, in words."""
+        return report.text(self)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the numbers of the report by name, ready for JSON."""
+        return report.summary(self)
+
+    def plot(self) -> Figure:
+        """Return a figure: a map with the refused fixes, and the speed with its band."""
+        return report.figure(self)
+
+    def gpx(self, path: str | PathLike[str]) -> None:
+        """Write the smoothed track as a GPX file.
+
+        Times, heights, segments and all else that the file of the track holds are kept. A fix that was refused within a
+        stretch lies on the smoothed line; one between stretches is left out, and after a jump a new segment begins, so
+        that a map draws no line over the jump. Raises ValueError for a track in metres that is from no file.
+        """
+        write_whole(Path(path), report.gpx_bytes(self))
 
     @property
     def starts(self) -> NDArray[np.intp]:
@@ -470,7 +526,8 @@ def clean(
     >>> _, z = simulate(stack(axis, axis), N=600, rng=np.random.default_rng(1))
     >>> z[100] += 500.0
     >>> c = clean(np.arange(600.0), z)
-    >>> c.refused, c.starts, round(c.q, 3), round(c.r, 2)
+    >>> c.refused.tolist(), c.starts.tolist(), round(c.q, 3), round(c.r, 2)
+    ([100], [], 0.035, 4.03)
     """
     t, z, relative = checked(t, z, r)
     seconds, limit = checks.positive("seconds", seconds), checks.positive("limit", limit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import gzip
 import io
@@ -319,3 +320,15 @@ def _unit(numbers, name):
     if re.search(r"(^|[^a-z])(ms|msec|millis|milliseconds)$", name.lower()):
         return 1e3, ("times taken for milliseconds",)
     return 1e6, ()
+
+
+def places_of(path: Path, recording: Recording) -> tuple[bytes, NDArray[np.int64]]:
+    """Return the bytes of a GPX file, in an encoding where ASCII is ASCII, and where each fix stands in them."""
+    with _opened(path) as file:
+        data = file.read()
+    if not data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data, recording.places
+    text = re.sub(r"(encoding\s*=\s*[\"'])[\w-]+", r"\1UTF-8", data.decode("utf-16"), count=1)
+    reader = _Reader()
+    reader.parser.Parse(text.encode(), True)
+    return text.encode(), reader.recording().places
