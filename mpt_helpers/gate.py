@@ -39,6 +39,8 @@ MOST_TOO_FAST = 2
 # A receiver without signal repeats its position, and jumps when the signal is back. So many fixes that stray by less
 # than this part of the way from the piece before them to the one after them are taken for that.
 STUCK, HARDLY = 3, 0.1
+# The mobile has come to that place with at least this part of the speed at which it would have gone on.
+ARRIVED = 0.5
 # A piece is tried after the ones that ended at most so many pieces before it. More in a row are never dropped.
 LOOK_BACK = 30
 
@@ -84,7 +86,12 @@ def pieces(kf, z, begins, limit, patience):
     """
     seen = ~np.isnan(z)
     steps = _steps_of(kf, z, seen)
-    found = _in_sequence(steps, seen.any(axis=1), set(begins), limit, patience)
+    try:
+        found = _in_sequence(steps, seen.any(axis=1), set(begins), limit, patience)
+    except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError):
+        checks.refuse(
+            "kf", "covariances that doubles can hold over these epochs", "an overflow, or none that is positive"
+        )
     unit = z / np.sqrt(np.diag(kf.model.R))
     times = _times_of(kf, len(z))
     recording = np.zeros(len(z), dtype=int)
@@ -138,7 +145,8 @@ def _in_sequence(steps, fixes, begins, limit, patience):
 def _without_stuck_ones(found, way):
     """Return the rows of the pieces without those where a receiver without signal has stood still.
 
-    That is before a step that is too fast, if it would be none from where the fixes began to stay in one place.
+    That is before a step that is too fast, if it would be none from where the fixes began to stay in one place, and if
+    the mobile came there at such a speed: one that rested there has not gone on, and the step is a jump.
     """
     rows = np.concatenate(found)
     stuck = np.zeros(len(rows), dtype=bool)
@@ -147,7 +155,10 @@ def _without_stuck_ones(found, way):
         tail = k
         while tail > 0 and not stuck[tail - 1] and way.distance(rows[tail - 1], rows[k]) <= near:
             tail -= 1
-        if tail > 0 and k + 1 - tail >= STUCK and not way.too_fast(rows[tail - 1 : tail], rows[k + 1 : k + 2])[0]:
+        if tail == 0 or k + 1 - tail < STUCK or way.too_fast(rows[tail - 1 : tail], rows[k + 1 : k + 2])[0]:
+            continue
+        arrived = way.speed(rows[max(tail - 1 - STUCK, 0)], rows[tail - 1])
+        if arrived >= ARRIVED * way.speed(rows[tail - 1], rows[k + 1]):
             stuck[tail : k + 1] = True
     refused = set(rows[stuck].tolist())
     left = ([row for row in each if row not in refused] for each in found)
@@ -177,6 +188,10 @@ class _Way:
     def distance(self, a, b):
         """Return how far two fixes are apart, in what both of them have measured."""
         return float(self._lengths(a, b))
+
+    def speed(self, a, b):
+        """Return the speed of the way between two fixes."""
+        return self.distance(a, b) / max(float(self._times[b] - self._times[a]), 1e-9)
 
     def _lengths(self, a, b):
         return np.sqrt(np.nansum((self._z[b] - self._z[a]) ** 2, axis=-1))

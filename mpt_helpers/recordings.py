@@ -29,7 +29,7 @@ CHUNK = 1 << 20  # bytes that are read at a time
 # Texts of a fix that are wanted, by the name of their element.
 WANTED = frozenset(["time", "ele", "hdop"])
 # A second that is a leap second is the one before it, and one more.
-LEAP = re.compile(r"(:\d\d):60\b")
+LEAP = re.compile(r"(:\d\d):60(?!\d)")
 # Usual names of columns, in small letters, with _ for what is no letter or digit.
 NAMES = {
     "time": [

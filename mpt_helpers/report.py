@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 MOVING = 0.5  # m/s, slower than a walk
 KM_H = 3.6
+VAGUE = math.log(10)
 LISTED = 5  # times of faults
 # The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 4.6, 2.9
@@ -116,11 +117,10 @@ def _first_of_runs(rows):
 
 
 def _motion(c):
-    factor = math.exp(c.log_errors["q"])
     change = math.sqrt(c.q)
     return (
         f"motion: within a second the speed changes by some ± {_digits(change)} m/s on each axis "
-        f"(q = {_digits(c.q)} m²/s³, known to a factor of {factor:.2f})"
+        f"(q = {_digits(c.q)} m²/s³, {_known(c.log_errors['q'])})"
     )
 
 
@@ -130,9 +130,12 @@ def _precision(c):
             "fixes: the recorder has smoothed them already, so their noise does not show; beside each other they are "
             f"taken as ± {_digits(math.sqrt(c.r))} m, the rounding of the file (r = {_digits(c.r)} m²)"
         )
-    factor = math.exp(c.log_errors["r"])
-    known = f"known to a factor of {factor:.2f}" if factor < 100 else "hardly known"
+    known = _known(c.log_errors["r"])
     return f"fixes: each scatters by ± {_digits(math.sqrt(c.r))} m around the line (r = {_digits(c.r)} m², {known})"
+
+
+def _known(log_error):
+    return f"known to a factor of {math.exp(log_error):.2f}" if log_error < VAGUE else "hardly known"
 
 
 def _prediction(c):

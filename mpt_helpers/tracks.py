@@ -323,7 +323,8 @@ def _one_clock(t, segment):
     """Return times (s) that do not run back where a segment begins before the one before it has ended."""
     t = t.copy()
     for begin in np.flatnonzero(np.diff(segment)) + 1:
-        t[begin:] += max(0.0, t[begin - 1] + A_WHILE - t[begin])
+        if t[begin] <= t[begin - 1]:
+            t[begin:] += t[begin - 1] + A_WHILE - t[begin]
     return t
 
 
