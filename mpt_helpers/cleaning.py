@@ -165,6 +165,16 @@ def grid_of(values: Array) -> float:
     return float(np.diff(known).min()) if len(known) > 1 else 0.0
 
 
+def least_distance(z: Array) -> float:
+    """Return the least distance between a fix and the next one, as far as it can be that of the numbers' grid.
+
+    That is where it is less than a hundredth of a usual one.
+    """
+    moved = np.linalg.norm(np.diff(z[np.isfinite(z).all(axis=1)], axis=0), axis=1)
+    moved = moved[moved > 0]
+    return float(min(moved.min(), 0.01 * np.median(moved)))
+
+
 def usual(t: Array, z: Array, rounding: float) -> Usual:
     """Return what is Usual on a track, faults and all."""
     rows = np.flatnonzero(np.isfinite(z).all(axis=1))
@@ -534,7 +544,7 @@ def clean(
     if pause is not None:
         pause = checks.positive("pause", pause)
     if rounding is None:
-        rounding = max(grid_of(column) for column in z.T) ** 2 / 12
+        rounding = least_distance(z) ** 2 / 12
     starts = begins(t, np.isfinite(z).any(axis=1), segment, pause)
     each = usual(t, z, rounding)
     motion, number, line = first_guess(t, z, each), None, None

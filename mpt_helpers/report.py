@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from datetime import timedelta
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 MOVING = 0.5  # m/s, slower than a walk
 KM_H = 3.6
+COLUMNS = 100  # of a terminal
 VAGUE = math.log(10)
 LISTED = 5  # times of faults
 # The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
@@ -34,7 +36,7 @@ def text(c: Cleaned) -> str:
     lines = [_heading(c), *_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
     if c.source is not None:
         lines += [f"note: {each}" for each in c.source.said]
-    return "\n".join(line for line in lines if line)
+    return "\n".join(fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
 
 
 def summary(c: Cleaned) -> dict[str, Any]:
@@ -128,7 +130,7 @@ def _precision(c):
     if c.rounding:
         return (
             "fixes: the recorder has smoothed them already, so their noise does not show; beside each other they are "
-            f"taken as ± {_digits(math.sqrt(c.r))} m, the rounding of the file (r = {_digits(c.r)} m²)"
+            f"taken as ± {_digits(math.sqrt(c.r))} m, the rounding of the numbers (r = {_digits(c.r)} m²)"
         )
     known = _known(c.log_errors["r"])
     return f"fixes: each scatters by ± {_digits(math.sqrt(c.r))} m around the line (r = {_digits(c.r)} m², {known})"
