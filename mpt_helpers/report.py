@@ -19,8 +19,7 @@ from .recordings import EPOCH, places_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from .cleaning import Cleaned
-
+Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
 KM_H = 3.6
 COLUMNS = 100  # of a terminal

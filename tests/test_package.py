@@ -27,7 +27,17 @@ CORE += ["recursive", "filters", "steady", "predictor", "combined", "bands", "me
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"recursion": set(), "equations": set(), "columns": set(), "partition": {"equations"}}
 OF_THE_CORE |= ARRAYS_ONLY | {"smoothing": {"columns", "partition", "recursion"}, "monte_carlo": {"checks"}}
-OTHERS = {"plots": set(), "files": set(), "tracks": {"checks"}}
+OTHERS = {
+    "plots": set(),
+    "files": set(),
+    "gate": {"checks", "filters"},
+    "recordings": {"checks"},
+    "geodesy": {"checks"},
+    "report": {"recordings", "geodesy", "plots"},
+    "cleaning": {"checks", "gate", "metrics", "report", "files", "filters", "model", "recordings"},
+    "tracks": {"checks", "geodesy", "cleaning", "recordings"},
+    "track_command": {"tracks", "report", "recordings", "files"},
+}
 # What a room of the reproduction may import of it; a paper's folder, named by its year, imports no other's.
 REPRODUCTION = Path(reproduction.__file__).parent
 ROOMS = {

@@ -228,6 +228,10 @@ def test_unusual_numbers_are_named_and_absurd_ones_set_no_scale(tmp_path):
     path.write_text(gpx_of(far), encoding="utf-8")
     c = mpt.track(path)
     np.testing.assert_array_equal(c.refused, [1])
+    path.write_text(gpx_of([fix(-33.0, 151.0, 0), *fixes[1:]]), encoding="utf-8")
+    c = mpt.track(path)  # nor is the first fix an origin for all
+    np.testing.assert_array_equal(c.refused, [0])
+    assert np.abs(c.x[1:, ::2]).max() < 10e3
     again = [*fixes[:9], fixes[8], *fixes[9:]]
     path.write_text(gpx_of(again), encoding="utf-8")
     assert "not used: 1 with a time that is not after the one before" in in_one_line(mpt.track(path).report())
@@ -288,14 +292,15 @@ def test_q_and_r_are_those_of_fit():
 
 
 def test_errors_of_q_and_r_hold_on_simulated_tracks():
-    """Within two errors in 95 % of 80 numbers; 0.87 is what chance leaves of that in one of a hundred studies."""
-    hits = []
+    """The errors over those stated have an rms of 1: in 40 runs ± 0.11, and blocks tell their own size to some 20 %."""
+    off = {"q": [], "r": []}
     for seed in range(40):
         z, _, _ = positions(N=400, seed=seed)
         c = tracks.clean(np.arange(400.0), z, rounding=0.0)
         for name, true in (("q", 0.05), ("r", 4.0)):
-            hits.append(abs(np.log(getattr(c, name) / true)) < 2 * c.log_errors[name])
-    assert np.mean(hits) > 0.87
+            off[name].append(np.log(getattr(c, name) / true) / c.log_errors[name])
+    for name, each in off.items():
+        assert 0.7 < mpt.metrics.rms(each) < 1.5, name
 
 
 def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
