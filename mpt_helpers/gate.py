@@ -41,6 +41,8 @@ MOST_TOO_FAST = 2
 STUCK, HARDLY = 3, 0.1
 # The mobile has come to that place with at least this part of the speed at which it would have gone on.
 ARRIVED = 0.5
+# And it has gone on with at least this part of the speed with which it came: one that rests for long would crawl.
+WENT_ON = 0.25
 # A piece is tried after the ones that ended at most so many pieces before it. More in a row are never dropped.
 LOOK_BACK = 30
 
@@ -158,7 +160,8 @@ def _without_stuck_ones(found, way):
         if tail == 0 or k + 1 - tail < STUCK or way.too_fast(rows[tail - 1 : tail], rows[k + 1 : k + 2])[0]:
             continue
         arrived = way.speed(rows[max(tail - 1 - STUCK, 0)], rows[tail - 1])
-        if arrived >= ARRIVED * way.speed(rows[tail - 1], rows[k + 1]):
+        gone_on = way.speed(rows[tail - 1], rows[k + 1])
+        if ARRIVED * gone_on <= arrived <= gone_on / WENT_ON:
             stuck[tail : k + 1] = True
     refused = set(rows[stuck].tolist())
     left = ([row for row in each if row not in refused] for each in found)

@@ -67,6 +67,18 @@ def test_a_receiver_that_stood_still_and_caught_up_is_refused_where_it_stood(tra
     assert number.max() == 0
 
 
+@pytest.mark.parametrize("rest", [10, 150])
+def test_a_rest_before_a_jump_is_not_taken_for_a_receiver_without_signal(track, rest):
+    """It came faster than it would have gone on; or it had come to rest before."""
+    _, z = track
+    speed = np.concatenate([np.full(100, 4.0), np.linspace(4, 0, 10), np.zeros(rest), np.full(290 - rest, 4.0)])
+    z[:, 0] += np.cumsum(speed)
+    z[110 + rest :] += [0.0, 120.0]
+    number = mpt.gated(mpt.KalmanFilter(model()), z)
+    assert number.max() == 1
+    assert (number == -1).sum() <= 1
+
+
 def test_a_u_turn_is_not_cut_and_not_refused():
     """At 10 m/s and back within a second: far beyond the limit, but no faster than the track usually is."""
     z = np.zeros((400, 2))
@@ -177,7 +189,7 @@ def test_nothing_to_see_is_no_piece():
 
 
 # Recorded tracks. The numbers of the rule were chosen on rides, a paraglider and walks. The watch of a runner and the
-# logger of a glider were not looked at for any of them, a phone on a hike for one, ARRIVED.
+# logger of a glider were not looked at for any of them, a phone on a hike for two, ARRIVED and WENT_ON.
 HELD_BACK = {"run_fenix2_1hz": slice(None), "hike_gpxo_2s": slice(2500), "glider_nz_3s": slice(2500)}
 
 
