@@ -67,11 +67,13 @@ def test_a_receiver_that_stood_still_and_caught_up_is_refused_where_it_stood(tra
     assert number.max() == 0
 
 
-@pytest.mark.parametrize("rest", [10, 150])
-def test_a_rest_before_a_jump_is_not_taken_for_a_receiver_without_signal(track, rest):
-    """It came faster than it would have gone on; or it had come to rest before."""
+@pytest.mark.parametrize(("rest", "braking"), [(10, 10), (150, 1)])
+def test_a_rest_before_a_jump_is_not_taken_for_a_receiver_without_signal(track, rest, braking):
+    """It had slowed down before; or it came far faster than it would have gone on."""
     _, z = track
-    speed = np.concatenate([np.full(100, 4.0), np.linspace(4, 0, 10), np.zeros(rest), np.full(290 - rest, 4.0)])
+    speed = np.concatenate(
+        [np.full(110 - braking, 4.0), np.linspace(4, 0, braking), np.zeros(rest), np.full(290 - rest, 4.0)]
+    )
     z[:, 0] += np.cumsum(speed)
     z[110 + rest :] += [0.0, 120.0]
     number = mpt.gated(mpt.KalmanFilter(model()), z)
