@@ -61,7 +61,7 @@ def name_parts(app, doctree):
     add_contents(app.env.docname, doctree)
 
 
-WITH_CONTENTS = re.compile(r"guide|rinex|accuracy|notebooks/.*(?<!-full)")
+WITH_CONTENTS = re.compile(r"guide|by_hand|rinex|accuracy|notebooks/.*(?<!-full)")
 
 
 def add_contents(name, doctree):

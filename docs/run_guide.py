@@ -1,4 +1,4 @@
-"""Run the guide: `python docs/run_guide.py` writes what its blocks print into it, and its pictures into docs/guide/.
+"""Run the guides: `python docs/run_guide.py` writes what their blocks print into them, their pictures into docs/guide/.
 
 A block of Python is followed by what it prints, in a block of text. A picture, or a link to one that stands elsewhere,
 shows the figure `fig` of the block before it. The tests run the guide in the same way and compare every byte.
@@ -18,6 +18,7 @@ from reproduction import figures
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "guide"
+PAGES = ("guide.md", "by_hand.md")
 BLOCK = r"^```python\n(?P<code>.*?)^```$(?:\n\n```text\n(?P<said>.*?)^```$)?"
 PART = re.compile(rf"(?ms){BLOCK}|^!?\[[^\]]*\]\(guide/(?P<name>\w+)\.png\)")
 
@@ -30,7 +31,7 @@ def run(text, names=None):
         for part in PART.finditer(text):
             if part["code"]:
                 with contextlib.redirect_stdout(io.StringIO()) as printed, _printed_warnings():
-                    exec(compile(part["code"], "a block of guide.md", "exec"), names)
+                    exec(compile(part["code"], "a block of a guide", "exec"), names)
                 yield part, printed.getvalue()
             elif "fig" in names:
                 yield part, figures.save_figure(names.pop("fig"), part["name"], place).png
@@ -60,9 +61,9 @@ def rewritten(text):
 
 
 if __name__ == "__main__":
-    guide = DOCS / "guide.md"
-    text, pictures = rewritten(guide.read_text(encoding="utf-8"))
-    guide.write_text(text, encoding="utf-8")
     PICTURES.mkdir(exist_ok=True)
-    for name, png in pictures.items():
-        (PICTURES / f"{name}.png").write_bytes(png)
+    for page in PAGES:
+        text, pictures = rewritten((DOCS / page).read_text(encoding="utf-8"))
+        (DOCS / page).write_text(text, encoding="utf-8")
+        for name, png in pictures.items():
+            (PICTURES / f"{name}.png").write_bytes(png)

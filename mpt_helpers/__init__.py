@@ -20,10 +20,11 @@ To see how the filters work, read in this order:
 
 __version__ = "0.3.0"
 
-from . import bands, lasting, metrics, riccati
+from . import bands, lasting, metrics, riccati, tracks
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit
+from .gate import gated
 from .lasting import fit_lasting, lasting_error
 from .model import (
     LinearModel,
@@ -39,6 +40,7 @@ from .model import (
 from .monte_carlo import study
 from .predictor import Predictor, SteadyStatePredictor
 from .steady import FIRFilter, SteadyStateFilter, fir_order
+from .tracks import track
 
 __all__ = [
     "FIRFilter",
@@ -57,6 +59,7 @@ __all__ = [
     "fir_order",
     "fit",
     "fit_lasting",
+    "gated",
     "gps_ins",
     "gsm_axis",
     "lasting",
@@ -68,4 +71,6 @@ __all__ = [
     "six_filters",
     "stack",
     "study",
+    "track",
+    "tracks",
 ]

@@ -1,17 +1,16 @@
-"""Recorded tracks: from a GPX file, or from latitudes and longitudes, to times in seconds and positions in metres.
+"""Recorded tracks: from a file, or from latitudes and longitudes, to times in seconds and positions in metres.
 
-It needs two packages more, the extra `tracks`: pip install "mpt_helpers[tracks]".
+`track` does all that there is to do with one: it reads a file, refuses faults, fits, smooths and judges. `clean` does
+the same with numbers. `gpx` only reads, and refuses a file whose times are not in order.
 """
 
 from __future__ import annotations
 
 import bisect
-import codecs
-import itertools
-import math
-import re
 import warnings
-from datetime import UTC, datetime
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timedelta
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -19,8 +18,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import checks
+from . import checks, geodesy
 from .checks import Array
+from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
+from .recordings import EPOCH, NO_TIME, Recording, read, read_gpx
+
+__all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
+
+
+# Latitudes and longitudes (°) and heights (m) are not beyond these, nor are heights below the lowest: what is, as the
+# -32768 that stands for none in some files, is none.
+MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
+# Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
+ONE_PLANE = 500e3
+METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
+A_WHILE = 3600.0  # s between segments that overlap in time
+# A usual recording has neither: a fighter's speed, a snail's.
+VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
 
 
 class Track(NamedTuple):
@@ -59,43 +73,36 @@ def gpx(
 
     Raises ValueError for a file that is no GPX, holds no tracks (routes and waypoints have no times), or has fixes that
     are out of order, have no time or no degrees, of which the first is named, for a pause that is not positive and an
-    origin that is none; ImportError without gpxpy and pymap3d.
+    origin that is none.
     """
     if pause is not None:
         pause = checks.positive("pause", pause)
     if origin is not None:
         origin = _origin(origin)
-    import gpxpy
-
-    data = Path(path).read_bytes()
-    try:
-        text = data.decode(_encoding(data))
-        prefixed = re.search(r"<(\w+):gpx\b", text)
-        if prefixed:  # gpxpy knows names without a prefix only
-            text = re.sub(f"(</?){prefixed[1]}:", r"\1", text)
-        document = gpxpy.parse(text)
-    except (gpxpy.gpx.GPXException, UnicodeDecodeError, LookupError) as error:
-        raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from error
-    segments = [segment.points for track in document.tracks for segment in track.segments]
-    if not any(point.time for points in segments for point in points):
-        raise ValueError(f"{path}: needs a recorded track, got {len(segments)} track segments and no times")
+    recording = read_gpx(path)
+    if (recording.time == NO_TIME).all():
+        unread = next(iter(recording.unread.values()), None)
+        times = "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
+        raise ValueError(f"{path}: needs a recorded track, got {recording.segments} track segments and {times}")
     kept, left_out = [], 0
-    for number, points in enumerate(segments, start=1):
-        _check_degrees(path, number, points)
-        rows, wrong = _in_order(points)
-        if wrong and not skip:
-            row, why = wrong[0]
-            got = f"{why} in fix {row + 1} of segment {number} ({len(wrong)} such of its {len(points)} fixes)"
+    for number in range(1, recording.segments + 1):
+        rows = np.flatnonzero(recording.segment == number)
+        _check_degrees(path, recording, number, rows)
+        in_order = longest_in_order(recording.time[rows])
+        wrong = np.setdiff1d(np.arange(len(rows)), in_order)
+        if len(wrong) and not skip:
+            why = what_is_wrong(recording, rows, in_order, wrong[0])
+            got = f"{why} in fix {wrong[0] + 1} of segment {number} ({len(wrong)} such of its {len(rows)} fixes)"
             raise ValueError(f"{path}: needs times that increase, got {got}; gpx(path, skip=True) leaves them out")
         left_out += len(wrong)
-        if rows:
-            kept.append([points[row] for row in rows])
+        if len(in_order):
+            kept.append(rows[in_order])
     if left_out:
         warnings.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase", stacklevel=2)
-    start = _time(kept[0][0])
     if pause is not None:
-        kept = [part for points in kept for part in _apart(points, pause)]
-    return [_track(points, start, origin, up) for points in kept]
+        kept = [part for rows in kept for part in np.split(rows, _pauses(recording.time[rows], pause))]
+    start = kept[0][0]
+    return [_track(recording, rows, recording.time[start], origin, up) for rows in kept]
 
 
 def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = None) -> Array:
@@ -103,8 +110,7 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
 
     origin is a latitude, a longitude and, if they are given, a height (m); without one it is the first position. The
     positions lie in the plane that touches the Earth at the origin: 100 km away lengths are 0.01 % too short. NaN
-    stays NaN. Raises ValueError for other shapes, degrees that are none and an origin that is none, ImportError without
-    pymap3d.
+    stays NaN. Raises ValueError for other shapes, degrees that are none and an origin that is none.
 
     >>> local([57.0, 57.0009], [9.9, 9.9]).round(1) + 0.0
     array([[  0. ,   0. ],
@@ -115,98 +121,267 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
         checks.refuse("lat, lon", "as many latitudes as longitudes, in one dimension", f"{lat.shape} and {lon.shape}")
     (there,) = np.nonzero(~np.isnan(lat) & ~np.isnan(lon))
     if not there.size or np.abs(lat[there]).max() > 90 or np.abs(lon[there]).max() > 360:
-        checks.refuse("lat, lon", "degrees of at most 90 and 360", "others: none, metres, or the two exchanged")
-    lat_0, lon_0, height = _origin((lat[there[0]], lon[there[0]]) if origin is None else origin)
-    import pymap3d
-
-    east, north, _ = pymap3d.geodetic2enu(lat, lon, height, lat_0, lon_0, height)
-    return np.column_stack([east, north]) + 0.0  # without -0.0
+        checks.refuse("lat, lon", "degrees of at most 90 and 360", _no_degrees(lat[there], lon[there]))
+    origin = _origin((lat[there[0]], lon[there[0]]) if origin is None else origin)
+    return geodesy.to_plane(lat, lon, origin)
 
 
-def _encoding(data):
-    """Return the encoding of an XML file: UTF-16 by its mark, what it declares, or UTF-8."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    declared = re.search(rb"""encoding\s*=\s*["']([\w-]+)""", data[:200])
-    return declared[1].decode() if declared else "utf-8"
+def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
+    """Return latitudes and longitudes (N,) in degrees of positions z (N, 2) in metres: the inverse of `local`.
+
+    origin is that of `local`, whose height the positions have: the plane touches the Earth at the origin and is 1.8 km
+    above its surface 150 km away, which is reckoned with. Longitudes are between -180 and 180. NaN stays NaN. Raises
+    ValueError for another shape and an origin that is none.
+
+    >>> lat, lon = degrees([[0.0, 100.2]], origin=(57.0, 9.9))
+    >>> lat.round(4), lon.round(4)
+    (array([57.0009]), array([9.9]))
+    """
+    z = checks.real_numbers("z", z, "positions (N, 2) in metres").astype(float)
+    if z.ndim != 2 or z.shape[1] != 2:
+        checks.refuse("z", "positions (N, 2) in metres", f"shape {z.shape}")
+    return geodesy.from_plane(z, _origin(origin))
+
+
+def longest_in_order(time: Array) -> Array:
+    """Return the rows of the most fixes whose times (microseconds, NO_TIME where there is none) increase.
+
+    So one clock error does not cost all that follows it. It is the longest increasing subsequence, found from the end:
+    of all that are as long, the one that starts latest can be continued by most (Fredman 1975).
+    """
+    known = np.flatnonzero(time != NO_TIME)
+    if (np.diff(time[known]) > 0).all():
+        return known
+    turned = (-time).tolist()
+    starts, starts_of, after = [], [], {}  # for each length the latest start, -time and row; the row that follows each
+    for row in known[::-1].tolist():
+        length = bisect.bisect_left(starts, turned[row])
+        after[row] = starts_of[length - 1] if length else None
+        starts[length : length + 1] = [turned[row]]  # of two at one time the first stays
+        starts_of[length : length + 1] = [row]
+    rows, row = [], starts_of[-1]
+    while row is not None:
+        rows.append(row)
+        row = after[row]
+    return np.array(rows)
+
+
+def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) -> str:
+    """Return why fix k of some rows was left out of those that are in order."""
+    time = recording.time[rows]
+    if time[k] == NO_TIME:
+        unread = recording.unread.get(int(rows[k]))
+        return "no time" if unread is None else f"a time that cannot be read ({unread!r:.40})"
+    before = in_order[in_order < k]
+    last = time[before[-1]] if len(before) else None
+    moment = moment_of(time[k])
+    if last is None or last < time[k]:
+        return f"{moment:%Y-%m-%d %H:%M:%S} before an earlier time"
+    return f"{moment:%Y-%m-%d %H:%M:%S} {'again' if last == time[k] else 'after a later time'}"
+
+
+def moment_of(time: int) -> datetime:
+    """Return microseconds since 1970 as a datetime."""
+    return EPOCH + timedelta(microseconds=int(time))
+
+
+def _no_degrees(lat, lon):
+    """Say what numbers are that are no degrees."""
+    if not len(lat):
+        return "none"
+    if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
+        return "latitudes beyond 90: are the two exchanged?"
+    return "others: none, metres, or the two exchanged"
 
 
 def _origin(origin):
     """Return an origin as latitude, longitude and height, 0 m where it has none."""
     values = np.ravel(checks.real_numbers("origin", origin, "a latitude and a longitude")).astype(float)
-    if len(values) not in (2, 3) or not np.isfinite(values).all() or abs(values[0]) > 90 or abs(values[1]) > 360:
+    if len(values) not in (2, 3) or not np.isfinite(values).all() or (np.abs(values) > MOST[: len(values)]).any():
         checks.refuse("origin", "a latitude, a longitude (°) and, if wanted, a height (m)", f"{origin!r:.60}")
     return (*values[:2].tolist(), float(values[2]) if len(values) == 3 else 0.0)
 
 
-def _check_degrees(path, number, points):
+def _check_degrees(path, recording, number, rows):
     """Refuse a segment with a fix that lies nowhere on the Earth."""
-    for row, point in enumerate(points):
-        if not (abs(point.latitude) <= 90 and abs(point.longitude) <= 360):  # nor is NaN
-            got = f"{point.latitude:g} and {point.longitude:g} in fix {row + 1} of segment {number}"
-            raise ValueError(f"{path}: needs latitudes and longitudes of at most 90 and 360 degrees, got {got}")
+    lat, lon = recording.lat[rows], recording.lon[rows]
+    on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 360)  # nor is NaN
+    if not on_earth.all():
+        k = int(np.argmin(on_earth))
+        got = f"{lat[k]:g} and {lon[k]:g} in fix {k + 1} of segment {number}"
+        raise ValueError(f"{path}: needs latitudes and longitudes of at most 90 and 360 degrees, got {got}")
 
 
-def _in_order(points):
-    """Return the rows of the most fixes whose times increase, and the other rows, each with what is wrong.
-
-    So one clock error does not cost all that follows it. It is the longest increasing subsequence, found from the end:
-    of all that are as long, the one that starts latest can be continued by most (Fredman 1975).
-    """
-    starts, after = [], {}  # for each length (-time, row) of the latest start; the row that follows each
-    for row in reversed(range(len(points))):
-        if points[row].time is None:
-            continue
-        turned = -_time(points[row]).timestamp()
-        length = bisect.bisect_left(starts, turned, key=lambda start: start[0])
-        after[row] = starts[length - 1][1] if length else None
-        starts[length : length + 1] = [(turned, row)]  # of two at one time the first stays
-    rows, row = [], starts[-1][1] if starts else None
-    while row is not None:
-        rows.append(row)
-        row = after[row]
-    return rows, [(row, _what_is_wrong(points, rows, row)) for row in sorted(set(range(len(points))) - set(rows))]
+def _pauses(time, pause):
+    """Return the rows that come more than a pause (s) after those before them."""
+    return np.flatnonzero(np.diff(time) > pause * 1e6) + 1
 
 
-def _what_is_wrong(points, rows, row):
-    """Return why a fix was left out of those that are in order."""
-    if points[row].time is None:
-        return "no time"
-    time = _time(points[row])
-    kept = bisect.bisect(rows, row)  # so many come before it
-    last = _time(points[rows[kept - 1]]) if kept else None
-    if last is None or last < time:
-        return f"{time:%Y-%m-%d %H:%M:%S} before an earlier time"
-    return f"{time:%Y-%m-%d %H:%M:%S} {'again' if last == time else 'after a later time'}"
-
-
-def _time(point):
-    """Return the time of a fix; where the file names no zone it is UTC, as GPX prescribes."""
-    return point.time.replace(tzinfo=UTC) if point.time.tzinfo is None else point.time
-
-
-def _apart(points, pause):
-    """Return the fixes of a segment in parts, cut where the next fix comes more than a pause (s) later."""
-    times = [_time(point) for point in points]
-    steps = [(later - time).total_seconds() for time, later in itertools.pairwise(times)]
-    cuts = [0, *(row + 1 for row, step in enumerate(steps) if step > pause), len(points)]
-    return [points[begin:end] for begin, end in itertools.pairwise(cuts)]
-
-
-def _track(points, start, origin, up):
+def _track(recording, rows, start, origin, up):
     """Return fixes as a Track; without an origin it is the first latitude, longitude and height of them."""
-    heights = np.array([_height(point) for point in points])
+    lat, lon, heights = recording.lat[rows], recording.lon[rows], _heights(recording.height[rows])
     if origin is None:
         known = heights[np.isfinite(heights)]
-        origin = (points[0].latitude, points[0].longitude, float(known[0]) if len(known) else 0.0)
-    t = np.array([(_time(point) - start).total_seconds() for point in points])
-    z = local([point.latitude for point in points], [point.longitude for point in points], origin)
+        origin = (float(lat[0]), float(lon[0]), float(known[0]) if len(known) else 0.0)
+    z = local(lat, lon, origin)
     if up:
         z = np.column_stack([z, heights - origin[2]])
-    return Track(t, z, origin, start)
+    return Track((recording.time[rows] - start) / 1e6, z, origin, moment_of(start))
 
 
-def _height(point):
-    """Return the height of a fix in metres, NaN where the file has none or no number."""
-    known = point.elevation is not None and math.isfinite(point.elevation)
-    return point.elevation if known else math.nan
+def _heights(heights):
+    """Return heights (N,), NaN where they are none."""
+    return np.where((heights >= LOWEST) & (heights <= MOST[2]), heights, np.nan)
+
+
+def track(
+    path: str | PathLike[str],
+    *,
+    columns: dict[str, str] | None = None,
+    seconds: float = 10.0,
+    limit: float = 100.0,
+    pause: float | None = None,
+    show: Callable[[str], None] = lambda _: None,
+) -> Cleaned:
+    """Return the track of a GPX or CSV file without its faults, smoothed and with a band, as a Cleaned.
+
+    All segments are read and smoothed, each for itself. Fixes without a time, with one that does not increase, and
+    without degrees are left out, and named in `report()`. Of a CSV, columns says which column has the time, lat, lon
+    (or east and north in m), height, hdop or accuracy (m); the others are found by their usual names. An hdop, or an
+    accuracy, says how precise fixes are relative to each other. seconds, limit, pause and show are those of `clean`.
+
+    Raises ValueError for a file that holds no recorded track, naming what it has, and as `clean`.
+    """
+    path = Path(path)
+    show("reading")
+    recording = read(path, columns)
+    rows, left_out = usable(path, recording)
+    t = _one_clock(recording.time[rows] / 1e6, recording.segment[rows])
+    t, said = t - t[0], [*recording.said]
+    if recording.metres is None:
+        origins, plane, z = _in_planes(recording, rows)
+        grids = grid_of(recording.lat[rows]) * METRES_OF_A_DEGREE, grid_of(recording.lon[rows]) * METRES_OF_A_DEGREE
+    else:
+        origins, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
+        grids = tuple(grid_of(column) for column in z.T)
+    relative, name = _precision(recording, rows)
+    said += [f"fixes are weighed by their {name}"] if name else []
+    said += unusual(t, z)
+    c = clean(
+        t,
+        z,
+        relative,
+        seconds=seconds,
+        limit=limit,
+        pause=pause,
+        segment=recording.segment[rows],
+        rounding=max(grids) ** 2 / 12,
+        show=show,
+    )
+    return replace(c, source=Source(path, recording, rows, left_out, origins, plane, said))
+
+
+def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
+    """Return the rows of a recording that can be used, and how many others there are by reason."""
+    time, N = recording.time, len(recording.time)
+    if N == 0:
+        raise ValueError(f"{path}: needs a recorded track, got {recording.segments} track segments and no fixes")
+    if recording.metres is None:
+        lat, lon = recording.lat, recording.lon
+        somewhere = (np.abs(lat) <= 90) & (np.abs(lon) <= 360)
+        if not somewhere.any() or np.mean(somewhere) < 0.5:
+            there = np.isfinite(lat) & np.isfinite(lon)
+            raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat[there], lon[there])}")
+    else:
+        somewhere = np.isfinite(recording.metres).all(axis=1)
+    timed = time != NO_TIME
+    if not timed.any():
+        unread = next(iter(recording.unread.values()), None)
+        times = "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
+        raise ValueError(f"{path}: needs a recorded track, got {N} fixes and {times}")
+    if N > 1 and np.ptp(time[timed]) == 0:
+        raise ValueError(f"{path}: needs times that increase, got {moment_of(time[timed][0]):%Y-%m-%d %H:%M:%S} in all")
+    kept = []
+    for number in np.unique(recording.segment):
+        rows = np.flatnonzero((recording.segment == number) & somewhere & timed)
+        if len(rows):
+            kept.append(rows[longest_in_order(time[rows])])
+    rows = np.concatenate(kept) if kept else np.empty(0, dtype=int)
+    if len(rows) < FEWEST:
+        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {len(rows)} of {N}")
+    unread = len(recording.unread)
+    reasons = {
+        "no position on the Earth": int((~somewhere).sum()),
+        "no time": int((somewhere & ~timed).sum()) - unread,
+        "a time that cannot be read": unread,
+        "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
+    }
+    return rows, {reason: count for reason, count in reasons.items() if count > 0}
+
+
+def _one_clock(t, segment):
+    """Return times (s) that do not run back where a segment begins before the one before it has ended."""
+    t = t.copy()
+    for begin in np.flatnonzero(np.diff(segment)) + 1:
+        if t[begin] <= t[begin - 1]:
+            t[begin:] += t[begin - 1] + A_WHILE - t[begin]
+    return t
+
+
+def _in_planes(recording, rows):
+    """Return the origins of the planes, in which plane each fix lies, and positions (N, 2) in metres.
+
+    An origin is the fix nearest to the middle, which no outlier moves. All segments share one if they are near.
+    """
+    lat, lon = recording.lat[rows], recording.lon[rows]
+    where = geodesy.earth_centred(lat, lon, 0.0)
+    segment = recording.segment[rows]
+    middles = [_middle(where, np.flatnonzero(segment == number)) for number in np.unique(segment)]
+    apart = np.linalg.norm(where[:, middles] - where[:, [_middle(where, np.arange(len(rows)))]], axis=0)
+    one = apart.max() < ONE_PLANE
+    if one:
+        middles = [_middle(where, np.arange(len(rows)))]
+    plane = np.zeros(len(rows), dtype=np.intp) if one else np.unique(segment, return_inverse=True)[1]
+    origins, z = [], np.empty((len(rows), 2))
+    for k, middle in enumerate(middles):
+        own = plane == k
+        origins.append((float(lat[middle]), float(lon[middle]), 0.0))
+        z[own] = geodesy.to_plane(lat[own], lon[own], origins[-1])
+        # A fix beyond the horizon of the plane would be folded back into it: it is put as far away as it is.
+        chord = np.linalg.norm(where[:, own] - where[:, [middle]], axis=0)
+        far = chord > 4 * ONE_PLANE
+        z[np.flatnonzero(own)[far]] *= (chord[far] / np.maximum(np.linalg.norm(z[own][far], axis=1), 1.0))[:, None]
+    return origins, plane, z
+
+
+def _middle(where, rows):
+    """Return the row of those that is nearest to their median position."""
+    own = where[:, rows]
+    return int(rows[np.argmin(np.linalg.norm(own - np.median(own, axis=1)[:, None], axis=0))])
+
+
+def _precision(recording, rows):
+    """Return the relative variances (N,) of fixes and where they are from, or None and None."""
+    for name, sigma in (("accuracy", recording.accuracy), ("hdop", recording.hdop)):
+        if sigma is None:
+            continue
+        known = np.isfinite(sigma[rows]) & (sigma[rows] > 0)
+        if known.mean() > 0.9 and np.ptp(sigma[rows][known]) > 0:
+            return np.where(known, sigma[rows], np.median(sigma[rows][known])) ** 2, name
+    return None, None
+
+
+def unusual(t: Array, z: Array) -> list[str]:
+    """Return what is unusual for a recorded track, in words: it may be in other units."""
+    seconds = np.diff(t)
+    moved = np.linalg.norm(np.diff(z, axis=0), axis=1)[seconds > 0]
+    speed = float(np.quantile(moved / seconds[seconds > 0], 0.99))
+    if speed > VERY_FAST:
+        return [
+            f"ATTENTION: one step in a hundred is faster than {speed:.0f} m/s: are these seconds, degrees and metres?"
+        ]
+    if speed < VERY_SLOW:
+        return [
+            f"ATTENTION: 99 of 100 steps are slower than {speed:.1g} m/s: are the times in seconds, not milliseconds?"
+        ]
+    return []

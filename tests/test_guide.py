@@ -11,7 +11,8 @@ from conftest import ROOT
 import mpt_helpers as mpt
 from mpt_helpers import tracks
 
-GUIDE = (run_guide.DOCS / "guide.md").read_text(encoding="utf-8")
+GUIDE = (run_guide.DOCS / "by_hand.md").read_text(encoding="utf-8")  # every step
+SHORT = (run_guide.DOCS / "guide.md").read_text(encoding="utf-8")  # one command
 RECORDED = [
     "ride",
     "glider_nz_3s",
@@ -55,11 +56,55 @@ def test_the_blocks_print_what_the_guide_says(guide):
 PINNED = re.search(r"matplotlib==([\d.]+)", (ROOT / "environment.txt").read_text(encoding="utf-8"))[1]
 
 
+@pytest.fixture(scope="module")
+def short():
+    """What came of a run of the short guide."""
+    names, printed, pictures = {}, [], {}
+    for part, made in run_guide.run(SHORT, names):
+        if part["name"]:
+            pictures[part["name"]] = made
+        else:
+            printed.append((part["said"] or "", made))
+    return names, printed, pictures
+
+
+def test_the_blocks_of_the_short_guide_print_what_it_says(short):
+    _, printed, _ = short
+    assert len(printed) > 5
+    for said, made in printed:
+        assert made == said
+
+
+def test_the_numbers_in_the_words_of_the_short_guide_are_right(short):
+    c = short[0]["c"]
+    own_faults = {1000, *range(1995, 2060)}
+    assert set(c.refused.tolist()) - own_faults == {3898, 4319}
+    assert "Two fixes are refused of the ride itself" in SHORT
+    by_curvature = np.sqrt(2 / np.isfinite(c.z).sum())
+    assert 5.5 < c.log_errors["q"] / by_curvature < 6.5
+    assert "says a sixth of that" in SHORT
+    both = (np.abs(c.band.ahead.errors) <= c.band.widths)[c.band.unseen].all(axis=1).mean()
+    assert f"{both:.0%}" == "93%"
+    assert "both at once hold less, here 93 %" in SHORT
+
+
+def test_the_short_guide_comes_in_the_order_that_a_reader_needs():
+    headings = re.findall(r"(?m)^## (.*)", SHORT)
+    assert headings[:3] == ["Install", "One command", "The same in Python"]
+    (line,) = (line for line in SHORT.splitlines() if line.startswith("<a "))
+    contents = re.findall(r'<a href="#([a-z-]+)">([^<]+)</a>', line)
+    assert [name for _, name in contents] == headings
+    assert [anchor for anchor, _ in contents] == [re.sub(r"[^a-z]+", "-", name.lower()) for name in headings]
+    anchors = {re.sub(r"[^a-z]+", "-", name.lower()) for name in re.findall(r"(?m)^## (.*)", GUIDE)}
+    for anchor in re.findall(r"\(by_hand\.md#([^)]+)\)", SHORT):
+        assert anchor in anchors
+
+
 @pytest.mark.skipif(matplotlib.__version__ != PINNED, reason="another matplotlib draws other pixels")
-def test_the_pictures_are_those_of_the_blocks(guide):
-    _, _, pictures = guide
+def test_the_pictures_are_those_of_the_blocks(guide, short):
+    pictures = guide[2] | short[2]
     stored = {path.stem: path.read_bytes() for path in run_guide.PICTURES.glob("*.png")}
-    assert set(pictures) == set(stored) == set(re.findall(r"\(guide/(\w+)\.png\)", GUIDE))
+    assert set(pictures) == set(stored) == set(re.findall(r"\(guide/(\w+)\.png\)", GUIDE + SHORT))
     for name, png in pictures.items():
         assert png == stored[name], name
 

@@ -29,7 +29,17 @@ OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(nam
 ARRAYS_ONLY = {"algebra": set(), "steps": set(), "equations": set(), "epochs": set(), "columns": {"algebra"}}
 ARRAYS_ONLY |= {"partition": {"equations", "steps"}}
 OF_THE_CORE |= ARRAYS_ONLY | {"monte_carlo": {"checks"}}
-OTHERS = {"plots": set(), "files": set(), "tracks": {"checks"}}
+OTHERS = {
+    "plots": set(),
+    "files": set(),
+    "gate": {"checks", "filters"},
+    "recordings": {"checks"},
+    "geodesy": {"checks"},
+    "report": {"recordings", "geodesy", "plots"},
+    "cleaning": {"checks", "gate", "bands", "metrics", "report", "files", "filters", "model", "recordings"},
+    "tracks": {"checks", "geodesy", "cleaning", "recordings"},
+    "track_command": {"tracks", "report", "recordings", "files"},
+}
 # What a room of the reproduction may import of it; a paper's folder, named by its year, imports no other's.
 REPRODUCTION = Path(reproduction.__file__).parent
 ROOMS = {

@@ -1,0 +1,573 @@
+"""A recorded track, from numbers to a smoothed line with a band: faults refused, q and r fitted, stretches smoothed.
+
+The steps are those of the guide, by turns until nothing changes, since a fault spoils q and r, and without q and r no
+fault can be told:
+
+1. `gate`, in sequence, from a first guess of q and r that a tenth of faults does not move;
+2. a second look from both sides: a fix that is far off what all others say of it, those after it included;
+3. q and r that make the fixes most probable which are left.
+
+Then the band is judged, on the half of the track that a fit of the first half has not seen.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
+
+from . import bands, checks, gate, metrics, report
+from .checks import Array
+from .files import write_whole
+from .filters import KalmanFilter
+from .model import constant_velocity, stack
+from .recordings import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEVEL = 0.95
+OWN = 1.96  # standard deviations, of a normal distribution's 95 %
+FEWEST = 10  # fixes
+# Without fixes for so long, or for so many usual steps, the motion before says nothing of the motion after.
+PAUSE, PAUSE_IN_STEPS = 60.0, 10
+# From both sides: a fix is refused above this, if both neighbours are less far off; looked at so often at most. At 30,
+# up to 0.2 % of the fixes of clean tracks are refused, at 200 nothing is gained.
+FROM_BOTH_SIDES, LOOKS = 60.0, 3
+# The variance r - P_s of that look is known to the rounding of P_s: below this part of r it is taken for this part.
+SMALLEST_DIFFERENCE = 1e-8
+TURNS = 4
+# q and r are those of at most so many fixes: more, in stretches spread over the track, tell them to 1 % already.
+MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
+# Stretches stand on one line of time, this long apart at least: so long that nothing of one is known in the next.
+APART = 3600.0
+# Errors of q and r come from blocks of so many seconds, or of a tenth of the track if there are fewer.
+BLOCK, FEWEST_BLOCKS = 300.0, 10
+# log(r / q) is searched between these, in units of the usual step cubed, and found to this.
+RATIOS, NEAR = (math.log(1e-8), math.log(1e6)), 0.02
+# A first guess takes the squares that a tenth of all exceed: 2.71 of a normal distribution's variance.
+TENTH, OF_TENTH = 0.9, 2.7055
+# The band is judged at a horizon that a third of the fixes have another fix at.
+CHECKED = 1 / 3
+
+
+class Band(NamedTuple):
+    """What a prediction is worth, on the part of a track that the fit behind it has not seen.
+
+    seconds: how far ahead; half_width: the median half-width of the band that follows its own checked errors, m
+    asked, held, own: the share of fixes that is asked for, that this band held, and that the fit's own band held
+    checked: how many predictions were checked; independent: how many of them do not overlap in time
+    ahead, widths: all predictions of the track (bands.Ahead), and the half-widths of the band around them (K, m)
+    unseen (K,): which of them lie in the part that was not seen
+    """
+
+    seconds: float
+    half_width: float
+    asked: float
+    held: float
+    own: float
+    checked: int
+    independent: int
+    ahead: bands.Ahead
+    widths: Array
+    unseen: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Stretches of a track on one line: what a filter takes for one track.
+
+    rows: the rows of the track, t (K,) their times, far apart between stretches, z (K, m) the positions, NaN where
+    refused, each stretch beginning where the one before it ended; moved (K, m) is how far they were moved for that;
+    first (K,): the first two fixes of a stretch, which only tell where it begins
+    """
+
+    rows: NDArray[np.intp]
+    t: Array
+    z: Array
+    moved: Array
+    first: NDArray[np.bool_]
+    relative: Array | None
+
+    def part(self, rows):
+        """Return some of the rows."""
+        relative = None if self.relative is None else self.relative[rows]
+        return Stretches(self.rows[rows], self.t[rows], self.z[rows], self.moved[rows], self.first[rows], relative)
+
+
+class Motion(NamedTuple):
+    """q (m²/s³) and r (m²) of all axes, and whether r is the least that is possible: the rounding of the numbers."""
+
+    q: float
+    r: float
+    rounding: bool
+
+
+class Usual(NamedTuple):
+    """The usual step (s) of a track, the speed of its fastest tenth (m/s), and the least variance of a fix (m²)."""
+
+    step: float
+    speed: float
+    rounding: float
+
+
+def checked(t, z, r):
+    """Return times (N,), positions (N, m) and relative variances (N, m) or None, all checked."""
+    t = checks.times("t", t)
+    need = "positions (N, m) in metres, NaN where one is missing"
+    z = checks.real_numbers("z", z, need).astype(float)
+    if z.ndim != 2 or 0 in z.shape or t.shape != (len(z),):
+        checks.refuse("t, z", f"times (N,) and {need}", f"shapes {t.shape} and {z.shape}")
+    checks.no_infinity(z)
+    fixes = np.isfinite(z).any(axis=1)
+    if fixes.sum() < FEWEST:
+        checks.refuse("z", f"at least {FEWEST} fixes", int(fixes.sum()))
+    if t[0] == t[-1]:
+        checks.refuse("t", "times that increase", f"{t[0]:g} in all {len(t)} rows")
+    if (np.nanmax(z, axis=0) == np.nanmin(z, axis=0)).all():
+        checks.refuse("z", "a track that moves", f"one position {fixes.sum()} times")
+    if r is not None:
+        r = checks.real_numbers("r", r, "variances").astype(float)
+        r = np.repeat(r[:, None], z.shape[1], axis=1) if r.ndim == 1 else r
+        if r.shape != z.shape:
+            checks.refuse("r", f"a variance of each fix, shape {t.shape} or {z.shape}", f"shape {r.shape}")
+        there = r[np.isfinite(z)]
+        if not (np.isfinite(there) & (there > 0)).all():
+            checks.refuse("r", "a positive variance of every fix", "another")
+        r = r / np.median(there)
+    return t, z, r
+
+
+def begins(t: Array, fixes: NDArray[np.bool_], segment: ArrayLike | None, pause: float | None) -> list[int]:
+    """Return the rows where another recording begins: row 0, another segment, and the first fix after a pause (s)."""
+    rows = np.flatnonzero(fixes)
+    steps = np.diff(t[rows])
+    if pause is None:
+        pause = max(PAUSE, PAUSE_IN_STEPS * float(np.median(steps)))
+    after = steps > pause
+    if segment is not None:
+        after |= np.diff(np.asarray(segment)[rows]) != 0
+    return [int(rows[0]), *rows[1:][after].tolist()]
+
+
+def grid_of(values: Array) -> float:
+    """Return the least difference between two values: the grid that numbers of few digits lie on."""
+    known = np.unique(values[np.isfinite(values)])
+    return float(np.diff(known).min()) if len(known) > 1 else 0.0
+
+
+def least_distance(z: Array) -> float:
+    """Return the least distance between a fix and the next one, as far as it can be that of the numbers' grid.
+
+    That is where it is less than a hundredth of a usual one.
+    """
+    moved = np.linalg.norm(np.diff(z[np.isfinite(z).all(axis=1)], axis=0), axis=1)
+    moved = moved[moved > 0]
+    return float(min(moved.min(), 0.01 * np.median(moved)))
+
+
+def usual(t: Array, z: Array, rounding: float) -> Usual:
+    """Return what is Usual on a track, faults and all."""
+    rows = np.flatnonzero(np.isfinite(z).all(axis=1))
+    seconds, moved = np.diff(t[rows]), np.sqrt((np.diff(z[rows], axis=0) ** 2).sum(axis=1))
+    later = seconds > 0
+    speeds = moved[later] / seconds[later]
+    speed = float(np.quantile(speeds, TENTH))
+    if speed == 0:  # it rests for nine tenths of the time
+        speed = float(speeds[speeds > 0].mean())
+    return Usual(float(np.median(seconds[later])), speed, max(rounding, (1e-9 * speed) ** 2))
+
+
+def first_guess(t: Array, z: Array, each: Usual) -> Motion:
+    """Return q and r that give the changes of velocity between fixes the size that a tenth of them exceeds.
+
+    Over two steps of h seconds the velocity changes by a variance of 2 q h / 3 + 6 r / h². Steps of one fix and of four
+    tell both; a tenth of faults changes neither by much.
+    """
+    rows = np.flatnonzero(np.isfinite(z).all(axis=1))
+    equations, sizes = [], []
+    for lag in (1, 4):
+        t_lag, z_lag = t[rows[::lag]], z[rows[::lag]]
+        h = np.diff(t_lag)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            changes = np.diff(np.diff(z_lag, axis=0) / h, axis=0) ** 2
+        changes = changes[np.isfinite(changes)]
+        if len(changes):
+            step = float(np.median(h))
+            equations.append([2 * step / 3, 6 / step**2])
+            sizes.append(float(np.quantile(changes, TENTH)) / OF_TENTH)
+    q, r = np.linalg.lstsq(np.array(equations), np.array(sizes), rcond=None)[0]
+    least_q = 1e-6 * each.speed**2 / each.step
+    return Motion(max(float(q), least_q), max(float(r), each.rounding), False)
+
+
+def filter_of(motion: Motion, each: Usual, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
+    """Return the filter of a track of some axes, which starts from its first fix, known to some steps."""
+    sigma = 10 * (math.sqrt(motion.r) + each.speed * each.step)
+    P0 = np.diag([sigma**2, (2 * each.speed) ** 2])
+    axis = constant_velocity(dt=each.step, q=motion.q, r=motion.r, P0=P0)
+    return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else motion.r * relative)
+
+
+def on_one_line(t: Array, z: Array, relative: Array | None, number: NDArray[np.intp], motion: Motion, each: Usual):
+    """Return the Stretches of a track: the rows from the first to the last fix of each piece.
+
+    Beyond APART they are so long apart that the velocity at the start of one is not known from the one before it.
+    """
+    apart = max(APART, 64 * each.speed**2 / motion.q)
+    rows, times, moved, first = [], [], [], []
+    end, last = 0.0, np.zeros(z.shape[1])
+    for k in range(number.max() + 1):
+        own = np.flatnonzero(number == k)
+        span = np.arange(own[0], own[-1] + 1)
+        times.append(t[span] - t[own[0]] + end)
+        moved.append(np.broadcast_to(last - z[own[0]], (len(span), z.shape[1])))
+        first.append(np.isin(span, own[:2]))
+        rows.append(span)
+        end = times[-1][-1] + apart
+        last = z[own[-1]] + moved[-1][0]
+    rows, moved = np.concatenate(rows), np.concatenate(moved)
+    z_line = np.where((number[rows] >= 0)[:, None], z[rows] + moved, np.nan)
+    relative = None if relative is None else relative[rows]
+    return Stretches(rows, np.concatenate(times), z_line, moved, np.concatenate(first), relative)
+
+
+def fitted(line: Stretches, guess: Motion, each: Usual) -> Motion:
+    """Return the q and r that make the fixes of a line most probable, given the first two of each stretch.
+
+    With q and r doubled, gains stay as they are and S doubles: so only r / q is searched, and q is the mean NIS for
+    q = 1. Where r comes out below the rounding of the numbers it is set to that.
+    """
+    line = _sample(line)
+
+    def surprise(log_ratio):
+        return _scale(line, math.exp(log_ratio), guess.q, each)[1]
+
+    unit = math.log(each.step**3)
+    at = math.log(guess.r / guess.q)
+    low, high = max(at - math.log(100), RATIOS[0] + unit), min(at + math.log(100), RATIOS[1] + unit)
+    if guess.rounding or not low < at < high:
+        low, high = RATIOS[0] + unit, RATIOS[1] + unit
+    found = minimize_scalar(surprise, bounds=(low, high), method="bounded", options={"xatol": NEAR})
+    if low > RATIOS[0] + unit and min(found.x - low, high - found.x) < 0.1:  # at an edge of the part that was searched
+        wide = RATIOS[0] + unit, RATIOS[1] + unit
+        found = minimize_scalar(surprise, bounds=wide, method="bounded", options={"xatol": NEAR})
+    ratio = math.exp(found.x)
+    q = _scale(line, ratio, guess.q, each)[0]
+    if q * ratio > each.rounding:
+        return Motion(q, q * ratio, False)
+    for _ in range(3):
+        q = _scale(line, each.rounding / q, guess.q, each)[0]
+    return Motion(q, each.rounding, True)
+
+
+def _likelihoods(line, ratio, about, each):
+    """Return NIS and log S of each number of a line for q = 1, as (K, m); the first fixes of stretches have none.
+
+    q is about so much: it says how large the variances of the start are beside it.
+    """
+    relative = None if line.relative is None else line.relative[:, None]
+    P0 = np.diag([(100 * each.speed * each.step) ** 2, (10 * each.speed) ** 2]) / about
+    axis = constant_velocity(dt=each.step, q=1.0, r=ratio, P0=P0)
+    kf = KalmanFilter(axis, t=line.t, r=None if relative is None else ratio * relative)
+    values, S = metrics.innovations(kf, line.z[:, None])
+    values = np.where(line.first[:, None], np.nan, values[:, 0])
+    return values**2 / S[:, 0, 0], np.where(np.isnan(values), np.nan, np.log(S[:, 0, 0]))
+
+
+def _scale(line, ratio, about, each):
+    """Return the best q for a ratio of r to q, and -log L, but for a constant."""
+    nis, log_S = _likelihoods(line, ratio, about, each)
+    q, count = float(np.nanmean(nis)), int(np.isfinite(nis).sum())
+    return q, 0.5 * (count * math.log(q) + float(np.nansum(log_S)))
+
+
+def _sample(line):
+    """Return a line, or stretches spread over it where it has many fixes."""
+    if len(line.rows) <= MOST_FITTED:
+        return line
+    starts = np.linspace(0, len(line.rows) - FITTED_AT_A_TIME, MOST_FITTED // FITTED_AT_A_TIME).astype(int)
+    rows = np.unique(starts[:, None] + np.arange(FITTED_AT_A_TIME))
+    first = line.first.copy()
+    fixes = np.flatnonzero(np.isfinite(line.z).any(axis=1))
+    for start in starts:
+        first[fixes[np.searchsorted(fixes, start) :][:2]] = True
+    part = line.part(rows)
+    return replace(part, first=first[rows], t=part.t)
+
+
+def log_errors(line: Stretches, motion: Motion, each: Usual) -> dict[str, float]:
+    """Return standard errors of log q and log r that hold where the motion is calm and wild by turns.
+
+    The second derivatives of log L say how well a right model would know them. Here the scatter of the first ones does,
+    taken over blocks of some minutes, which hardly depend on each other (a sandwich of scores). An r that is known by
+    the rounding only has no error.
+    """
+    ratio, h = motion.r / motion.q, 0.05
+    nis, log_S = _likelihoods(line, ratio, motion.q, each)
+    nis = nis / motion.q
+    span = line.t[-1] - line.t[0] - APART
+    block = np.floor(line.t / max(1.0, min(BLOCK, span / FEWEST_BLOCKS)))
+    _, block = np.unique(block, return_inverse=True)
+    scores = [0.5 * (nis - 1)]
+    curvature = [[0.5 * np.nansum(nis)]]
+    if not motion.rounding:
+        (up, log_up), (down, log_down) = (_likelihoods(line, ratio * math.exp(d), motion.q, each) for d in (h, -h))
+        slopes = [(nis_d / motion.q + log_d) / 2 for nis_d, log_d in ((up, log_up), (down, log_down))]
+        scores.append((slopes[1] - slopes[0]) / (2 * h))
+        bend = np.nansum(slopes[0] + slopes[1] - nis - log_S) / h**2
+        cross = np.nansum(down - up) / motion.q / (2 * h) / 2
+        curvature = [[curvature[0][0], cross], [cross, bend]]
+    sums = np.array([np.bincount(block, np.nansum(each_score, axis=1)) for each_score in scores])
+    inverse = np.linalg.inv(np.array(curvature))
+    covariance = inverse @ (sums @ sums.T) @ inverse
+    if motion.rounding:
+        return {"q": math.sqrt(covariance[0, 0]), "r": math.inf}
+    both = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]  # log r = log q + log ratio
+    return {"q": math.sqrt(covariance[0, 0]), "r": math.sqrt(max(both, 0.0))}
+
+
+def seen_from_both_sides(line: Stretches, motion: Motion, each: Usual, number: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the pieces without the fixes that are far off what all others say of them.
+
+    The distance of a fix from the smoothed line without it is (z - x)² / (r - P), x and P those of the line with it. It
+    spoils its neighbours too: so only the worst of neighbours goes, and what is left is looked at again.
+    """
+    number = number.copy()
+    for _ in range(LOOKS):
+        x, P = _smoothed(line, motion, each)
+        r = motion.r if line.relative is None else motion.r * line.relative
+        without = np.maximum(r - P, SMALLEST_DIFFERENCE * r)
+        seen = np.isfinite(line.z)
+        off = np.where(seen, (line.z - x) ** 2 / without, 0).sum(axis=1)
+        fixes = np.flatnonzero(seen.any(axis=1))
+        off = np.concatenate([[0], off[fixes], [0]])
+        worst = (off[1:-1] > FROM_BOTH_SIDES) & (off[1:-1] >= off[:-2]) & (off[1:-1] >= off[2:])
+        if not worst.any():
+            break
+        number[line.rows[fixes[worst]]] = -1
+        z = line.z.copy()
+        z[fixes[worst]] = np.nan
+        line = replace(line, z=z)
+    return number
+
+
+def _smoothed(line, motion, each):
+    """Return the smoothed positions of a line and their variances, (K, m)."""
+    P0 = np.diag([(100 * each.speed * each.step) ** 2, (10 * each.speed) ** 2])
+    axis = constant_velocity(dt=each.step, q=motion.q, r=motion.r, P0=P0)
+    relative = None if line.relative is None else motion.r * line.relative[:, None]
+    s = KalmanFilter(axis, t=line.t, r=relative).smooth(line.z[:, None])
+    return s.x[:, 0], s.P[:, 0, 0]
+
+
+def band_of(line: Stretches, motion: Motion, each: Usual, seconds: float) -> Band | None:
+    """Return what predictions are worth on the second half of a line, or None where it has too few of them.
+
+    q and r are fitted anew, on the first half.
+    """
+    half = len(line.rows) // 2
+    first = fitted(line.part(slice(half)), motion, each)
+    kf = filter_of(first, each, line.t, line.relative, line.z.shape[1])
+    fixes = np.isfinite(line.z).any(axis=1)
+    t = line.t[fixes]
+    due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - 1e-6))] - t
+    if np.mean(due <= 1.5 * seconds) < CHECKED:
+        seconds = float(np.quantile(np.diff(t), 0.5, method="higher"))
+    try:
+        a = metrics.ahead(kf, line.z, seconds)
+    except ValueError:  # no fix has another at that distance
+        return None
+    unseen = a.row >= half
+    if not np.isfinite(a.errors[unseen]).any(axis=0).all():
+        return None
+    widths = metrics.following(a, level=LEVEL)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of few predictions: `independent` says how many
+        held = metrics.coverage(a, widths, where=unseen)
+        own = metrics.coverage(a, OWN * a.sigma, where=unseen)
+    half_width = float(np.median(widths[unseen]))
+    return Band(
+        seconds,
+        half_width,
+        LEVEL,
+        float(held.share.mean()),
+        float(own.share.mean()),
+        int(unseen.sum()),
+        held.independent,
+        a,
+        widths,
+        unseen,
+    )
+
+
+@dataclass(frozen=True)
+class Source:
+    """The file that a track is from.
+
+    rows (N,): which fixes of the recording those of the track are; left_out: how many others there are, by reason
+    origins: of each plane of the track the latitude, longitude (°) and height (m); plane (N,): in which one a fix lies;
+    empty and zero for a file in metres
+    said: what was taken for what, and what is unusual, in words
+    """
+
+    path: Path
+    recording: Recording
+    rows: NDArray[np.intp]
+    left_out: dict[str, int]
+    origins: list[tuple[float, float, float]]
+    plane: NDArray[np.intp]
+    said: list[str]
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """A recorded track without its faults.
+
+    t (N,): times in s; z (N, m): positions in m as recorded, NaN where there is none
+    pieces (N,): the stretch of each fix, 0, 1, ..., and -1 where it is refused or there is none
+    x (N, 2 m), P (N, 2 m, 2 m): smoothed position and velocity of each axis, [east, v_east, north, v_north], and their
+        covariance; NaN where a row lies in no stretch
+    q, r: of all axes, m²/s³ and m²; log_errors: standard errors of their logarithms, infinite for an r that is the
+        rounding of the numbers
+    band: a Band, or None for a track too short to judge one on
+    rounding: whether r is that rounding: the recorder has smoothed the positions, and their noise does not show
+    filter: the KalmanFilter of all stretches on one line of time, `line`
+    recordings: the rows where a recording begins: the first one, after a pause, and in another segment
+    source: the file that the track is from, or None
+    """
+
+    t: Array
+    z: Array
+    pieces: NDArray[np.intp]
+    x: Array
+    P: Array
+    q: float
+    r: float
+    log_errors: dict[str, float]
+    rounding: bool
+    band: Band | None
+    filter: KalmanFilter
+    line: Stretches
+    recordings: list[int]
+    source: Source | None = None
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """Which rows are fixes that are kept, (N,)."""
+        return self.pieces >= 0
+
+    @property
+    def refused(self) -> NDArray[np.intp]:
+        """The rows of the fixes that are refused."""
+        return np.flatnonzero(~self.mask & np.isfinite(self.z).any(axis=1))
+
+    @property
+    def stretches(self) -> int:
+        """How many stretches there are."""
+        return int(self.pieces.max()) + 1
+
+    def report(self) -> str:
+        """Return what was done to the track and found about it, in words."""
+        return report.text(self)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the numbers of the report by name, ready for JSON."""
+        return report.summary(self)
+
+    def plot(self) -> Figure:
+        """Return a figure: a map with the refused fixes, and the speed with its band."""
+        return report.figure(self)
+
+    def gpx(self, path: str | PathLike[str]) -> None:
+        """Write the smoothed track as a GPX file.
+
+        Times, heights, segments and all else that the file of the track holds are kept. A fix that was refused within a
+        stretch lies on the smoothed line; one between stretches is left out, and after a jump a new segment begins, so
+        that a map draws no line over the jump. Raises ValueError for a track in metres that is from no file.
+        """
+        write_whole(Path(path), report.gpx_bytes(self))
+
+    @property
+    def starts(self) -> NDArray[np.intp]:
+        """The rows where a stretch begins after a jump, not after a pause."""
+        firsts = [int(np.flatnonzero(self.pieces == k)[0]) for k in range(self.pieces.max() + 1)]
+        recording = np.searchsorted(self.recordings, firsts, side="right")
+        of_a_jump = [b for a, b in pairwise(range(len(firsts))) if recording[a] == recording[b]]
+        return np.array([firsts[b] for b in of_a_jump], dtype=np.intp)
+
+
+def clean(
+    t: ArrayLike,
+    z: ArrayLike,
+    r: ArrayLike | None = None,
+    *,
+    seconds: float = 10.0,
+    limit: float = 100.0,
+    pause: float | None = None,
+    segment: ArrayLike | None = None,
+    rounding: float | None = None,
+    show: Callable[[str], None] = lambda _: None,
+) -> Cleaned:
+    """Return a recorded track without its faults, smoothed and with a band, as a Cleaned.
+
+    t (N,) are times in s that do not decrease, z (N, m) positions in metres on any axes, NaN where one is missing. r
+    (N,) or (N, m) are variances relative to each other, as the squares of a receiver's hdop: their size is fitted. q
+    and r are one for all axes: give heights apart, or not at all.
+
+    seconds is the horizon of the band, limit that of `gated`; after a `pause` (s; a minute, or ten usual steps where
+    these are longer) and where `segment` (N,) changes a stretch begins anew. rounding is the variance that the digits
+    of z have; without it their grid is searched. show is called with what is done next, in words.
+
+    Raises ValueError for times that decrease or are all equal, fewer than ten fixes, a track that does not move, and
+    for other shapes.
+
+    >>> from mpt_helpers.model import simulate
+    >>> axis = constant_velocity(dt=1.0, q=0.04, r=4.0)
+    >>> _, z = simulate(stack(axis, axis), N=600, rng=np.random.default_rng(1))
+    >>> z[100] += 500.0
+    >>> c = clean(np.arange(600.0), z)
+    >>> c.refused.tolist(), c.starts.tolist(), round(c.q, 3), round(c.r, 2)
+    ([100], [], 0.035, 4.03)
+    """
+    t, z, relative = checked(t, z, r)
+    seconds, limit = checks.positive("seconds", seconds), checks.positive("limit", limit)
+    if pause is not None:
+        pause = checks.positive("pause", pause)
+    if rounding is None:
+        rounding = least_distance(z) ** 2 / 12
+    starts = begins(t, np.isfinite(z).any(axis=1), segment, pause)
+    each = usual(t, z, rounding)
+    motion, number, line = first_guess(t, z, each), None, None
+    for _ in range(TURNS):
+        show("looking for faults")
+        found = gate.pieces(filter_of(motion, each, t, relative, z.shape[1]), z, starts, limit, 3)
+        line = on_one_line(t, z, relative, found, motion, each)
+        found = seen_from_both_sides(line, motion, each, found)
+        if number is not None and np.array_equal(found, number):
+            break
+        number = found
+        line = on_one_line(t, z, relative, number, motion, each)
+        show("fitting")
+        motion = fitted(line, motion, each)
+    line = on_one_line(t, z, relative, number, motion, each)
+    show("smoothing")
+    kf = filter_of(motion, each, line.t, line.relative, z.shape[1])
+    s = kf.smooth(line.z)
+    n = 2 * z.shape[1]
+    x, P = np.full((len(t), n), np.nan), np.full((len(t), n, n), np.nan)
+    x[line.rows], P[line.rows] = s.x, s.P
+    x[line.rows, ::2] -= line.moved
+    show("judging the band")
+    errors = log_errors(line, motion, each)
+    band = band_of(line, motion, each, seconds)
+    return Cleaned(t, z, number, x, P, motion.q, motion.r, errors, motion.rounding, band, kf, line, starts)

@@ -1,0 +1,366 @@
+"""A cleaned track for people: in words, as numbers by name, as a picture, and as a file for maps.
+
+The words need no knowledge of filters; what a specialist looks for stands in brackets.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from datetime import timedelta
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import geodesy
+from .recordings import EPOCH, places_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Cleaned = Any  # that of `cleaning`, whose methods call this module
+MOVING = 0.5  # m/s, slower than a walk
+KM_H = 3.6
+COLUMNS = 100  # of a terminal
+VAGUE = math.log(10)
+LISTED = 5  # times of faults
+# The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
+WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 4.6, 2.9
+LONGEST_LINE = 5_000  # points that are drawn of a curve
+
+
+def text(c: Cleaned) -> str:
+    """Return the report of a Cleaned."""
+    lines = [_heading(c), *_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
+    if c.source is not None:
+        lines += [f"note: {each}" for each in c.source.said]
+    return "\n".join(fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
+
+
+def summary(c: Cleaned) -> dict[str, Any]:
+    """Return the numbers of the report; infinite and missing ones are None."""
+    band = None
+    if c.band is not None:
+        b = c.band
+        band = {"seconds": b.seconds, "half_width": b.half_width, "asked": b.asked, "held": b.held, "own": b.own}
+        band |= {"checked": b.checked, "independent": b.independent}
+    left_out = {} if c.source is None else c.source.left_out
+    fixes = len(c.t) + sum(left_out.values())
+    kilometres, moving, speed, fastest, error = _numbers_of_the_way(c)
+    return {
+        "fixes": fixes,
+        "refused": _of_file(c, c.refused),
+        "starts": _of_file(c, c.starts),
+        "left_out": left_out,
+        "stretches": c.stretches,
+        "q": c.q,
+        "r": c.r,
+        "r_is_rounding": c.rounding,
+        "log_errors": {name: error if math.isfinite(error) else None for name, error in c.log_errors.items()},
+        "ahead": band,
+        "kilometres": kilometres,
+        "moving_seconds": moving,
+        "median_speed_km_h": speed,
+        "fastest_km_h": fastest,
+        "speed_error_km_h": error,
+        "notes": [] if c.source is None else c.source.said,
+    }
+
+
+def _of_file(c, rows):
+    return (rows if c.source is None else c.source.rows[rows]).tolist()
+
+
+def _clock(seconds):
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
+
+
+def _count(number, one, many=None):
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
+def _heading(c):
+    name = "" if c.source is None else f"{c.source.path.name}: "
+    steps = np.diff(c.t[np.isfinite(c.z).any(axis=1)])
+    usual = float(np.median(steps))
+    every = f"every {usual:g} s" if np.mean(steps == usual) > 0.99 else f"mostly every {usual:g} s"
+    parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(c.t[-1] - c.t[0])}, {every}"]
+    if len(c.recordings) > 1:
+        parts.append(f"{_count(len(c.recordings) - 1, 'pause')} in it or new segments")
+    return "; ".join(parts)
+
+
+def _faults(c):
+    lines = []
+    if c.source is not None and c.source.left_out:
+        why = ", ".join(f"{count:,} with {reason}" for reason, count in c.source.left_out.items())
+        lines.append(f"not used: {why}")
+    if len(c.refused):
+        when = ", ".join(_clock(c.t[row] - c.t[0]) for row in _first_of_runs(c.refused)[:LISTED])
+        more = ", ..." if len(_first_of_runs(c.refused)) > LISTED else ""
+        share = len(c.refused) / max(np.isfinite(c.z).any(axis=1).sum(), 1)
+        lines.append(
+            f"refused as faults: {_count(len(c.refused), 'fix', 'fixes')} ({share:.2%}), at {when}{more} from the start"
+        )
+    else:
+        lines.append("refused as faults: none")
+    if len(c.starts):
+        when = ", ".join(_clock(c.t[row] - c.t[0]) for row in c.starts[:LISTED])
+        more = ", ..." if len(c.starts) > LISTED else ""
+        lines.append(f"jumps that stay: {len(c.starts)}, at {when}{more}; the line begins anew there")
+    return lines
+
+
+def _first_of_runs(rows):
+    return rows[np.diff(rows, prepend=-2) > 1]
+
+
+def _motion(c):
+    change = math.sqrt(c.q)
+    return (
+        f"motion: within a second the speed changes by some ± {_digits(change)} m/s on each axis "
+        f"(q = {_digits(c.q)} m²/s³, {_known(c.log_errors['q'])})"
+    )
+
+
+def _precision(c):
+    if c.rounding:
+        return (
+            "fixes: the recorder has smoothed them already, so their noise does not show; beside each other they are "
+            f"taken as ± {_digits(math.sqrt(c.r))} m, the rounding of the numbers (r = {_digits(c.r)} m²)"
+        )
+    known = _known(c.log_errors["r"])
+    return f"fixes: each scatters by ± {_digits(math.sqrt(c.r))} m around the line (r = {_digits(c.r)} m², {known})"
+
+
+def _known(log_error):
+    return f"known to a factor of {math.exp(log_error):.2f}" if log_error < VAGUE else "hardly known"
+
+
+def _prediction(c):
+    b = c.band
+    if b is None:
+        return "prediction: the track is too short, or its fixes too far apart, to test one"
+    few = "" if b.independent >= 30 else f" (only {b.independent} of them apart in time: too few to rely on)"
+    parts = [
+        f"prediction: {b.seconds:g} s ahead the position is known to ± {_digits(b.half_width)} m, east and north.",
+        f"Tested on the second half, from which nothing was learnt beforehand: {b.held:.0%} of {b.checked:,} fixes",
+        f"lay within, {b.asked:.0%} was the aim{few}. What the filter states by itself held {b.own:.0%}.",
+    ]
+    return " ".join(parts)
+
+
+def _numbers_of_the_way(c):
+    """Return km, seconds in motion, the median speed in motion, the fastest but 0.1 %, and their error (km/h)."""
+    there = np.isfinite(c.x[:, 0])
+    rows = np.flatnonzero(there)
+    east, north = c.x[rows][:, :2], c.x[rows][:, 2:4]
+    if north.shape[1] == 0:
+        north = np.zeros_like(east)
+    speed = np.hypot(east[:, 1], north[:, 1])
+    steps = np.hypot(np.diff(east[:, 0]), np.diff(north[:, 0]))
+    number = _stretch_of_rows(c)[rows]
+    same = np.diff(number) == 0
+    seconds = np.diff(c.t[rows])
+    moving = (speed[1:] > MOVING) & same
+    error = math.sqrt(float(np.median(c.P[rows, 1, 1])))
+    fast = speed[speed > MOVING]
+    median = float(np.median(fast)) if len(fast) else 0.0
+    return (
+        float(steps[same].sum()) / 1000,
+        float(seconds[moving].sum()),
+        median * KM_H,
+        float(np.quantile(speed, 0.999)) * KM_H,
+        error * KM_H,
+    )
+
+
+def _way(c):
+    kilometres, moving, speed, fastest, error = _numbers_of_the_way(c)
+    return (
+        f"way: {kilometres:.2f} km, in motion for {_clock(moving)}; speed in motion {speed:.1f} km/h at the median, at "
+        f"most {fastest:.1f} (but for one second in a thousand), each ± {_digits(error)}"
+    )
+
+
+def _stretch_of_rows(c):
+    """Return the stretch of every row that lies in one, refused ones too, and -1 of others."""
+    number = np.full(len(c.t), -1)
+    for k in range(c.stretches):
+        own = np.flatnonzero(c.pieces == k)
+        number[own[0] : own[-1] + 1] = k
+    return number
+
+
+def _digits(value):
+    """Return a number with two digits that count, without an exponent where it is readable without."""
+    if value == 0 or not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.1e}"
+    return f"{value:.{max(0, 1 - math.floor(math.log10(abs(value))))}f}"
+
+
+def degrees_of(c: Cleaned) -> tuple[np.ndarray, np.ndarray]:
+    """Return latitudes and longitudes (N,) of the smoothed track, NaN outside of stretches."""
+    lat, lon = np.full(len(c.t), np.nan), np.full(len(c.t), np.nan)
+    inside = np.isfinite(c.x[:, 0])
+    for k, origin in enumerate(c.source.origins):
+        own = inside & (c.source.plane == k)
+        lat[own], lon[own] = geodesy.from_plane(c.x[own, :4:2], origin)
+    recorded = c.source.recording.lon[c.source.rows]
+    return lat, lon + 360 * np.round((recorded - lon) / 360)  # as the file counts them
+
+
+def gpx_bytes(c: Cleaned) -> bytes:
+    """Return the smoothed track as the bytes of a GPX file."""
+    if c.source is None or c.source.recording.metres is not None:
+        raise ValueError("gpx: needs a track in degrees, from a file; this one has metres only")
+    lat, lon = degrees_of(c)
+    new_segments = set(c.starts.tolist())
+    if c.source.recording.places is None:
+        return _plain_gpx(c, lat, lon, new_segments)
+    data, places = places_of(c.source.path, c.source.recording)
+    row_of = {int(fix): row for row, fix in enumerate(c.source.rows)}
+    pieces, at = [], 0
+    for fix, (begin, end) in enumerate(places.tolist()):
+        pieces.append(data[at:begin])
+        at = data.index(b">", end) + 1
+        row = row_of.get(fix)
+        if row is None or math.isnan(lat[row]):
+            continue
+        point = data[begin:at]
+        tag = re.match(rb"<([\w.-]+:)?trkpt", point)
+        if row in new_segments:
+            prefix = tag[1] or b""
+            pieces.append(b"</%strkseg><%strkseg>" % (prefix, prefix))
+        close = point.index(b">")
+        head = _with_number(_with_number(point[:close], b"lat", lat[row]), b"lon", lon[row])
+        pieces.append(head + point[close:])
+    pieces.append(data[at:])
+    return _signed(b"".join(pieces))
+
+
+def _with_number(tag, name, value):
+    return re.sub(rb"(\s%s\s*=\s*)(\"[^\"]*\"|'[^']*')" % name, rb'\g<1>"%.8f"' % value, tag, count=1)
+
+
+def _signed(data):
+    """Return a GPX file with a line that says what made it, after the declaration."""
+    said = b"<!-- smoothed by mpt_helpers: refused fixes lie on the smoothed line, or are left out -->\n"
+    declaration = re.match(rb"\s*(\xef\xbb\xbf)?<\?xml.*?\?>\s*", data, re.DOTALL)
+    at = declaration.end() if declaration else 0
+    return data[:at] + said + data[at:]
+
+
+def _plain_gpx(c, lat, lon, new_segments):
+    recording = c.source.recording
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>']
+    lines.append('<gpx version="1.1" creator="mpt_helpers" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>')
+    for row in np.flatnonzero(np.isfinite(lat)).tolist():
+        if row in new_segments:
+            lines.append("</trkseg><trkseg>")
+        fix = c.source.rows[row]
+        height = recording.height[fix]
+        ele = f"<ele>{height:.2f}</ele>" if math.isfinite(height) else ""
+        moment = EPOCH + timedelta(microseconds=int(recording.time[fix]))
+        time = moment.isoformat().replace("+00:00", "Z")
+        lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
+    lines.append("</trkseg></trk></gpx>\n")
+    return _signed("\n".join(lines).encode())
+
+
+def csv_bytes(c: Cleaned) -> bytes:
+    """Return the smoothed track of a file in metres as a table, with a line of names."""
+    recording = c.source.recording
+    lines = ["# smoothed by mpt_helpers", "t_s,east_m,north_m,v_east,v_north,refused"]
+    number = _stretch_of_rows(c)
+    for row in np.flatnonzero(number >= 0).tolist():
+        seconds = recording.time[c.source.rows[row]] / 1e6
+        x = c.x[row]
+        refused = int(c.pieces[row] < 0)
+        lines.append(f"{seconds:.6f},{x[0]:.4f},{x[2]:.4f},{x[1]:.4f},{x[3]:.4f},{refused}")
+    return "\n".join([*lines, ""]).encode()
+
+
+def figure(c: Cleaned) -> Figure:
+    """Return the picture of a Cleaned: the map, and below it the speed with its band."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    from .plots import STYLE
+
+    with matplotlib.rc_context(STYLE):
+        fig = Figure(figsize=(WIDTH, MAP_HEIGHT + SPEED_HEIGHT), layout="constrained")
+        axes = fig.subplots(2, 1, height_ratios=[MAP_HEIGHT, SPEED_HEIGHT])
+        _draw_map(axes[0], c)
+        _draw_speed(axes[1], c)
+    return fig
+
+
+def _on_one_map(c, z):
+    """Return positions (N, 2) in km in one plane."""
+    if c.source is None or len(c.source.origins) <= 1:
+        return z / 1000
+    far = np.empty_like(z)
+    for k, origin in enumerate(c.source.origins):
+        own = c.source.plane == k
+        lat, lon = geodesy.from_plane(np.nan_to_num(z[own]), origin)
+        far[own] = geodesy.to_plane(lat, lon, c.source.origins[0]) / 1000
+    return np.where(np.isnan(z), np.nan, far)
+
+
+def _thinned(rows):
+    return rows[:: max(1, len(rows) // LONGEST_LINE)]
+
+
+def _draw_map(ax, c):
+    position = _on_one_map(c, c.x[:, :4:2])
+    if position.shape[1] < 2:
+        position = np.column_stack([position, np.zeros(len(position))])
+    number = _stretch_of_rows(c)
+    for k in range(c.stretches):
+        rows = _thinned(np.flatnonzero(number == k))
+        ax.plot(*position[rows].T, color="#0060A0", linewidth=1.4, label="smoothed" if k == 0 else None)
+    inside = np.isfinite(position[:, 0])
+    low, high = position[inside].min(axis=0), position[inside].max(axis=0)
+    margin = 0.08 * max((high - low).max(), 0.01)
+    if len(c.refused):
+        recorded = _on_one_map(c, c.z)[c.refused]
+        near = ((recorded >= low - margin) & (recorded <= high + margin)).all(axis=1)
+        off = f", {np.sum(~near)} off the map" if not near.all() else ""
+        label = f"refused: {len(c.refused)}{off}"
+        ax.plot(*recorded[near].T, "x", color="#D55E00", markersize=6, linestyle="none", label=label)
+    first = np.flatnonzero(inside)[0]
+    ax.plot(*position[first], "o", color="#008060", markersize=7, label="start")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_xlabel("east (km)")
+    ax.set_title(_title(c), loc="left")
+    ax.set_ylabel("north (km)")
+    ax.legend(loc="best", frameon=True, framealpha=0.8, edgecolor="none")
+
+
+def _title(c):
+    name = "track" if c.source is None else c.source.path.name
+    return name if len(name) <= 34 else f"{name[:31]}..."
+
+
+def _draw_speed(ax, c):
+    speed = np.hypot(c.x[:, 1], c.x[:, 3]) if c.x.shape[1] >= 4 else np.abs(c.x[:, 1])
+    sigma = np.sqrt(c.P[:, 1, 1])
+    minutes = (c.t - c.t[0]) / 60
+    number = _stretch_of_rows(c)
+    for k in range(c.stretches):
+        rows = _thinned(np.flatnonzero(number == k))
+        low, high = (np.maximum(speed[rows] + sign * 1.96 * sigma[rows], 0) * KM_H for sign in (-1, 1))
+        ax.fill_between(
+            minutes[rows], low, high, color="#CC79A7", alpha=0.4, linewidth=0, label="95 %" if k == 0 else None
+        )
+        ax.plot(minutes[rows], speed[rows] * KM_H, color="#0060A0", linewidth=0.9)
+    known = speed[np.isfinite(speed)]
+    top = 1.25 * max(float(np.quantile(known, 0.999)), 0.1) * KM_H
+    ax.set_ylim(0, top)
+    if len(c.refused):
+        ax.plot(minutes[c.refused], np.full(len(c.refused), 0.02 * top), "|", color="#D55E00", markersize=9)
+    ax.set_xlabel("time (min)")
+    ax.set_title("speed (km/h), with its 95 % band", loc="left")
