@@ -18,7 +18,7 @@ To see how the filters work, read in this order:
 `monte_carlo` runs studies of many runs, `checks` refuses bad input, `algebra` and `immutable` serve the others.
 """
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 from . import bands, lasting, metrics, riccati, tracks
 from .combined import JoinFilter, Separate, six_filters
