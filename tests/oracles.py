@@ -155,15 +155,16 @@ def van_loan(A, noise, T):
     return F, (Q + Q.swapaxes(-1, -2)) / 2
 
 
-def plain_loop(steps, H, Rs, x0, P0, z, limit=np.inf):
+def plain_loop(steps, H, Rs, x0, P0, z, limit=np.inf, alpha=1.0):
     """All that a filter tells of one track, one epoch after the other; each has its own (F, Q), and its own R.
 
     x, P; the innovations and S of whole rows, the NIS of what is there, and the log density of all of it. A row whose
-    NIS is above `limit` is refused: `taken` (N,) says which were not.
+    NIS is above `limit` is refused: `taken` (N,) says which were not. A filter of fading memory predicts P alpha² times
+    as large.
     """
     x, P, rows, log_density = np.array(x0), np.array(P0), [], 0.0
     for (F, Q), R, z_k in zip(steps, Rs, z, strict=True):
-        x, P = F @ x, F @ P @ F.T + Q
+        x, P = F @ x, alpha**2 * F @ P @ F.T + Q
         seen = ~np.isnan(z_k)
         new, S = z_k - H @ x, H @ P @ H.T + R
         H_k, S_k = H[seen], S[np.ix_(seen, seen)]

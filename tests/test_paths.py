@@ -21,6 +21,9 @@ from test_motion import TAU, Forgetful
 import mpt_helpers as mpt
 from mpt_helpers import engine, metrics, recursive, steps
 from mpt_helpers.bands import LiveBand, ahead, following
+from mpt_helpers.equations import corrected_covariance, gain
+from mpt_helpers.filters import neutralised
+from mpt_helpers.recursive import RecursiveFilter
 
 DT, Q = 0.7, 0.3  # of all axes
 SHARING = ["none", "shared", "own"]
@@ -204,7 +207,7 @@ def test_the_paths_of_the_kalman_filter_are_one_plain_loop(case, rows, width):
         t = case.t if case.t is None else case.times(i)
         alone, z = mpt.KalmanFilter(case.model, t=t, r=case.variances(i)), case.z[..., i]
         both = alone.estimates(z)
-        agree(both.x[..., None], both.P[..., None], loops[i : i + 1])
+        agree(both.x[..., None], both.P[..., None], [loops[i]])
         np.testing.assert_allclose(alone.filter(z), loops[i].x, **SAME)
         np.testing.assert_allclose(metrics.log_likelihood(alone, z), loops[i].log_density, **SAME)
 
@@ -285,6 +288,56 @@ def test_lainiotis_joint_filters_and_predictions_are_the_plain_loop(case, rows, 
     if steps_ahead:
         with pytest.raises(ValueError, match=f"second: needs one {steps_ahead + 2} steps ahead"):
             mpt.JoinFilter(predictions[0], mpt.Predictor(kf, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class FadingFilter(RecursiveFilter):
+    """A filter of one's own, with one method: the covariance is predicted alpha² times as large."""
+
+    alpha: float
+
+    optimal = False
+
+    def next_step(self, P, seen):
+        F, Q = self.model.F, self.model.Q
+        H, R = neutralised(self.model.H, self.model.R, seen)
+        P = self.alpha**2 * F @ P @ F.T + Q
+        K = gain(P, H, R)
+        return (np.eye(len(F)) - K @ H) @ F, K, corrected_covariance(P, K, H, R)
+
+
+class Textbook(FadingFilter):
+    """With alpha = 1 it is the Kalman filter, and has all that one has."""
+
+    optimal = True
+
+
+@settings(max_examples=12)
+@given(cases(timed=False, variances=["none"]), st.integers(2, 40), st.sampled_from([1.0, 1.02, 1.3]))
+def test_a_filter_of_ones_own_is_one_method(case, rows, alpha):
+    """Against a plain loop: gaps of any kind, single steps, pieces; a smoother only where P is that of the error."""
+    M, model = case.z.shape[2], case.model
+    loops = [case.loop(i, alpha=alpha) for i in range(M)]
+    fading = FadingFilter(model, alpha)
+    with patch.object(engine, "rows_per_piece", lambda N, tracks: N):
+        both = fading.estimates(case.z)
+        agree(both.x, both.P, loops)
+        agree(fading.filter(case.z), fading.covariances(case.z), loops)
+    for i in range(M):
+        x, P = model.x0, model.P0
+        for k, z_k in enumerate(case.z[..., i]):
+            x, P = fading.step(x, P, z_k)
+            np.testing.assert_allclose(x, loops[i].x[k], **SAME)
+            np.testing.assert_allclose(P, loops[i].P[k], **SAME)
+    with pytest.raises(TypeError, match="smooth: needs a filter whose gain follows its covariance, got a FadingFilter"):
+        fading.smooth(case.z)
+    with patch.object(engine, "rows_per_piece", lambda N, tracks: min(N, rows)):
+        both = fading.estimates(case.z)
+        agree(both.x, both.P, loops, near={"rtol": 1e-5, "atol": 1e-5})  # pieces fit together to 1e-6 sigma
+        if alpha == 1:
+            textbook = Textbook(model, alpha)
+            all_that_a_filter_says_is(loops, textbook, case.z)
+            agree(*textbook.smooth(case.z), smoothed(case, loops), near=SMOOTHED)
 
 
 @given(cases(timed=True), cases(timed=True), st.integers(0, 3))
