@@ -26,7 +26,6 @@ and its `coverage` in states that are known beforehand.
 from __future__ import annotations
 
 import math
-import warnings
 from collections import deque
 from datetime import datetime
 from typing import NamedTuple
@@ -176,12 +175,17 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     """Return the share of the errors inside the band, on each axis, with its standard error, as a Coverage.
 
     a is an Ahead, band the half-widths (K, m), `where` (K,) says which predictions to look at: those made while fast,
-    for example. Predictions that overlap in time share most of their errors. Those that do not overlap are counted as
-    independent: the span over the horizon, less the gaps. Below 30 of them the function warns. The standard error is
-    that of a share of so many, with two hits and two misses added (Agresti and Coull 1998), so that it is not zero
-    where all of them hit.
+    for example. An error that was not measured, NaN, is left out. So is one whose band is NaN: nothing was stated of
+    it, which is neither a hit nor a miss. The function warns of how many these are, since a band that states nothing in
+    hard cases looks better than it is.
 
-    Raises ValueError for a band or a `where` of another shape, and where an axis has no prediction left.
+    Predictions that overlap in time share most of their errors. Those that do not overlap are counted as independent:
+    the span over the horizon, less the gaps. Below 30 of them the function warns. The standard error is that of a share
+    of so many, with two hits and two misses added (Agresti and Coull 1998), so that it is not zero where all of them
+    hit.
+
+    Raises ValueError for a band or a `where` of another shape, a negative half-width, and where an axis has no
+    prediction left.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -189,14 +193,13 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     >>> coverage(a, following(a))  # one fix is 9 m off, and the filter with it for a while
     Coverage(share=array([0.96825397]), error=array([0.02894597]), independent=63)
     """
-    band, where = _checked_band(a, band, where)
-    errors = np.abs(a.errors[where])
-    inside = np.where(np.isnan(errors), np.nan, errors <= band[where])
-    of_axes = np.array([_independent(a, where & ~np.isnan(errors)) for errors in a.errors.T])
+    band, judged = _checked_band("coverage", a, band, where)
+    inside = np.where(judged, np.abs(a.errors) <= band, np.nan)
+    of_axes = np.array([_independent(a, of_axis) for of_axis in judged.T])
     fewest = int(of_axes.min())
     if fewest < FEW:
         text = f"coverage: {fewest} independent predictions of {a.seconds:g} s are too few to judge a band by"
-        warnings.warn(f"{text}, which takes {FEW}", stacklevel=2)
+        checks.warn(f"{text}, which takes {FEW}")
     share = np.nanmean(inside, axis=0)
     near = (share * of_axes + 2) / (of_axes + 4)
     return Coverage(share, np.sqrt(near * (1 - near) / (of_axes + 4)), fewest)
@@ -208,8 +211,8 @@ def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayL
         2 b + 2 / (1 - level) · max(|error| - b, 0),   b the half-width
 
     It is smallest for the true quantiles (Gneiting and Raftery 2007, Eq. 43), in the units of the errors: a band that
-    is too wide pays by its width, one that is too narrow by 40 times what it misses (level 0.95). It does not warn of
-    few predictions; otherwise it raises as `coverage`.
+    is too wide pays by its width, one that is too narrow by 40 times what it misses (level 0.95). It leaves out and
+    raises what `coverage` does, and warns as it does, but not of few predictions.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
@@ -218,9 +221,9 @@ def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayL
     >>> interval_score(a, np.ones((2, 1))).round(2)  # the second is missed by 0.82
     array([18.38])
     """
-    band, where = _checked_band(a, band, where)
-    missed_by = np.maximum(np.abs(a.errors[where]) - band[where], 0)
-    return np.nanmean(2 * band[where] + 2 / (1 - _level(level)) * missed_by, axis=0)
+    band, judged = _checked_band("interval_score", a, band, where)
+    missed_by = np.maximum(np.abs(a.errors) - band, 0)
+    return np.nanmean(np.where(judged, 2 * band + 2 / (1 - _level(level)) * missed_by, np.nan), axis=0)
 
 
 def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
@@ -503,17 +506,32 @@ def _has_conditions(estimator):
     return estimator.t is not None or estimator.r is not None or any(map(_has_conditions, estimator.parts))
 
 
-def _checked_band(a, band, where):
+def _checked_band(name, a, band, where):
+    """Return the band, and by which errors it is judged, (K, m): those measured, as `where` says, of a half-width.
+
+    `name` is that of the function that judges, for the warning of errors without a half-width.
+    """
     checks.instance("a", a, Ahead)
     band = checks.real_numbers("band", band, "half-widths")
     if band.shape != a.errors.shape:
         checks.refuse("band", f"half-widths of shape {a.errors.shape}", f"shape {band.shape}")
+    if (band < 0).any():
+        checks.refuse("band", "half-widths that are not negative, NaN where nothing is stated", f"{np.nanmin(band):g}")
     where = np.ones(len(band), bool) if where is None else np.asarray(where)
     if where.shape != (len(band),) or where.dtype != bool:
         checks.refuse("where", f"{len(band)} truth values", f"shape {where.shape} of {where.dtype}")
-    if not np.isfinite(a.errors[where]).any(axis=0).all():
+    measured = ~np.isnan(a.errors) & where[:, None]
+    if not measured.any(axis=0).all():
         checks.refuse("where", "at least one prediction that is checked on each axis", "none on some")
-    return band, where
+    judged = measured & ~np.isnan(band)
+    if not judged.any(axis=0).all():
+        checks.refuse("band", "a half-width of at least one checked prediction on each axis", "none but NaN on some")
+    unstated = int((measured & ~judged).sum())
+    if unstated:
+        checks.warn(
+            f"{name}: left out {unstated} of {measured.sum()} errors, whose band is NaN: nothing was stated of them"
+        )
+    return band, judged
 
 
 def _level(level):

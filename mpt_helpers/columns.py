@@ -3,13 +3,16 @@
 Tracks whose conditions differ differ in their covariances too, so each track is a column: x is (n, c, M) and P
 (n, n, M), where c is the number of tracks in a column. `epochs` says when that is more than one.
 
-Three ideas keep the Kalman filter here free of branches and of loops over tracks:
+Three ideas keep the Kalman filter free of branches and of loops over tracks:
 
 - A missing measurement gets a gain of zero, and leaves P alone.
 - A linear map x -> T x takes P to T P Tᵀ, which is linear in P: one matrix product serves all columns.
 - Measurements are taken one after the other, each in coordinates where it is one component of the state: for H = [1 dt]
   the state [s v] may become [s + v dt, v]. There the update needs no matrix inverse, and the row of P that belongs to
   the measured component can be written without a difference of large numbers.
+
+`KalmanColumns` and `ConstantGainColumns` are made so. `SteppedColumns` makes a matrix for each column instead: that is
+slower, and does for any filter.
 
 Each class has `advance`, one epoch of its filter, which keeps the promises that `engine` names.
 """
@@ -18,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .algebra import LinearMap
+from .algebra import LinearMap, whitened
 
 
 def corrected(x, P, z, seen, variance, i):
@@ -159,3 +162,34 @@ class ConstantGainColumns:
             np.where(seen, P_seen + self._noise, P),
             np.zeros((0, *x.shape[1:])),
         )
+
+
+class SteppedColumns:
+    """Any filter on columns, by its `next_steps`: columns that see the same measurements take their step together.
+
+    The innovations are those of the model's step, for a filter whose gain follows its covariance (`optimal`). Others
+    return none: then nothing tells where the pieces of a long track start but that they fit together, to the part of a
+    sigma that `partition` allows.
+    """
+
+    def __init__(self, estimator):
+        self._estimator = estimator
+        self._motion = estimator.model.motion
+
+    def advance(self, row, x, P):
+        """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations at unit covariance (m or 0, c, M)."""
+        optimal = self._estimator.optimal
+        innovations = self._innovations(row, x, P) if optimal else np.zeros((0, *x.shape[1:]))
+        x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, row.z))  # stacks of matrices
+        for seen in np.unique(row.seen, axis=1).T:
+            columns = np.flatnonzero((seen == row.seen.T).all(axis=1))
+            A, B, P[columns] = self._estimator.next_steps(P[columns], seen)
+            x[columns] = A @ x[columns] + B @ z[columns]
+        return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
+
+    def _innovations(self, row, x, P):
+        H, R = self._estimator.model.H, self._estimator.model.R
+        expected = np.tensordot(H, self._motion.state(x), axes=1)
+        P = np.moveaxis(self._motion.covariance(P), 2, 0)
+        S = np.moveaxis(H @ P @ H.T + R, 0, 2)[:, :, None]
+        return whitened(np.where(row.seen[:, None], row.z - expected, np.nan), S)[0]

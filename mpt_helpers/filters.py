@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import checks
-from .algebra import whitened
 from .checks import Array, Seconds
 from .columns import kalman_on_columns
 from .epochs import Epochs, Rows
@@ -224,6 +223,10 @@ class LainiotisFilter(RecursiveFilter):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n), with the measurements seen (m,)."""
         return lainiotis_step(P, self._constants_of(seen))
 
+    def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
+        """Return A_k, B_k and P(k+1/k+1) of stacks (M, n, n), as in RecursiveFilter, all at once."""
+        return self.next_step(P, seen)
+
     def _constants_of(self, seen):
         kept, pattern = self._constants, seen.tobytes()
         constants = kept.get(pattern)
@@ -237,35 +240,6 @@ class LainiotisFilter(RecursiveFilter):
     @cached_property
     def _constants(self):
         return {}
-
-    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
-        """Return the filter on columns, as in RecursiveFilter."""
-        return LainiotisColumns(self).advance, rows, self.model.x0, self.P0
-
-
-class LainiotisColumns:
-    """The Lainiotis filter on columns: in each epoch, those that see the same measurements take their step together."""
-
-    def __init__(self, lainiotis):
-        self._filter = lainiotis
-        self._motion = lainiotis.model.motion
-
-    def advance(self, row, x, P):
-        """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations at unit covariance (m, c, M)."""
-        innovations = self._innovations(row, x, P)
-        x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, row.z))  # stacks of matrices
-        for seen in np.unique(row.seen, axis=1).T:
-            columns = np.flatnonzero((seen == row.seen.T).all(axis=1))
-            A, B, P[columns] = self._filter.next_step(P[columns], seen)
-            x[columns] = A @ x[columns] + B @ z[columns]
-        return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
-
-    def _innovations(self, row, x, P):
-        H, R = self._filter.model.H, self._filter.model.R
-        expected = np.tensordot(H, self._motion.state(x), axes=1)
-        P = np.moveaxis(self._motion.covariance(P), 2, 0)
-        S = np.moveaxis(H @ P @ H.T + R, 0, 2)[:, :, None]
-        return whitened(np.where(row.seen[:, None], row.z - expected, np.nan), S)[0]
 
 
 def neutralised(H, R, seen):

@@ -146,7 +146,7 @@ def matrices(rows: ArrayLike) -> Array:
            [[1., 3.]]])
     """
     entries = np.broadcast_arrays(*[np.asarray(entry, dtype=float) for row in rows for entry in row])
-    return np.stack(entries, axis=-1).reshape(*entries[0].shape, len(rows), -1)
+    return np.stack(entries, axis=-1).reshape(*entries[0].shape, len(rows), len(rows[0]))
 
 
 @dataclass(frozen=True, eq=False)

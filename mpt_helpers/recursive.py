@@ -9,7 +9,7 @@ separate filters, predictors) asks less, of measurements z (N, m, M) that are ch
 - `parts`: the filters that it is made of.
 
 Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them. How a `RecursiveFilter` runs stands in
-`engine`; it makes a subclass of what says one step, `next_step`, and what says the same on columns, `in_columns`.
+`engine`. A subclass says one step, `next_step`; `in_columns` may say the same for many columns at once.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from . import checks, engine, steps
 from .checks import Array, Seconds
+from .columns import SteppedColumns
 from .epochs import Epochs, Rows
 from .immutable import Immutable
 from .model import LinearModel
@@ -148,7 +149,11 @@ class Filter(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class RecursiveFilter(Filter):
-    """A filter with coefficients and a covariance. A subclass defines `next_step` and `in_columns`."""
+    """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else works.
+
+    Where its gain does not follow from its covariance and the model, as in a Kalman filter, it says `optimal = False`:
+    then it has no smoother.
+    """
 
     model: LinearModel
 
@@ -166,12 +171,21 @@ class RecursiveFilter(Filter):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n); seen (m,) says which measurements are there."""
         raise NotImplementedError
 
+    def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
+        """Return A_k (M, n, n), B_k (M, n, m) and P(k+1/k+1) (M, n, n) of each P(k/k) of a stack (M, n, n).
+
+        It is `next_step` of one after the other. A subclass may make all of them at once.
+        """
+        A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
+        return np.array(A), np.array(B), np.array(P)
+
     def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
         """Return the filter on columns: its `advance` (`engine`), the rows that it takes, x0 (d,) and P0 (d, d).
 
-        There may be more states than the model's, after these: then d > n.
+        It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations. There may
+        be more states than the model's, after these: then d > n.
         """
-        raise NotImplementedError
+        return SteppedColumns(self).advance, rows, self.model.x0, self.P0
 
     def coefficients(self, N: int) -> Step:
         """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing."""

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+from scipy.linalg import expm
 
 
 def textbook_steps(F, H, Q, R, x0, P0, z):
@@ -143,3 +144,98 @@ def gaussian_conditioning_of_steps(Fs, Qs, H, Rs, x0, P0, z):
     C_seen = C_zz[np.ix_(seen, seen)]
     log_density = -0.5 * (d @ np.linalg.solve(C_seen, d) + np.linalg.slogdet(2 * np.pi * C_seen)[1])
     return SimpleNamespace(**{name: np.array(value) for name, value in result.items()}, log_density=log_density)
+
+
+def van_loan(A, noise, T):
+    """F and Q over T of dx = A x dt + white noise of these densities, by van Loan's exponential."""
+    n = len(A)
+    both = expm(np.block([[-A, np.diag(noise)], [np.zeros((n, n)), A.T]]) * T)
+    F = both[..., n:, n:].swapaxes(-1, -2)
+    Q = F @ both[..., :n, n:]
+    return F, (Q + Q.swapaxes(-1, -2)) / 2
+
+
+def plain_loop(steps, H, Rs, x0, P0, z, limit=np.inf, alpha=1.0):
+    """All that a filter tells of one track, one epoch after the other; each has its own (F, Q), and its own R.
+
+    x, P; the innovations and S of whole rows, the NIS of what is there, and the log density of all of it. A row whose
+    NIS is above `limit` is refused: `taken` (N,) says which were not. A filter of fading memory predicts P alpha² times
+    as large.
+    """
+    x, P, rows, log_density = np.array(x0), np.array(P0), [], 0.0
+    for (F, Q), R, z_k in zip(steps, Rs, z, strict=True):
+        x, P = F @ x, alpha**2 * F @ P @ F.T + Q
+        seen = ~np.isnan(z_k)
+        new, S = z_k - H @ x, H @ P @ H.T + R
+        H_k, S_k = H[seen], S[np.ix_(seen, seen)]
+        nis = new[seen] @ np.linalg.solve(S_k, new[seen]) if seen.any() else np.nan
+        taken = not nis > limit
+        if seen.any() and taken:
+            K = P @ H_k.T @ np.linalg.inv(S_k)
+            keep = np.eye(len(x)) - K @ H_k
+            x, P = x + K @ new[seen], keep @ P @ keep.T + K @ R[np.ix_(seen, seen)] @ K.T
+            log_density -= (np.linalg.slogdet(2 * np.pi * S_k)[1] + nis) / 2
+        rows.append((x, P, new, S, nis, taken))
+    names = ("x", "P", "innovations", "S", "nis", "taken")
+    columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+    return SimpleNamespace(**columns, log_density=log_density)
+
+
+def plain_smoother(steps, x, P):
+    """x(k/N) and P(k/N) from x(k/k) and P(k/k) of one track, as Rauch, Tung and Striebel print it."""
+    states, covariances = [x[-1]], [P[-1]]
+    for k in range(len(x) - 2, -1, -1):
+        F, Q = steps[k + 1]
+        predicted = F @ P[k] @ F.T + Q
+        C = P[k] @ F.T @ np.linalg.inv(predicted)
+        states.append(x[k] + C @ (states[-1] - F @ x[k]))
+        covariances.append(P[k] + C @ (covariances[-1] - predicted) @ C.T)
+    return np.array(states[::-1]), np.array(covariances[::-1])
+
+
+def plain_band(over, H, R, Rs, start, t, z, x, P, seconds, level, log_f):
+    """The bands of one track that follow their own checked errors, one fix after the other, as the module's text says.
+
+    over(T) returns F and Q over T seconds; R is that of the model and Rs those of the rows; start is (t, x, P) before
+    the first row; x and P are the estimates of the rows; log f (m,) is that of the start. Times are compared to a
+    millionth of a horizon.
+
+    Returns the predictions that a fix checks, and those that any row makes of what is measured `seconds` later, as
+    lists of namespaces, and log f at the end.
+    """
+    log_f, average, waiting, checked, at_rows, fix_times = np.array(log_f), 1.0, [], [], [], []
+    little, last = 1e-6 * seconds, start
+    for k in range(len(z)):
+        seen = ~np.isnan(z[k])
+        if seen.any():
+            for each in [each for each in waiting if t[k] - each.t >= seconds - little]:
+                waiting.remove(each)
+                if t[k] - each.t > 1.5 * seconds + little:
+                    continue
+                F, Q = over(t[k] - each.t)
+                each.errors = z[k] - H @ F @ each.x
+                each.sigma = np.sqrt(np.diag(H @ (F @ each.P @ F.T + Q) @ H.T + Rs[k]))
+                each.half_width = each.f * each.c * each.sigma
+                each.due_row, each.fixes = k, len(fix_times) - each.fix
+                # The factor learns from half-widths of that time, but of a mobile that rests nothing.
+                each.rests = all(a == b or (np.isnan(a) and np.isnan(b)) for a, b in zip(z[k], each.z, strict=True))
+                for i in np.flatnonzero(seen):
+                    if not each.rests:
+                        missed = abs(each.errors[i]) > each.half_width[i]
+                        log_f[i] += 0.5 / max(5, each.fixes) * (missed - (1 - level))
+                checked.append(each)
+            within = sum(other >= t[k] - seconds - little for other in fix_times)
+            F, Q = over(t[k] - last[0])
+            new, S = z[k] - H @ F @ last[1], H @ (F @ last[2] @ F.T + Q) @ H.T + Rs[k]
+            nis = new[seen] @ np.linalg.inv(S[np.ix_(seen, seen)]) @ new[seen] / seen.sum()
+            average += (min(nis, 50.0) - average) / max(5, within)
+        made = {"t": t[k], "x": x[k], "P": P[k], "f": np.exp(log_f), "c": np.sqrt(0.2 + 0.8 * average)}
+        F, Q = over(seconds)
+        sigma = np.sqrt(np.diag(H @ (F @ P[k] @ F.T + Q) @ H.T + np.where(np.outer(seen, seen), Rs[k], R)))
+        at_rows.append(SimpleNamespace(position=H @ F @ x[k], half_width=made["f"] * made["c"] * sigma))
+        if seen.any():
+            waiting.append(SimpleNamespace(**made, row=k, fix=len(fix_times), z=z[k]))
+            fix_times.append(t[k])
+        last = t[k], x[k], P[k]
+    checked.sort(key=lambda each: each.row)
+    return checked, at_rows, log_f

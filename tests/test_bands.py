@@ -394,6 +394,37 @@ def test_coverage_and_score_leave_out_what_was_not_measured():
     np.testing.assert_allclose(interval_score(a, a.sigma), [2 + 40 * 0.2, 2])
 
 
+def test_coverage_and_score_leave_out_what_has_no_band_and_say_how_much():
+    """Also where an error is missing as well, which is no statement left out."""
+    errors = np.zeros((100, 2))
+    errors[:10], errors[10:20, 0] = 2.0, np.nan
+    a = an_ahead(errors)
+    band = a.sigma.copy()
+    band[:5, 0] = band[15:30, 0] = band[95:, 1] = np.nan
+    stated = np.arange(100) % 4 > 0
+    for where in (None, stated):
+        these = np.ones(100, bool) if where is None else where
+        there = np.isfinite(errors) & these[:, None]
+        missed = [np.mean(errors[there[:, i] & np.isfinite(band[:, i]), i] > 1) for i in (0, 1)]
+        count = (there & np.isnan(band)).sum()
+        with pytest.warns(UserWarning, match=f"coverage: left out {count} of {there.sum()} errors") as told:
+            found = coverage(a, band, where)
+        assert told[0].filename == __file__
+        np.testing.assert_allclose(found.share, 1 - np.array(missed))
+        assert found.independent == (there & np.isfinite(band)).sum(axis=0).min()
+        with pytest.warns(UserWarning, match=f"interval_score: left out {count} of"):
+            score = interval_score(a, band, where=where)
+        np.testing.assert_allclose(score, 2 + 40 * np.array(missed))
+    band[:, 1] = np.nan
+    for judge in (coverage, interval_score):
+        with pytest.raises(
+            ValueError, match="band: needs a half-width of at least one checked prediction on each axis"
+        ):
+            judge(a, band)
+        with pytest.raises(ValueError, match=r"band: needs half-widths that are not negative, .* got -1"):
+            judge(a, -a.sigma)
+
+
 @pytest.mark.parametrize("r", [np.nan, -1.0])
 def test_a_measurement_that_is_missing_needs_no_variance(r):
     """Its sigma is that of the model's noise, as in `innovations`; it made every sigma of a placebo NaN."""
