@@ -313,12 +313,13 @@ def test_the_operations_of_the_table_of_times_are_those_of_the_article(monkeypat
     np.testing.assert_allclose(columns[1], P[:2, :2], atol=1e-12)
 
 
-def test_the_gain_settles_when_the_article_says():
+def test_the_gain_settles_when_the_article_says(settled):
     """Both entries of K, from both starts; the limit is reached long before second 60."""
     says("From the ninth second on $K$ stays within 1 % of its last value")
     last_off = []
     for P0 in (np.zeros((2, 2)), 100 * np.eye(2)):
         K = article.gains(P0, 60)
+        np.testing.assert_allclose(K[-1], settled[1][:, 0], rtol=1e-6)
         off = np.abs(K / K[-1] - 1).max(axis=1)
         last_off.append(1 + int(np.flatnonzero(off > 0.01).max()))
     assert max(last_off) + 1 == 9
@@ -434,6 +435,20 @@ def test_axes_kept_apart_state_a_true_sigma_when_their_errors_go_together():
     np.testing.assert_allclose(
         article.losses_apart([1, 1], 0.9)[0], 100 * (np.sqrt(np.diag(true) / np.diag(best))[:2] - 1), rtol=1e-6
     )
+
+
+def test_the_other_axes_tell_of_a_silent_one_if_they_are_pushed_together():
+    """Six states, by the three lines of the article; z counts for nothing because its variance is 1e9."""
+    eye, pushed = np.eye(3), 0.9 + 0.1 * np.eye(3)
+    F6, H6, Q6 = (
+        np.kron(first, second) for first, second in ((eye, F), (eye, article.AXIS.H), (pushed, article.AXIS.Q))
+    )
+    P = np.zeros((6, 6))
+    for k in range(90):
+        P = F6 @ P @ F6.T + Q6
+        K = P @ H6.T @ np.linalg.inv(H6 @ P @ H6.T + np.diag([0.1, 0.1, 0.1 if k < 60 else 1e9]))
+        P = P - K @ H6 @ P
+    assert np.sqrt(P[4, 4]) == pytest.approx(article.silent_in_company(0.9), rel=1e-6)
 
 
 def test_the_estimates_of_axes_apart_are_those_of_one_filter_only_for_a_start_in_blocks():
