@@ -1,11 +1,12 @@
-"""The drawings of the notebook on 2015, and the answers to its exercises."""
+"""The drawings of the notebook on 2015, the numbers of its side matters, and the answers to its exercises."""
 
 import numpy as np
 from matplotlib.colors import ListedColormap
 
-from mpt_helpers import plots
+from mpt_helpers import metrics, plots
 from mpt_helpers.filters import KalmanFilter
 from mpt_helpers.model import LinearModel, gsm_axis, simulate, stack
+from mpt_helpers.steady import SteadyStateFilter
 
 PAPER = gsm_axis(dt=1.0, q=0.01, r=0.1)  # the paper's example: H = [1 1], the position one step ahead
 AXIS = LinearModel(F=PAPER.F, H=[[1, 0]], Q=PAPER.Q, R=PAPER.R)  # the same axis, measured where it is
@@ -25,19 +26,21 @@ def draw_covariance():
     """Return a figure of the entries of P, (6, 6): which are zero, and the numbers of the others."""
     P = covariance()
     names = [rf"${kind}_{axis}$" for axis in "xyz" for kind in "sv"]
+    plots.use_style()
     fig, ax = plots.panels([["P"]], height=4.3)
     ax["P"].imshow(P != 0, cmap=ListedColormap(["white", KALMAN]), alpha=0.25)
     for i, j in np.ndindex(P.shape):
-        text = f"{P[i, j]:.3f}" if P[i, j] else "0"
+        text = f"{P[i, j]:.4f}" if P[i, j] else "0"
         ax["P"].text(j, i, text, ha="center", va="center", color="black" if P[i, j] else "0.6")
     ax["P"].set_xticks(range(6), names)
     ax["P"].set_yticks(range(6), names)
     ax["P"].tick_params(length=0, top=False, labeltop=True, bottom=False, labelbottom=False)
-    ax["P"].set_xticks(np.arange(7) - 0.5, minor=True)
-    ax["P"].set_yticks(np.arange(7) - 0.5, minor=True)
-    ax["P"].tick_params(which="minor", length=0)
     ax["P"].grid(False)
-    ax["P"].grid(which="minor", color="0.8")
+    edges = np.arange(len(P) + 1) - 0.5
+    ax["P"].hlines(edges, edges[0], edges[-1], color="0.8", lw=0.8, clip_on=False)
+    ax["P"].vlines(edges, edges[0], edges[-1], color="0.8", lw=0.8, clip_on=False)
+    ax["P"].set_xlim(edges[0], edges[-1])
+    ax["P"].set_ylim(edges[-1], edges[0])
     ax["P"].spines[:].set_visible(False)
     zeros = np.count_nonzero(P == 0)
     ax["P"].set_title(f"{zeros} of {P.size} entries are zero,\nand the three blocks are equal")
@@ -67,24 +70,31 @@ def in_one_line(x, columns):
 
 
 def draw_lost_axis(last=30):
-    """Return a figure of the errors on x, which is measured, and on z, which falls silent: phones, and twice sigma."""
+    """Return a figure of the errors on x, which is measured, and on z, which falls silent: phones, and twice sigma.
+
+    Both panels have the same scale; x lies so close to zero there that an inset shows it again, magnified.
+    """
     errors, sigma = silent_phones(last=last)
     k = np.arange(1, len(errors) + 1)
-    fig, ax = plots.panels([["x"], ["z"]], height=2.1)
-    titles = {"x": "error of x, measured all the time (m)", "z": "error of z, silent from second 31 on (m)"}
-    for name, i in (("x", 0), ("z", 2)):
+    plots.use_style()
+    fig, ax = plots.panels([["x"], ["z"]], height=2.3)
+    inset = fig.add_axes([0.21, 0.758, 0.49, 0.115])  # in parts of the figure
+    for panel, i in ((ax["x"], 0), (ax["z"], 2), (inset, 0)):
         lines = in_one_line(k, errors[:, i])
-        ax[name].plot(*lines, color=KALMAN, lw=0.6, alpha=0.6, label=f"{errors.shape[2]} phones")
+        panel.plot(*lines, color=KALMAN, lw=0.6, alpha=0.6)
         band = in_one_line(k, np.column_stack([2 * sigma[:, i], -2 * sigma[:, i]]))
-        ax[name].plot(*band, color="black", lw=1.4, label="twice σ, as stated")
-        ax[name].set_ylim(-32, 32)
-        plots.finish(ax[name], "", titles[name])
-        ax[name].get_legend().remove()
-    ax["x"].annotate(f"2σ = {2 * sigma[-1, 0]:.2f} m", (k[-1], 3), ha="right", va="bottom")
-    ax["z"].annotate(f"2σ = {2 * sigma[-1, 2]:.0f} m", (k[-1] - 4, 24), ha="right", va="bottom")
-    ax["z"].axvline(last, color="0.5", ls=":", label="last measurement")
-    ax["z"].annotate("last measurement", (last - 1, -28), ha="right", va="bottom", color="0.3")
-    ax["z"].set_xlabel("second")
+        panel.plot(*band, color="black", lw=1.4)
+        panel.set_ylim(-36, 36)
+    inset.set_ylim(-1, 1)
+    inset.set_yticks([-1, 0, 1])
+    inset.set_xticks([])
+    plots.finish(ax["x"], "", "error of x, measured all the time (m)")
+    plots.finish(ax["z"], "second", f"error of z, silent from second {last + 1} on (m)")
+    ax["x"].annotate(f"σ = {sigma[-1, 0]:.2f} m", (k[-1], -6), ha="right", va="top")
+    ax["x"].annotate("the same,\nmagnified", (k[-1], 33), ha="right", va="top", color="0.3", fontsize="small")
+    ax["z"].annotate(f"σ = {sigma[-1, 2]:.1f} m,\nblack: ± 2σ", (k[-1] - 12, 32), ha="right", va="top")
+    ax["z"].axvline(last, color="0.5", ls=":")
+    ax["z"].annotate("last measurement", (last - 1, -32), ha="right", va="bottom", color="0.3")
     fig.suptitle("Thirty seconds of silence cost 10 m", x=0.02, ha="left", weight="bold")
     return fig
 
@@ -94,6 +104,7 @@ def draw_fig1(kf, sskf, sigma, shown=15):
 
     kf and sskf are the estimates (N, 6) of both groups, sigma (2,) of the settled filter: position and velocity.
     """
+    plots.use_style()
     fig, ax = plots.panels([["position", "velocity"], ["position gap", "velocity gap"]], height=2.3)
     k = np.arange(1, len(kf) + 1)
     for i, (name, unit) in enumerate({"position": "m", "velocity": "m/s"}.items()):
@@ -112,6 +123,119 @@ def draw_fig1(kf, sskf, sigma, shown=15):
     names = ["KF/LF/JKLF", "SSKF/SSLF/JSSKLF"]
     fig.legend([*solid, *dashed], names, loc="outside lower center", ncols=2)
     return fig
+
+
+def started(P0):
+    """Return AXIS with a start of covariance P0 (2, 2)."""
+    return LinearModel(F=AXIS.F, H=AXIS.H, Q=AXIS.Q, R=AXIS.R, P0=P0)
+
+
+def gains(P0, steps):
+    """Return the gain K of each step from a start of covariance P0, (steps, 2): for the position and the velocity.
+
+    >>> gains(np.zeros((2, 2)), 60)[-1].round(3)
+    array([0.546, 0.213])
+    """
+    P = KalmanFilter(started(P0)).covariances(steps)
+    return P[:, :, 0] / AXIS.R[0, 0]  # K = P Hᵀ / r with the corrected P
+
+
+def sigma_of_both(P0, steps):
+    """Return sigma of the position (steps,) with the gain that varies, and with the settled gain from the first step.
+
+    >>> best, constant = sigma_of_both(np.zeros((2, 2)), 60)
+    >>> print(f"{best[0]:.3f} {constant[0]:.3f} {best[-1]:.3f} {constant[-1]:.3f}")
+    0.049 0.174 0.234 0.234
+    """
+    model = started(P0)
+    best = KalmanFilter(model).covariances(steps)
+    constant = metrics.error_moments(SteadyStateFilter.from_kalman(AXIS), model, steps).covariance
+    return np.sqrt(best[:, 0, 0]), np.sqrt(constant[:, 0, 0])
+
+
+def losses_apart(sizes, c):
+    """Return what axes kept apart lose to one filter, in percent (axes, 2): sigma of position and velocity.
+
+    The measurement errors of all axes have the correlation c, and sizes (axes,) times sigma of AXIS.
+
+    >>> losses_apart([1, 1], c=0.5).round(1)
+    array([[1. , 1.6],
+           [1. , 1.6]])
+    """
+    sizes, identity = np.asarray(sizes, float), np.eye(len(sizes))
+    R = AXIS.R[0, 0] * np.outer(sizes, sizes) * (c + (1 - c) * identity)
+    F, H, Q = (np.kron(identity, each) for each in (AXIS.F, AXIS.H, AXIS.Q))
+    together = SteadyStateFilter.from_kalman(LinearModel(F=F, H=H, Q=Q, R=R)).P
+    apart = SteadyStateFilter.from_kalman(LinearModel(F=F, H=H, Q=Q, R=R * identity)).P
+    return 100 * (np.sqrt(np.diag(apart) / np.diag(together)) - 1).reshape(-1, 2)
+
+
+def silent_in_company(c, seconds=30):
+    """Return sigma of z after so many seconds of its silence, where random changes of all axes have the correlation c.
+
+    >>> round(silent_in_company(0.0), 1)
+    10.5
+    """
+    axes = c + (1 - c) * np.eye(3)
+    F, H, R = (np.kron(np.eye(3), each) for each in (AXIS.F, AXIS.H, AXIS.R))
+    measured = np.zeros((60 + seconds, 3))  # sixty steps settle the filter; P does not depend on what is measured
+    measured[60:, 2] = np.nan
+    P = KalmanFilter(LinearModel(F=F, H=H, Q=np.kron(axes, AXIS.Q), R=R)).covariances(measured)
+    return float(np.sqrt(P[-1, 4, 4]))
+
+
+def first_after(missed):
+    """Return sigma of the position at the first fix after so many missed ones: (gain from P, the settled gain).
+
+    >>> best, constant = first_after(10)
+    >>> print(f"{best:.2f} {constant:.2f}")
+    0.31 1.25
+    """
+    steady = SteadyStateFilter.from_kalman(AXIS)
+    P = steady.P
+    for _ in range(missed):
+        P = AXIS.F @ P @ AXIS.F.T + AXIS.Q
+    best, constant = sigma_of_both(P, 1)
+    return float(best[0]), float(constant[0])
+
+
+def sigma_if_errors_last(c, steps=1000):
+    """Return sigma of the position that the settled filter makes if measurement errors follow each other by c.
+
+    Each error is c times the one before and a new part, with the variance of AXIS in all. Their state joins that of
+    the filter's error: e(k+1) = A e(k) + (I - K H) w - K v.
+
+    >>> round(sigma_if_errors_last(0.0), 3)
+    0.234
+    """
+    steady = SteadyStateFilter.from_kalman(AXIS)
+    r, K, kept = AXIS.R[0, 0], steady.B, np.eye(2) - steady.B @ AXIS.H
+    fresh = r * (1 - c**2)
+    moves = np.block([[steady.A, -c * K], [np.zeros((1, 2)), np.array([[c]])]])
+    noise = np.zeros((3, 3))
+    noise[:2, :2] = kept @ AXIS.Q @ kept.T
+    enters = np.vstack([-K, [[1.0]]])
+    noise += fresh * enters @ enters.T
+    P = np.zeros((3, 3))
+    for _ in range(steps):
+        P = moves @ P @ moves.T + noise
+    return float(np.sqrt(P[0, 0]))
+
+
+def sigma_predicted_once_more():
+    """Return sigma of the position F x, where x is the estimate of the paper's filter fed with present positions.
+
+    Its H is [1 0] F. So F x = F A x + F B z runs like a filter with H = [1 0] and the gain F B.
+
+    >>> round(sigma_predicted_once_more(), 3)
+    0.234
+    """
+    K = AXIS.F @ SteadyStateFilter.from_kalman(PAPER).B
+    kept = np.eye(2) - K @ AXIS.H
+    P = np.zeros((2, 2))
+    for _ in range(1000):
+        P = kept @ (AXIS.F @ P @ AXIS.F.T + AXIS.Q) @ kept.T + K @ AXIS.R @ K.T
+    return float(np.sqrt(P[0, 0]))
 
 
 def sigma_after(seconds):
@@ -152,7 +276,8 @@ def answer_step(step):
         ("x", "P"), right, mine, (". P comes after x.", ". Your x is right."), strict=True
     ):
         if np.shape(theirs) != ours.shape:
-            return f"not quite: {name} should have the shape {ours.shape}, yours has {np.shape(theirs)}"
+            hint = ". A gain of shape (2, 1) is a column: K[:, 0] fits x." if np.shape(theirs) == (2, 2) else ""
+            return f"not quite: {name} should have the shape {ours.shape}, yours has {np.shape(theirs)}{hint}"
         if not np.allclose(theirs, ours, atol=1e-9):
             return f"not quite: {name} should be {written(ours)}, yours is {written(theirs)}{after}"
     return "right: x and P are those of the filter"
