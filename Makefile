@@ -3,6 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
 BENCH := .venv-bench
+# What to do where pip cannot install, in one line after its own.
+NOT_INSTALLED := error: pip could not install environment.lock. No connection, or versions: none? Set HTTPS_PROXY or \
+	PIP_INDEX_URL. No matching distribution among others? Python 3.11 to 3.13 were tried: make PYTHON=python3.13. \
+	Hashes that do not match? The index has other files than PyPI: take another
 NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 
 .PHONY: reproduce test nbval site site-test build extras bench clock mutants seeds test-all workflows lock
@@ -81,6 +85,7 @@ lock: $(VENV)/.ok
 $(VENV)/.ok: environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, this is {sys.version}: make PYTHON=...")'
 	$(PYTHON) -m venv --clear $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock
+	@$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock \
+		|| { echo "$(NOT_INSTALLED)" >&2; exit 1; }
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@

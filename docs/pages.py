@@ -41,7 +41,7 @@ BUILD = DOCS / "_build"
 # es5/tex-svg.js of MathJax 3.2.2, as in the package `mathjax` of the npm registry.
 MATHJAX = "sphinx-mathjax-offline", "sphinx-mathjax-offline/static/mathjax/tex-svg.js"
 MATHJAX_SHA256 = "d4295dc33744836935c1399feece5159577b34c5c8ffb9f1c6324cd82e03a882"
-SAVED = re.compile(r'save_figure\(\w+, "(\w+)"\)')
+SAVED = re.compile(r'save_figure\([^"]+, "(\w+)"\)')
 # More verdicts than this that share their table, outcome and cause become one row, or one chip, that opens.
 FOLD = 4
 PART_2 = re.compile(r"(?m)^## Part II\b")

@@ -73,7 +73,7 @@ def pytest_collectstart(collector):
 def pytest_runtest_call(item):
     """Run a test; if it is a cell, compare the files of its figures with the committed ones."""
     result = yield
-    names = re.findall(r'save_figure\(\w+, "(\w+)"\)', item.cell.source) if is_cell(item) else []
+    names = re.findall(r'save_figure\([^"]+, "(\w+)"\)', item.cell.source) if is_cell(item) else []
     for name in names:
         for file in (f"{name}.png", f"{name}.svg"):
             drawn, committed = Path(os.environ[DRAWN], file), item.path.parents[1] / "figures" / file

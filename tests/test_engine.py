@@ -8,11 +8,8 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import AXIS, dense_model
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from oracles import gaussian_conditioning_of_steps, gaussian_log_density, matrices
 from scipy.optimize import minimize
-from test_properties import EPS, condition, models, seeds
 
 import mpt_helpers as mpt
 from mpt_helpers import engine, metrics, recursive, steps
@@ -20,7 +17,6 @@ from mpt_helpers.equations import square_root
 from mpt_helpers.steps import recursion
 
 MAKERS = {"cv": mpt.constant_velocity, "ca": mpt.constant_acceleration}
-few = settings(max_examples=10)
 
 
 def start(make, **given):
@@ -223,40 +219,6 @@ def test_pieces_fit_together_along_sums_of_states_too():
         states.append(x)
     off = np.abs(both.x - states) / np.sqrt(np.einsum("kii->ki", both.P))
     assert off.max() < 5e-5  # each of them errs by 1e-6
-
-
-@few
-@given(models(most=4), seeds, st.sampled_from([(0.0, 0.0), (0.2, 0.0), (0.1, 0.2)]))
-def test_all_ways_to_an_estimate_agree(model, seed, gaps):
-    """All functions that make one, alone and among others, to 1e-9 sigma; innovations."""
-    kf = mpt.KalmanFilter(model)
-    z = gappy(model, np.random.default_rng(seed), 80, 3, *gaps)
-    z[:, :, 0] = np.nan_to_num(z[:, :, 0])  # a track without gaps among those with
-    together, allowed = kf.estimates(z), 1e-9 + EPS * condition(model)
-    for i in range(3):
-        alone = kf.estimates(z[..., i])
-        sigma = np.sqrt(np.maximum(np.einsum("kii->ki", alone.P), np.finfo(float).tiny))
-        x, P, one_by_one = model.x0, model.P0, []
-        for z_k in z[..., i]:
-            x, P = kf.step(x, P, z_k)
-            one_by_one.append((x, P))
-        epochs = kf.epochs_of(z[:, :, i, None])
-        rows = engine.start_on_columns(kf, epochs.layout.rows(epochs))
-        in_sequence = [(x[: model.n, 0, 0], P[: model.n, : model.n, 0]) for x, P, _ in engine.in_sequence(*rows)]
-        ways = [[np.array(each) for each in zip(*way, strict=True)] for way in (one_by_one, in_sequence)]
-        ways += [(together.x[..., i], together.P[..., i]), (kf.filter(z)[..., i], kf.covariances(z)[..., i])]
-        ways += [(kf.filter(z[..., i]), kf.covariances(z[..., i]))]
-        # Or some fifty roundings of the largest state: a track takes 80 steps of some ten products.
-        scale = np.maximum(sigma, np.abs(alone.x).max() * 1e-5)
-        for x, P in ways:
-            assert (np.abs(x - alone.x) <= allowed * scale).all()
-            assert (np.abs(P - alone.P) <= allowed * np.abs(alone.P).max()).all()
-        before = np.vstack([model.x0, alone.x[:-1]])
-        expected = z[..., i] - before @ (model.H @ model.F).T
-        # Of a model that is unstable the states grow, and with them the rounding of their differences.
-        rounding = 100 * EPS * np.abs(alone.x).max()
-        ours = metrics.innovations(kf, z).values[..., i]
-        np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-8 + rounding)
 
 
 @pytest.mark.parametrize("make", [mpt.KalmanFilter, mpt.LainiotisFilter])

@@ -28,7 +28,7 @@ def outputs(cells):
 
 
 def figure_names(cells):
-    return re.findall(r'save_figure\(\w+, "(\w+)"\)', "\n".join(map(source, code(cells))))
+    return re.findall(r'save_figure\([^"]+, "(\w+)"\)', "\n".join(map(source, code(cells))))
 
 
 def ledger_cells(cells):

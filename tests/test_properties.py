@@ -34,6 +34,7 @@ def all_filters(test):
 
 
 seeds = st.integers(0, 2**32 - 1)
+few = settings(max_examples=10)  # of what `test_paths` looks at too, under more conditions
 
 
 def rotation(rng, n):
@@ -118,6 +119,7 @@ def assert_same(ours, theirs, condition, axis=None):
     assert gap <= EPS * condition, f"{gap:.1e} is more than {EPS * condition:.1e}"
 
 
+@few
 @given(models(), seeds)
 def test_lainiotis_equals_kalman(model, seed):
     z = measured(model, seed, missed=0.2)
@@ -127,6 +129,7 @@ def test_lainiotis_equals_kalman(model, seed):
         assert_same(ours, theirs, condition(model))
 
 
+@few
 @given(models(), seeds)
 def test_missed_epochs_are_predicted_only(model, seed):
     z = measured(model, seed, missed=0.4)
@@ -141,6 +144,7 @@ def test_missed_epochs_are_predicted_only(model, seed):
 
 
 @pytest.mark.parametrize("make", [*FILTERS, *SOLVED])
+@few
 @given(models(most=4), models(most=4), seeds)
 def test_separate_filters_are_one_of_the_stacked_model(make, first, second, seed):
     both = mpt.stack(first, second)
@@ -159,6 +163,7 @@ def test_steady_state_is_the_limit_of_the_recursion(model):
             assert_same(ours, theirs, condition(model))
 
 
+@few
 @given(models(), seeds, st.integers(0, 6))
 def test_predictor_is_the_propagated_estimate(model, seed, steps):
     z = measured(model, seed, missed=0.2)
