@@ -393,12 +393,10 @@ def test_settled_sigma_is_that_of_a_loop(key, noise, dt):
     np.testing.assert_allclose(sigma, [sigma_by_hand(key, each, dt, noise) for each in (0, 1, 5)], rtol=1e-6)
 
 
-def test_the_table_has_the_printed_numbers_and_sigma_beside_them():
+def test_the_table_of_sigma_has_the_numbers_of_loops():
     header, rows = article.sigma_table()
     assert len(header) == 7
-    assert [float(each) for each in rows[0][1:]] == list(table1.PRINTED["cv"])
-    assert [float(each) for each in rows[3][1:]] == list(table1.PRINTED["ca"])
-    for i, (key, noise) in {1: ("cv", 0), 2: ("cv", 1), 4: ("ca", 0), 5: ("ca", 1)}.items():
+    for i, (key, noise) in {0: ("cv", 0), 1: ("cv", 1), 2: ("ca", 0), 3: ("ca", 1)}.items():
         by_hand = [sigma_by_hand(key, N, 1.0, noise) for N in range(6)]
         np.testing.assert_allclose([float(each) for each in rows[i][1:]], by_hand, atol=0.0005)
 
@@ -432,8 +430,6 @@ def test_a_mobile_that_accelerates_leaves_the_filter_of_constant_velocity_behind
     says(f"The filter of constant velocity lags by {now:.1f} m, and its prediction by {ahead:.0f} m")
     np.testing.assert_allclose(lag["ca"], 0, atol=1e-6)  # positions of 45,000 m, with some ten digits
     position, velocity = COLUMNS["cv"].steady.B[:, 0]
-    says(f"it grows by {velocity:.3f} times the surprise. So the surprise must be {1 / velocity:.1f} m")
-    says(f"The correction takes {position:.3f} of it away, and {(1 - position) / velocity:.1f} m are left")
     assert now == pytest.approx((1 - position) / velocity)
     third, without = (article.settled_sigma(COLUMNS[name], [5])[0] for name in ("ca", "cv"))
     says(f"σ five seconds ahead is {third:.2f} m with it and {without:.2f} m without")

@@ -80,15 +80,17 @@ def settled_sigma(column, seconds, noise=0.0):
 
 
 def sigma_table():
-    """Return header and rows of the table to print instead: σ in metres, beside the printed numbers."""
+    """Return header and rows of the table to print instead of Table 1: σ in metres."""
     seconds = np.arange(table1.LARGEST_N + 1)
-    header = ["error of the position", "now", *(f"{ahead} s ahead" for ahead in seconds[1:])]
+    header = ["σ of the position (m)", "now", *(f"{ahead} s ahead" for ahead in seconds[1:])]
     rows = []
     for key, column in table1.columns().items():
         rows += [
-            [f"{table1.NAMES[key]}: printed in Table 1 (%)", *(f"{value:.4f}" for value in column.printed)],
-            ["σ, exact motion (m)", *(f"{value:.3f}" for value in settled_sigma(column, seconds))],
-            ["σ, with process noise (m)", *(f"{value:.3f}" for value in settled_sigma(column, seconds, noise=1.0))],
+            [f"{table1.NAMES[key]}, exact motion", *(f"{value:.3f}" for value in settled_sigma(column, seconds))],
+            [
+                f"{table1.NAMES[key]}, with process noise",
+                *(f"{value:.3f}" for value in settled_sigma(column, seconds, noise=1.0)),
+            ],
         ]
     return header, rows
 
