@@ -80,15 +80,17 @@ def settled_sigma(column, seconds, noise=0.0):
 
 
 def sigma_table():
-    """Return header and rows of the table to print instead: σ in metres, beside the printed numbers."""
+    """Return header and rows of the table to print instead of Table 1: σ in metres."""
     seconds = np.arange(table1.LARGEST_N + 1)
-    header = ["error of the position", "now", *(f"{ahead} s ahead" for ahead in seconds[1:])]
+    header = ["σ of the position (m)", "now", *(f"{ahead} s ahead" for ahead in seconds[1:])]
     rows = []
     for key, column in table1.columns().items():
         rows += [
-            [f"{table1.NAMES[key]}: printed in Table 1 (%)", *(f"{value:.4f}" for value in column.printed)],
-            ["σ, exact motion (m)", *(f"{value:.3f}" for value in settled_sigma(column, seconds))],
-            ["σ, with process noise (m)", *(f"{value:.3f}" for value in settled_sigma(column, seconds, noise=1.0))],
+            [f"{table1.NAMES[key]}, exact motion", *(f"{value:.3f}" for value in settled_sigma(column, seconds))],
+            [
+                f"{table1.NAMES[key]}, with process noise",
+                *(f"{value:.3f}" for value in settled_sigma(column, seconds, noise=1.0)),
+            ],
         ]
     return header, rows
 
@@ -107,12 +109,16 @@ def steps_to_freeze(model, within=0.02):
 
 
 def freeze_table():
-    """Return header and rows of the table of steps after which a gain may be frozen, for worse and worse sensors."""
-    header = ["σ of one measurement (m)", *(table1.NAMES[key] for key in table1.MODELS)]
+    """Return header and rows of the table of steps after which a gain may be frozen.
+
+    In units of the time step and of σ of a measurement, the models have no parameter but q Δt³ / R (constant velocity)
+    or q Δt⁵ / R (constant acceleration). So one column serves every q, Δt and R.
+    """
+    header = ["q Δt³ / R, or q Δt⁵ / R", *(f"{table1.NAMES[key]}: from step" for key in table1.MODELS)]
     rows = []
-    for r in (0.1, 1.0, 10.0, 100.0):
-        steps = [steps_to_freeze(make(table1.DT, table1.Q, r)) for make in table1.MODELS.values()]
-        rows.append([f"{np.sqrt(r):.2g}", *steps])
+    for ratio in (0.1, 0.01, 0.001, 0.0001):
+        steps = [steps_to_freeze(make(1.0, table1.Q, table1.Q / ratio)) for make in table1.MODELS.values()]
+        rows.append([f"{ratio:g}", *steps])
     return header, rows
 
 
@@ -127,8 +133,9 @@ def positions_ahead(x, dt, steps):
     s, v, *rest = x
     way = v * dt
     if rest:
+        way = way + rest[0] * (dt**2 / 2)
+    if rest and steps > 1:
         longer = rest[0] * dt**2  # the way of each step is longer by this than that of the step before
-        way = way + longer * 0.5
     positions = []
     for N in range(1, steps + 1):
         s = s + way
@@ -138,26 +145,35 @@ def positions_ahead(x, dt, steps):
     return positions
 
 
+def frozen_step(x, K, z, dt):
+    """Return the next estimate [s v] or [s v a]: predict, then correct, written out without products with 0 and 1.
+
+    >>> frozen_step([0.0, 2.0], [0.5, 0.25], z=4.0, dt=1.0)
+    [3.0, 2.5]
+    """
+    s, v, *rest = x
+    if rest:
+        (a,) = rest
+        predicted = [s + v * dt + a * (dt**2 / 2), v + a * dt, a]
+    else:
+        predicted = [s + v * dt, v]
+    surprise = z - predicted[0]
+    return [each + gain * surprise for each, gain in zip(predicted, K, strict=True)]
+
+
 def cost_table():
-    """Return header and rows of the table of operations per step, counted as in the paper's Table 2."""
-    five = table1.LARGEST_N
-    adding = {2: 1 + five, 3: 4 + five + (five - 1)}  # what `positions_ahead` multiplies and adds
-    one = {2: 1 + 1, 3: 4 + 1}
+    """Return header and rows of the table of operations per step."""
+    written_out = {2: 7, 3: 13}  # what `frozen_step` multiplies and adds
+    one = {2: 2, 3: 4}  # a position any number of steps ahead: N Δt and (N Δt)² / 2 are constants
+    five = {2: 1 + 5, 3: 4 + 5 + 4}  # what `positions_ahead` multiplies and adds
     rows = {}
     for n in (2, 3):
-        filtering = burden.total(burden.steady_state(n, 1))
-        predictor = burden.total(burden.prediction(n, 1))
-        row = burden.product(1, n, 1)
         counts = {
-            "estimate, Kalman filter": burden.total(burden.kalman(n, 1)),
-            "estimate, constant gain": filtering,
-            "one prediction, without an estimate: the paper's predictor": predictor,
-            "estimate and one prediction: adding the way": filtering + one[n],
-            "estimate and one prediction: a row times the estimate": filtering + row,
-            "estimate and one prediction: filter and predictor": filtering + predictor,
-            "estimate and five: adding the way again and again": filtering + adding[n],
-            "estimate and five: five rows times the estimate": filtering + five * row,
-            "estimate and five: filter and five predictors": filtering + five * predictor,
+            "Kalman filter, its gain varies": burden.total(burden.kalman(n, 1)),
+            "the paper's line, or one of its predictors": burden.total(burden.steady_state(n, 1)),
+            "the two frozen lines of track, written out": written_out[n],
+            "the same, and any one prediction": written_out[n] + one[n],
+            "the same, and the next five predictions": written_out[n] + five[n],
         }
         for what, count in counts.items():
             rows.setdefault(what, []).append(count)
@@ -171,24 +187,6 @@ def percent_of_position(column):
         error = table1.expected_absolute(*table1.mean_and_variance(column, axis, STEPS))
         each.append(100 * error[0] / column.positions(axis, STEPS)[0])
     return np.mean(each, axis=0)
-
-
-def effects_table():
-    """Return header and rows of the table of the two effects that enlarge Table 1."""
-    header = ["in the first ten steps", "error that never changes", "the paper's filter", "numbers, had it settled"]
-    rows = []
-    for key, column in table1.columns().items():
-        flat, own = [], []
-        for axis in (0, 1):
-            positions = column.positions(axis, STEPS)
-            error = table1.expected_absolute(*table1.mean_and_variance(column, axis, STEPS))
-            flat.append(table1.share_of_the_start(1 / positions))
-            own.append(table1.share_of_the_start(error / positions))
-        factor = table1.of_both_axes(column, STEPS) / table1.settled_averages(column, STEPS)
-        flat, own = 100 * np.array(flat), 100 * np.array(own)
-        shares = [f"{flat.min():.0f} to {flat.max():.0f} %", f"{own.min():.0f} to {own.max():.0f} %"]
-        rows.append([table1.NAMES[key], *shares, f"{factor.min():.1f} to {factor.max():.1f} times smaller"])
-    return header, rows
 
 
 def draw_start(steps=25):
@@ -208,6 +206,9 @@ def draw_start(steps=25):
     ax.set_yticks([0.1, 0.3, 1, 3, 10], ["0.1", "0.3", "1", "3", "10"])
     ax.minorticks_off()
     plots.label_line(frozen, f"frozen at once: {rms['steady'].max():.0f} m off", at=4, xytext=(8, 2))
+    zero = rms["steady"][:10].argmin()
+    ax.annotate("its error passes\nthrough zero", (k[zero], rms["steady"][zero]), (2, 52), textcoords="offset points",
+                color=frozen.get_color(), arrowprops={"arrowstyle": "-", "color": "0.6", "relpos": (0, 0)})  # fmt: skip
     plots.label_line(varying, f"the gain varies first: settles at {rms['kalman'][-1]:.2f} m", at=5, xytext=(0, -26))
     ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(table1.R)), (0, 5), textcoords="offset points", ha="right",
                 color=measured.get_color())  # fmt: skip
@@ -218,64 +219,49 @@ def draw_start(steps=25):
 
 
 def draw_sum():
-    """Return a figure of the running sum whose last value, divided by 10,000, is a number of Table 1."""
-    fig, axes = plots.panels([["sum"]], height=3.2)
-    ax = axes["sum"]
+    """Return a figure of the running sum whose last value, divided by 10,000, is the first number of Table 1."""
+    fig, ax = plots.panels([["start", "all"]], height=3.0)
     k = np.arange(1, STEPS + 1)
-    some = np.unique(np.geomspace(1, STEPS, 60).astype(int)) - 1  # enough points for a smooth line
-    ax.axvspan(1, 10, color="0.93", lw=0)
-    for (key, column), style in zip(table1.columns().items(), ("-", "--"), strict=True):
-        total = percent_of_position(column).cumsum()
-        (line,) = ax.semilogx(
-            k[some], total[some], style, color=plots.COLOUR_OF["steady"], label=f"estimate, {table1.NAMES[key]}"
-        )
-        text = f"{table1.NAMES[key]}:\n{total[9]:.0f} % after ten steps, {total[-1]:.0f} % after all"
-        plots.label_line(line, text, at=STEPS, xytext=(0, 5), ha="right")
-    ax.set_ylim(0, 150)
-    ax.set_xlim(1, STEPS)
-    ax.set_xticks([1, 10, 100, 1000, 10_000], ["1", "10", "100", "1,000", "10,000"])
-    ax.set_ylabel("sum of |error| / position (%)")
-    plots.finish(ax, "steps", "Ten of 10,000 steps make nearly all of Table 1")
-    ax.get_legend().remove()
+    total = percent_of_position(table1.columns()["cv"]).cumsum()
+    some = np.unique(np.r_[np.arange(20), np.linspace(20, STEPS, 40).astype(int) - 1])  # enough for a smooth line
+    for name, shown in {"start": slice(0, 20), "all": some}.items():
+        ax[name].plot(k[shown], total[shown], color=plots.COLOUR_OF["steady"])
+        ax[name].plot(10, total[9], "o", color=plots.COLOUR_OF["steady"], ms=5)
+        ax[name].set_ylim(0, 135)
+    ax["start"].annotate(f"{total[9]:.0f} % after\nten steps", (10, total[9]), (0, -8), textcoords="offset points",
+                         va="top", color=plots.COLOUR_OF["steady"])  # fmt: skip
+    ax["all"].annotate(f"{total[-1]:.0f} % after all", (STEPS, total[-1]), (0, 5), textcoords="offset points",
+                       ha="right", color=plots.COLOUR_OF["steady"])  # fmt: skip
+    ax["start"].set_xticks([1, 5, 10, 15, 20])
+    ax["all"].set_xticks([10, 5000, STEPS], ["10", "5,000", "10,000"])
+    plots.finish(ax["start"], "step", "the sum (%), first 20 steps")
+    plots.finish(ax["all"], "step", "all 10,000 steps")
+    title = f"Ten of 10,000 steps make {100 * total[9] / total[-1]:.0f} % of the first number of Table 1"
+    fig.suptitle(title, x=0.02, ha="left", fontsize=11)
     return fig
 
 
 def draw_time_step():
     """Return a figure of σ of the predicted position for three time steps, counted in steps and in seconds."""
-    fig, ax = plots.panels([["steps", "seconds"]], height=3.0)
-    for dt, style in zip(TIME_STEPS, (":", "-", "--"), strict=True):
+    fig, ax = plots.panels([["steps", "seconds"]], height=3.2)
+    looks = zip(TIME_STEPS, ("o:", "s-", "^--"), (-9, -5, 1), strict=True)
+    for dt, style, below in looks:
         column = table1.columns(dt=dt)["cv"]
-        look = {"ls": style, "color": plots.COLOUR_OF["steady"], "label": f"Δt = {dt:g} s"}
-        steps = np.arange(table1.LARGEST_N + 1)
-        (line,) = ax["steps"].plot(steps, settled_sigma(column, dt * steps), **look)
-        plots.label_line(line, f"{dt:g} s", at=SECONDS, xytext=(4, -4))
-        seconds = np.linspace(0, SECONDS, 21)
-        ax["seconds"].plot(seconds, settled_sigma(column, seconds), **look)
-    ends = [settled_sigma(table1.columns(dt=dt)["cv"], [SECONDS])[0] for dt in (TIME_STEPS[0], TIME_STEPS[-1])]
-    colour = plots.COLOUR_OF["steady"]
-    for dt, end, below in zip((TIME_STEPS[0], TIME_STEPS[-1]), ends, (-10, 0), strict=True):
-        text = f"{dt:g} s: {end:.2f} m"
-        ax["seconds"].annotate(text, (SECONDS, end), (4, below), textcoords="offset points", color=colour)
+        whole = np.arange(table1.LARGEST_N + 1)
+        for name, seconds in {"steps": dt * whole, "seconds": whole}.items():
+            sigma = settled_sigma(column, seconds)
+            colour = plots.COLOUR_OF["steady"]
+            (line,) = ax[name].plot(whole, sigma, style, ms=4, color=colour, label=f"Δt = {dt:g} s")
+            aside = -4 if name == "steps" else below
+            plots.label_line(line, f"{dt:g} s: {sigma[-1]:.2f} m", at=SECONDS, xytext=(6, aside))
     for name, panel in ax.items():
-        panel.set_ylim(0, 1.15)
-        panel.set_xlim(0, SECONDS + (1.6 if name == "steps" else 3.6))  # room for the labels
+        panel.set_ylim(0, 1.1)
+        panel.set_xlim(-0.2, SECONDS + 4.2)  # room for the labels
         panel.set_xticks(range(SECONDS + 1))
         plots.finish(panel, f"{name} ahead", "σ of the position (m)")
         panel.get_legend().remove()
     fig.suptitle("Counted in seconds, the time step hardly matters", x=0.02, ha="left", fontsize=11)
     return fig
-
-
-def time_step_table():
-    """Return header and rows of the table of what is known at constant velocity, exact motion, for each time step."""
-    header = ["time step (s)", "σ of the position now (m)", "σ of the velocity (m/s)", "σ of the position in 5 s (m)"]
-    rows = []
-    for dt in TIME_STEPS:
-        column = table1.columns(dt=dt)["cv"]
-        now, ahead = settled_sigma(column, [0, SECONDS])
-        velocity = np.sqrt(settled_covariance(column)[1, 1])
-        rows.append([f"{dt:g}", f"{now:.3f}", f"{velocity:.3f}", f"{ahead:.3f}"])
-    return header, rows
 
 
 def draw_table1():
