@@ -12,12 +12,16 @@ CORRECTED_KINDS = ("slip", "wording")
 
 
 class Entry(NamedTuple):
-    """One item of a table or text: what it is called, what is printed, what is right ("" where nothing is wrong)."""
+    """One item of a table or text: what it is called, what is printed, what is right ("" where nothing is wrong).
+
+    A lost item has no old value, since our copy of the paper lacks it; its new one is what was counted.
+    """
 
     label: str
     old: str
     new: str
     verdict: object
+    lost: bool = False
 
 
 class Section(NamedTuple):
@@ -54,12 +58,17 @@ def rounded(verdict):
 
 def entry(verdict, corrected):
     """Return an item as an Entry; corrected maps ids of formulas and claims to what is right."""
+    counted = COUNTED.search(verdict.reason)
+    if verdict.verdict == CANNOT_BE_CHECKED and counted:
+        return Entry(label(verdict), "", counted[1], verdict, lost=True)
     if verdict.verdict not in FAILS:
         return Entry(label(verdict), verdict.printed, "", verdict)
     new = rounded(verdict) if verdict.kind == "number" else corrected.get(verdict.id, "")
     return Entry(label(verdict), verdict.printed, new, verdict)
 
 
+# How a verdict says what a lost cell should be.
+COUNTED = re.compile(r"counted: ([\d.]+)")
 GRID = re.compile(r"row (\d+), column (\d+)")
 NAMED_ROW = re.compile(r"row (\d+) \(([^)]*)\)")
 
@@ -115,4 +124,4 @@ def questions(given, asked):
     by_id = {each.id: each for each in given}
     failing = [(text, by_id[id]) for id, text in asked.items() if id in by_id and by_id[id].verdict in FAILS]
     lacking = [each for each in given if each.verdict == CANNOT_BE_CHECKED and not each.cause]
-    return failing + [(f"“{each.printed}”: what the paper leaves out is {each.reason}.", each) for each in lacking]
+    return failing + [(f"{each.printed}: what the paper leaves out is {each.reason}.", each) for each in lacking]
