@@ -70,7 +70,7 @@ SENTENCES = {
     "whole": "Every fix is there. After the start Kalman’s gain is the constant gain, and the three lines are one.",
     "gap": "After {missing} Kalman trusts its own guess less: its gain jumps from {rest} to {jump}, and one fix brings "
     "it to {kalman} m. The constant gain stays at {rest}: {constant} m. Over many tracks: {sigma} and "
-    "{sigma_constant} m. At the start the gain jumps for the same reason.",
+    "{sigma_constant} m.",
     "open": "After the last fix all three filters can only predict: the band opens to ± {band} m.",
     "outlier": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "
     "Kalman’s own test sees it (NIS {nis}, where 1 is usual), but no filter acts on it without a gate.",

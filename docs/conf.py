@@ -19,7 +19,7 @@ nb_execution_mode = "off"
 nb_code_prompt_show = nb_code_prompt_hide = "code"  # the bar above folded code
 # Verdicts for machines; the full notebooks; names such as P that several classes have.
 suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included", "ref.python"]
-myst_enable_extensions = ["dollarmath", "attrs_inline", "colon_fence"]
+myst_enable_extensions = ["dollarmath", "attrs_inline", "attrs_block", "colon_fence"]
 default_role = "py:obj"
 add_module_names = False
 toc_object_entries_show_parents = "hide"
@@ -34,10 +34,11 @@ html_favicon = "_static/icon.svg"
 html_theme_options = {
     "logo": {"text": html_title, "image_light": "_static/icon.svg", "image_dark": "_static/icon.svg", "alt_text": ""},
     "navbar_align": "right",
+    "navbar_persistent": ["search-button"],
     "navbar_end": ["theme-switcher"],
     "show_prev_next": False,
     "show_nav_level": 2,
-    "show_toc_level": 1,
+    "show_toc_level": 2,
     "back_to_top_button": False,
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["links"],
@@ -98,10 +99,9 @@ def write_display(self, node):
 def mathml(tex, block):
     r"""Return a formula as MathML, by the converter of docutils.
 
-    It knows no \dots, sets capital Greek letters slanted, and puts spaces around a slash.
+    It knows no \dots, and a slash would have spaces around it.
     """
     made = latex2mathml.tex2mathml(tex.strip().replace(r"\dots", r"\ldots"), as_block=block)
-    made = re.sub(r"<mi>([Α-Ω])</mi>", r'<mi mathvariant="normal">\1</mi>', made)
     return made.replace("<mo>/</mo>", '<mo lspace="0" rspace="0">/</mo>')
 
 
