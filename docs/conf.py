@@ -5,13 +5,15 @@ import sys
 from pathlib import Path
 
 from docutils import nodes
-from docutils.utils.math import latex2mathml
+from docutils.utils.math import MathError, latex2mathml
+from sphinx.util import logging
 
 import mpt_helpers
 
 sys.path.insert(0, str(Path(__file__).parent))
 import pages
 
+logger = logging.getLogger(__name__)
 project = "mpt_helpers"
 release = mpt_helpers.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_design", "sphinx_copybutton"]
@@ -37,6 +39,7 @@ html_theme_options = {
     "navbar_persistent": ["search-button"],
     "navbar_end": ["theme-switcher"],
     "show_prev_next": False,
+    "collapse_navigation": True,
     "show_nav_level": 2,
     "show_toc_level": 2,
     "back_to_top_button": False,
@@ -101,8 +104,12 @@ def mathml(tex, block):
 
     It knows no \dots, and a slash would have spaces around it.
     """
-    made = latex2mathml.tex2mathml(tex.strip().replace(r"\dots", r"\ldots"), as_block=block)
-    return made.replace("<mo>/</mo>", '<mo lspace="0" rspace="0">/</mo>')
+    try:
+        made = latex2mathml.tex2mathml(tex.strip().replace(r"\dots", r"\ldots"), as_block=block)
+    except MathError as error:
+        logger.warning("the formula %r cannot be set: %s", tex, error)
+        return ""
+    return re.sub(r"<mo[^>]*>/</mo>", r'<mo lspace="0" rspace="0">/</mo>', made)
 
 
 def plain_docstring(app, what, name, obj, options, lines):

@@ -308,6 +308,8 @@ def prepared(key, notebook, page, whole):
         made = {**cell, "source": text, "metadata": {**cell["metadata"], "id": cell["id"]}}
         ledger = "ledger" in cell["metadata"].get("tags", ())
         evidence = evidence or PART_2.search(text) is not None
+        if made["cell_type"] == "code":
+            made["outputs"] = [with_named_headers(each) for each in cell["outputs"]]
         made["metadata"]["tags"] = [] if whole or is_open(cell, evidence) else ["hide-input"]
         if ledger and not whole:
             cells.append(raw_cell(page["verdicts"](cell["id"])))
@@ -320,6 +322,14 @@ def prepared(key, notebook, page, whole):
         if i == last_of_part_1:
             cells.append(raw_cell(live))
     return {**notebook, "cells": cells}
+
+
+def with_named_headers(output):
+    """Return an output of a cell whose tables have no empty header: to a screen reader it would have no name."""
+    if "text/html" not in output.get("data", {}):
+        return output
+    html = "".join(output["data"]["text/html"]).replace("<th></th>", "<td></td>")
+    return {**output, "data": {**output["data"], "text/html": html}}
 
 
 def end_of_part_1(cells, figure):
