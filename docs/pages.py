@@ -612,8 +612,6 @@ def main():
         write_article(env, key, notebook, given.of(key), about["live"]["after"])
         write_corrections(env, key, given.of(key), about)
     shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
-    for svg in (BUILD / "extra" / "figures").glob("*.svg"):
-        svg.write_text(lighter(svg.read_text(encoding="utf-8")), encoding="utf-8")
     shutil.copytree(DOCS / "tracks", BUILD / "extra" / "tracks")
     guide = CHECKOUT.sub("", (DOCS / "guide.md").read_text(encoding="utf-8"))
     nbformat.write(guide_as_notebook(guide, DOCS), BUILD / "extra" / "guide.ipynb")
@@ -622,19 +620,6 @@ def main():
     (BUILD / "static" / "colours.css").write_text(f":root {{ {colours}}}\n", encoding="utf-8")
     for png in (BUILD / "static").glob("*.png"):
         png.unlink()
-
-
-def lighter(svg):
-    """Return an SVG whose paths are drawn to a hundredth of a point, which is a third of its bytes less.
-
-    >>> lighter('<path d="M 1.000000 25.347892 "/><use transform="scale(0.015625)"/>')
-    '<path d="M 1 25.35 "/><use transform="scale(0.015625)"/>'
-    """
-
-    def rounded(path):
-        return re.sub(r"-?\d+\.\d+", lambda number: f"{round(float(number[0]), 2):g}", path[0])
-
-    return re.sub(r'(?<= d=")[^"]*', rounded, svg)
 
 
 def write_archive(path, name):
