@@ -39,7 +39,6 @@ html_theme_options = {
     "navbar_persistent": ["search-button"],
     "navbar_end": ["theme-switcher"],
     "show_prev_next": False,
-    "collapse_navigation": True,
     "show_nav_level": 2,
     "show_toc_level": 2,
     "back_to_top_button": False,

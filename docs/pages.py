@@ -168,10 +168,10 @@ def figures_of(key, cells):
     What a figure found is the first sentence of its caption, else the question of its section.
     """
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
-    drawn, section = [], title(cells)
+    drawn, section = [], ""
     for cell in cells:
         if cell["cell_type"] == "markdown":
-            section = [section, *re.findall(r"(?m)^###? (?:\d+\. )?(.*)", source(cell))][-1]
+            section = [section, *re.findall(r"(?m)^#{1,3} (?:\d+\. )?(.*)", source(cell))][-1]
         for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
@@ -572,7 +572,7 @@ def write_tables(given, folder):
 def main():
     """Write docs/_build afresh: source, static and extra."""
     shutil.rmtree(BUILD, ignore_errors=True)
-    for part in ("source/notebooks", "source/corrections", "source/api", "static", "extra/notebooks"):
+    for part in ("source/notebooks", "source/corrections", "source/api", "source/modules", "static", "extra/notebooks"):
         (BUILD / part).mkdir(parents=True)
     notebooks = {key: stored_notebook(key) for key in keys()}
     stored = [stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb") for key in notebooks]
@@ -605,9 +605,11 @@ def main():
         "speed": speed,
     }
     write_pages(env)
-    for each in (*classes, *modules):
-        text = env.get_template("interface.md").render(each=each, of_class=each in classes)
-        (BUILD / "source" / "api" / f"{each.name}.md").write_text(text, encoding="utf-8")
+    # Two folders: on a disk that ignores case, Predictor and predictor are one file.
+    for folder, described in (("api", classes), ("modules", modules)):
+        for each in described:
+            text = env.get_template("interface.md").render(each=each, of_class=folder == "api")
+            (BUILD / "source" / folder / f"{each.name}.md").write_text(text, encoding="utf-8")
     for key, notebook in notebooks.items():
         write_article(env, key, notebook, given.of(key), about["live"]["after"])
         write_corrections(env, key, given.of(key), about)

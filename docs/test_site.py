@@ -25,7 +25,7 @@ from reproduction.ledger.verdicts import CAUSE_KINDS, FAILS, HOLDS
 
 HTML = Path(__file__).parent / "_build" / "html"
 PAGES = [str(path.relative_to(HTML)) for path in sorted(HTML.rglob("*.html")) if "_static" not in path.parts]
-INTERFACE = [place for place in PAGES if place.startswith("api")]
+INTERFACE = [place for place in PAGES if re.match(r"api|modules", place)]
 ARTICLES = [place for place in PAGES if re.match(r"notebooks/\w+\.html", place)]
 SHORTEST = "2015_mpt_3d"
 WIDTHS = {1280: 800, 390: 844}
@@ -140,7 +140,7 @@ SIDEWAYS = """() => {
 # What axe-core finds on a page: contrast with opacity, names, headings, scrollers that no key reaches, small targets.
 VIOLATIONS = """async (only) => {
   const rules = { "target-size": { enabled: true } };
-  const found = await axe.run(document, { resultTypes: ["violations"], ...(only ? { runOnly: only } : { rules }) });
+  const found = await axe.run(document, { resultTypes: ["violations"], preload: false, ...(only ? { runOnly: only } : { rules }) });
   return found.violations.map(({ id, nodes }) => `${id}: ${nodes.map((each) => each.html.slice(0, 120)).join(" | ")}`);
 }"""
 # The size on the screen of the smallest text of each figure: its SVG says scale(0.11 -0.11) for 11 points. A limit of
