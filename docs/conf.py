@@ -61,13 +61,16 @@ html_math_renderer = "mathml"
 
 
 def name_parts(app, doctree):
-    """Give each code cell the anchor #cell-ID, and show its figures as SVG; mark long formulas and short code."""
+    """Give each code cell the anchor #cell-ID, and show its figures as SVG; name headers, mark short code."""
     for cell in doctree.findall(lambda node: node.get("nb_element") == "cell_code" if node.children else False):
         about = cell["cell_metadata"]
         cell["ids"].append(f"cell-{about['id']}")
         for image in list(cell.findall(nodes.image)):
             if "figure" in about:
                 image.replace_self(raw(pages.picture(about["figure"], root="../")))
+    for head in doctree.findall(nodes.thead):
+        for empty in [each for each in head.findall(nodes.entry) if not each.astext()]:
+            empty += raw('<span class="visually-hidden">row</span>')  # or a screen reader has no name for it
     for code in doctree.findall(nodes.literal):
         if len(code.astext()) <= 28:  # fits a line of a phone
             code["classes"].append("unbroken")
