@@ -12,16 +12,12 @@ CORRECTED_KINDS = ("slip", "wording")
 
 
 class Entry(NamedTuple):
-    """One item of a table or text: what it is called, what is printed, what is right ("" where nothing is wrong).
-
-    A lost item has no old value, since our copy of the paper lacks it; its new one is what was counted.
-    """
+    """One item of a table or text: what it is called, what is printed, what is right ("" where nothing is wrong)."""
 
     label: str
     old: str
     new: str
     verdict: object
-    lost: bool = False
 
 
 class Section(NamedTuple):
@@ -58,17 +54,14 @@ def rounded(verdict):
 
 def entry(verdict, corrected):
     """Return an item as an Entry; corrected maps ids of formulas and claims to what is right."""
-    counted = COUNTED.search(verdict.reason)
-    if verdict.verdict == CANNOT_BE_CHECKED and counted:
-        return Entry(label(verdict), "", counted[1], verdict, lost=True)
+    if verdict.verdict == CANNOT_BE_CHECKED and verdict.computed != "-":
+        return Entry(label(verdict), f"[{verdict.computed}]", "", verdict)  # not in our copy, but counted
     if verdict.verdict not in FAILS:
         return Entry(label(verdict), verdict.printed, "", verdict)
     new = rounded(verdict) if verdict.kind == "number" else corrected.get(verdict.id, "")
     return Entry(label(verdict), verdict.printed, new, verdict)
 
 
-# How a verdict says what a lost cell should be.
-COUNTED = re.compile(r"counted: ([\d.]+)")
 GRID = re.compile(r"row (\d+), column (\d+)")
 NAMED_ROW = re.compile(r"row (\d+) \(([^)]*)\)")
 
@@ -117,6 +110,12 @@ def tables(given, failing, corrected):
         else:
             made.append((title, [entry(each, corrected) for each in own], 0))
     return made
+
+
+def lost(given):
+    """Return what our copy has lost of each table, {title: sentence of the cause}."""
+    causes = {place(each): given.causes.get((each.paper, each.cause)) for each in given if each.printed == "?"}
+    return {title: cause.sentence for title, cause in causes.items() if cause}
 
 
 def questions(given, asked):

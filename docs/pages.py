@@ -682,6 +682,7 @@ def write_corrections(env, key, own, about):
         root="../",
         rows=corrections.names_of_rows(own),
         sections=corrections.sections(own, about["corrected"].get(key, {})),
+        lost=corrections.lost(own),
         questions=corrections.questions(own, about["questions"].get(key, {})),
         beyond=[each for each in own if each.beyond],
     )

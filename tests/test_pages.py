@@ -176,6 +176,15 @@ def test_a_corrected_formula_is_what_the_operations_give(given):
                 assert burden.value(side[0], M=M) / int(side[1]) == pytest.approx(total / own), id
 
 
+def test_a_cell_that_our_copy_has_lost_shows_what_was_counted_and_why_it_is_lost():
+    cause = {("p", "copy"): Cause("copy", "copy", "Our copy has lost a cell.", "Nothing.")}
+    gone = verdict("g", "Table 4, row 1", "cannot be checked", "copy", printed="?", computed="0.206")
+    unknown = verdict("h", "Table 5, row 1", "cannot be checked", printed="?", computed="-")
+    assert corrections.entry(gone, {})[:3] == ("row 1", "[0.206]", "")
+    assert corrections.entry(unknown, {})[:3] == ("row 1", "?", "")
+    assert corrections.lost(Verdicts([gone, verdict("t")], cause)) == {"Table 4": "Our copy has lost a cell."}
+
+
 def test_a_page_of_corrections_has_the_tables_whole_and_what_is_wrong_beside_what_is_right():
     cause = {("p", "join"): Cause("join", "slip", "One is missing.", "Count two.")}
     wrong = verdict("t.2", "Table 3, row 2 (B, LF)", "erratum", "join", printed="0.427", computed="0.421707")
@@ -197,14 +206,6 @@ def test_a_page_of_corrections_has_the_tables_whole_and_what_is_wrong_beside_wha
     assert [each.id for each, _ in section.causes] == ["join", "split"]
     assert len(section.tables) == 1
     assert corrections.names_of_rows([fine, wrong]) == {1: "A, KF", 2: "B, LF"}
-
-
-def test_a_cell_that_our_copy_lost_shows_what_was_counted():
-    reason = "our copy has lost this cell; counted: 2.182"
-    lost = verdict("g", "Table 4, row 6, column 5", "cannot be checked", "copy", printed="?", reason=reason)
-    assert corrections.entry(lost, {})[:3] == ("row 6, column 5", "", "2.182")
-    assert corrections.entry(lost, {}).lost
-    assert not corrections.entry(verdict("h", verdict="cannot be checked", reason="no axes"), {}).lost
 
 
 def test_what_a_paper_leaves_out_is_asked_and_what_our_copy_lost_is_not():
