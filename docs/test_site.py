@@ -979,7 +979,6 @@ def test_a_page_of_corrections_strikes_only_what_is_printed_and_tells_claims_in_
     assert text.count("In our words: ") == len(wrong) - len(printed)
     assert text.count("Instead: ") == len(wrong) - len(printed)
     assert "“" not in text
-    assert (
     for row in wrong:
         if row["kind"] == "number":
             assert re.search(rf"{re.escape(row['printed'])}\s+{re.escape(row['computed'][:3])}", text)
