@@ -626,11 +626,12 @@ def main():
 
 def write_archive(path, name):
     """Write the committed source as a .tar.gz, and return its size in bytes: 0 where there is no git."""
-    # Git itself writes the time of the commit into it: the same bytes wherever the same commit is packed.
-    command = ["git", "-C", str(ROOT), "archive", "--format=tar.gz", f"--prefix={name}/", "-o", str(path), "HEAD"]
     if not (ROOT / ".git").exists():
         return 0
-    subprocess.run(command, check=True)
+    # Git writes the time of the commit into it: the same bytes wherever the same commit is packed. A container's folder
+    # may belong to somebody else, which git minds unless it is told.
+    git = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
+    subprocess.run([*git, "archive", "--format=tar.gz", f"--prefix={name}/", "-o", str(path), "HEAD"], check=True)
     return path.stat().st_size
 
 
