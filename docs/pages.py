@@ -66,12 +66,9 @@ INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
 CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  # for readers of a checkout only
 
 
-# What the guide has on the site only: itself as a notebook, and the page below it.
-GUIDE_FIRST = (
-    '<a href="guide.ipynb" download>Download it as a notebook</a>; it reads '
-    '<a href="tracks/ride.gpx" download>ride.gpx</a> from a folder `tracks` beside it.'
-)
-GUIDE_LAST = "```{toctree}\n:hidden:\n\nFrom RINEX files <rinex>\n```\n"
+# Pages whose blocks of Python can be downloaded as a notebook, and those that stand below the guide, where they are.
+GUIDES = ("guide", "by_hand")
+BELOW_GUIDE = {"by_hand": "Every step by hand", "rinex": "From RINEX files"}
 
 
 class Group(NamedTuple):
@@ -615,8 +612,9 @@ def main():
         write_corrections(env, key, given.of(key), about)
     shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
     shutil.copytree(DOCS / "tracks", BUILD / "extra" / "tracks")
-    guide = CHECKOUT.sub("", (DOCS / "guide.md").read_text(encoding="utf-8"))
-    nbformat.write(guide_as_notebook(guide, DOCS), BUILD / "extra" / "guide.ipynb")
+    for page in [DOCS / f"{name}.md" for name in GUIDES if (DOCS / f"{name}.md").exists()]:
+        text = CHECKOUT.sub("", page.read_text(encoding="utf-8"))
+        nbformat.write(guide_as_notebook(text, DOCS), BUILD / "extra" / f"{page.stem}.ipynb")
     write_tables(given, BUILD / "extra")
     colours = "".join(f"--{name}: {colour}; " for name, colour in plots.COLOUR_OF.items() if colour.startswith("#"))
     (BUILD / "static" / "colours.css").write_text(f":root {{ {colours}}}\n", encoding="utf-8")
@@ -645,10 +643,26 @@ def write_pages(env):
         text = env.from_string(text).render(root="")
         if page.stem in (said := env.globals["texts"]["descriptions"]):
             text = f"---\n{yaml.safe_dump({'myst': described_as(said[page.stem])})}---\n{text}"
-        if page.stem == "guide":
+        if page.stem in GUIDES:
             first, _, rest = text.partition("\n\n")
-            text = f"{first}\n\n{GUIDE_FIRST}\n\n{rest}\n{GUIDE_LAST}"
+            text = f"{first}\n\n{download(page.stem)}\n\n{rest}"
+        if page.stem == "guide":
+            text += toctree({name: words for name, words in BELOW_GUIDE.items() if (DOCS / f"{name}.md").exists()})
         (BUILD / "source" / page.name).write_text(text, encoding="utf-8")
+
+
+def download(name):
+    """Return the line of a guide that leads to its notebook, which reads the ride."""
+    return (
+        f'<a href="{name}.ipynb" download>Download it as a notebook</a>; it reads '
+        '<a href="tracks/ride.gpx" download>ride.gpx</a> from a folder `tracks` beside it.'
+    )
+
+
+def toctree(pages):
+    """Return the pages below a page, {name: words}, for Sphinx: they stand in the navigation only."""
+    entries = "\n".join(f"{words} <{name}>" for name, words in pages.items())
+    return f"\n```{{toctree}}\n:hidden:\n\n{entries}\n```\n"
 
 
 def write_article(env, key, notebook, own, live):

@@ -947,9 +947,10 @@ def test_an_article_weighs_less_than_800_kilobytes_when_it_is_opened(visit, plac
     assert sum(own.values()) < 800_000
 
 
-def test_the_guide_is_a_notebook_that_runs_and_prints_where_it_says_so(tmp_path):
+@pytest.mark.parametrize("name", [path.stem for path in sorted(HTML.glob("*.ipynb"))])
+def test_a_guide_is_a_notebook_that_runs_and_prints_where_it_says_so(tmp_path, name):
     (tmp_path / "tracks").symlink_to(HTML / "tracks")
-    notebook = nbformat.read(HTML / "guide.ipynb", as_version=4)
+    notebook = nbformat.read(HTML / f"{name}.ipynb", as_version=4)
     code = [each for each in notebook.cells if each.cell_type == "code"]
     said = [each.outputs[0].text if each.outputs else "" for each in code]
     assert len(code) > 3
