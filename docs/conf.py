@@ -21,6 +21,7 @@ nb_execution_mode = "off"
 nb_code_prompt_show = nb_code_prompt_hide = "code"  # the bar above folded code
 # Verdicts for machines; the full notebooks; names such as P that several classes have.
 suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included", "ref.python"]
+myst_heading_anchors = 3  # links to sections, as code hosts make them
 myst_enable_extensions = ["dollarmath", "attrs_inline", "attrs_block", "colon_fence"]
 default_role = "py:obj"
 add_module_names = False
@@ -117,7 +118,7 @@ def mathml(tex, block):
 def plain_docstring(app, what, name, obj, options, lines):
     """Read docstrings as plain text: an indented part is a formula, as it stands; stars and bars are no markup.
 
-    A formula that writes a matrix as [a b; c d] is set as math.
+    A formula that writes a matrix as [a b; c d] is set as math. Lines that continue indented are the items of a list.
     """
     parts = "\n".join(lines).split("\n\n")
     for i, part in enumerate(parts):
@@ -126,8 +127,14 @@ def plain_docstring(app, what, name, obj, options, lines):
         elif part.startswith("    "):
             parts[i] = f"::\n\n{part}"
         elif not part.startswith(">>>"):
-            parts[i] = re.sub(r"([*|])|(?<=\w)_(?!\w)", r"\\\g<0>", part)
+            plain = re.sub(r"([*|])|(?<=\w)_(?!\w)", r"\\\g<0>", part)
+            parts[i] = as_list(plain) if "\n    " in plain else plain
     lines[:] = "\n\n".join(parts).splitlines()
+
+
+def as_list(text):
+    """Return lines, of which some continue indented on the next, as a list with an item for each."""
+    return "\n".join(f"- {line}" for line in re.sub(r"\n +", " ", text).splitlines())
 
 
 MATRIX = re.compile(r"\[([^\[\]]*;[^\[\]]*)\]")
