@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from mpt_helpers import plots
 from mpt_helpers.filters import KalmanFilter
-from mpt_helpers.metrics import chi_square_band, error_moments, rms
+from mpt_helpers.metrics import chi_square_band, error_moments, nis, rms
 from mpt_helpers.model import LinearModel, gsm_axis, simulate
 from mpt_helpers.steady import FIRFilter, SteadyStateFilter
 
@@ -69,8 +69,8 @@ SCENES = {
 SENTENCES = {
     "whole": "Every fix is there. After the start Kalman’s gain is the constant gain, and the three lines are one.",
     "gap": "After {missing} Kalman trusts its own guess less: its gain jumps from {rest} to {jump}, and one fix brings "
-    "it to {kalman} m. The constant gain stays at {rest}: {constant} m (FIR: {fir}). Over many tracks: {sigma} and "
-    "{sigma_constant} m. At the start the gain jumps for the same reason.",
+    "it to {kalman} m. The constant gain stays at {rest}: {constant} m. Over many tracks: {sigma} and "
+    "{sigma_constant} m.",
     "open": "After the last fix all three filters can only predict: the band opens to ± {band} m.",
     "outlier": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "
     "Kalman’s own test sees it (NIS {nis}, where 1 is usual), but no filter acts on it without a gate.",
@@ -159,28 +159,24 @@ def run(scene, track):
     [ nan 0.98 0.61] 0.31 0.98
     """
     kf, steady, fir = filters(scene.ahead, scene.origin)
-    F, H, Q, R = (getattr(kf.model, name) for name in "FHQR")
     truth = (track.truth + scene.origin).reshape(FIXES, 1, -1)
     z = truth + fixes(scene, track).reshape(truth.shape)
     shape = track.truth.shape
-    there = np.isfinite(z[:, 0]).reshape(shape)
+    column = (-1,) + (1,) * (len(shape) - 1)
     # All tracks lose the same fixes, so that one of them has the covariances of all.
     P, P_constant = (each.covariances(z[..., 0]) for each in (kf, steady))
-    column = (-1,) + (1,) * (len(shape) - 1)
-    x = {name: each.filter(z) for name, each in {"kalman": kf, "constant": steady, "fir": fir}.items()}
-    errors = {name: (each[:, 0] - truth[:, 0]).reshape(shape) for name, each in x.items()}
+    gain = (P @ kf.model.H.T / kf.model.R)[:, 0, 0].reshape(column)  # K = P(k/k) Hᵀ R⁻¹
+    there = np.isfinite(z[:, 0]).reshape(shape)
+    errors = {
+        name: (each.filter(z)[:, 0] - truth[:, 0]).reshape(shape)
+        for name, each in {"kalman": kf, "constant": steady, "fir": fir}.items()
+    }
     errors["fir"][: fir.order - 1] = np.nan
-    # The innovation of each fix, and its variance; K = P(k/k) Hᵀ R⁻¹.
-    before_x = np.concatenate([np.broadcast_to(kf.model.x0[:, None], x["kalman"][:1].shape), x["kalman"][:-1]])
-    before_P = np.concatenate([kf.model.P0[None], P[:-1]])
-    new = (z - H @ F @ before_x)[:, 0].reshape(shape)
-    S = (H @ (F @ before_P @ F.T + Q) @ H.T + R)[:, 0, 0].reshape(column)
-    gain = (P @ H.T / R)[:, 0, 0].reshape(column)
     return Run(
         kalman=errors["kalman"],
         sigma=np.sqrt(P[:, 0, 0]).reshape(column),
         gain=np.where(there, gain, np.nan),
-        nis=new**2 / S,
+        nis=nis(kf, z).reshape(shape),
         constant=errors["constant"],
         sigma_constant=np.sqrt(P_constant[:, 0, 0]).reshape(column),
         rest=float(steady.B[0, 0]),
@@ -271,7 +267,6 @@ def said(name):
         first = max(scene.lost)
         words |= {"missing": f"{len(scene.lost)} missing fixes", "jump": f"{seen.gain[first]:.2f}"}
         words |= {"kalman": f"{abs(seen.kalman[first]):.1f}", "constant": f"{abs(seen.constant[first]):.1f}"}
-        words |= {"fir": f"{abs(seen.fir[first]):.1f} m"}
         words |= {"sigma": f"{seen.sigma[first]:.2f}", "sigma_constant": f"{seen.sigma_constant[first]:.2f}"}
     for fix, off in scene.pulled.items():
         words |= {"fix": fix, "off": f"{off:.1f}", "share": f"{seen.gain[fix - 1]:.2f}"}
@@ -334,26 +329,25 @@ def for_the_page():
 
 
 def draw(name):
-    """Return the figure of a scene: errors and the Kalman filter's band above, gains below.
+    """Return the figure of a scene: errors in metres and the Kalman filter's band, with a label at each line.
 
     It is what the site shows without JavaScript.
     """
     scene, track = SCENES[name], average()
     seen, measured = run(scene, track), fixes(scene, track)
     k = np.arange(1, FIXES + 1)
-    fig, ax = plots.panels([["error"], ["error"], ["gain"]], height=1.5)
-    top = ax["error"]
-    top.fill_between(k, seen.kalman - 2 * seen.sigma, seen.kalman + 2 * seen.sigma, color="C0", alpha=0.2, lw=0)
-    top.axhline(0, color="black", lw=1)
-    top.plot(k, seen.constant, color="C1", label="constant gain")
-    top.plot(k, seen.kalman, color="C0", label="Kalman, ± 2σ")
-    top.plot(k, seen.fir, ":", color="C3", label="FIR")
-    top.plot(k, measured, "o", color="black", ms=2.5, label="fixes")
+    fig, ax = plots.panels([["error"]], height=2.4)
+    top, colour = ax["error"], plots.COLOUR_OF
+    top.fill_between(
+        k, seen.kalman - 2 * seen.sigma, seen.kalman + 2 * seen.sigma, color=colour["kalman"], alpha=0.2, lw=0
+    )
+    top.axhline(0, color=colour["truth"], lw=1)
+    (constant,) = top.plot(k, seen.constant, color=colour["steady"])
+    (kalman,) = top.plot(k, seen.kalman, color=colour["kalman"])
+    top.plot(k, measured, "o", color="black", ms=2.5)
     top.set_ylim(-REACH, REACH)
-    plots.finish(top, "", "metres off the truth")
-    lower = ax["gain"]
-    lower.bar(k, np.nan_to_num(seen.gain), width=0.8, color="C0")
-    lower.axhline(seen.rest, color="C1")
-    plots.finish(lower, "fix", "gain: Kalman’s bars, the constant line")
-    plots.legend_below(top, columns=4)
+    at = max(scene.lost, default=FIXES - 20)
+    plots.label_line(constant, "constant gain", at + 1, xytext=(6, 6))
+    plots.label_line(kalman, "Kalman, ± 2σ", at + 1, xytext=(6, -32))
+    plots.finish(top, "fix", "metres off the truth")
     return fig

@@ -1,110 +1,80 @@
 """How Sphinx builds the site from what pages.py has put together."""
 
-import json
 import re
 import sys
-from html import escape
 from pathlib import Path
 
 from docutils import nodes
+from docutils.utils.math import MathError, latex2mathml
+from sphinx.util import logging
 
 import mpt_helpers
 
 sys.path.insert(0, str(Path(__file__).parent))
 import pages
 
+logger = logging.getLogger(__name__)
 project = "mpt_helpers"
 release = mpt_helpers.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_design", "sphinx_copybutton"]
 nb_execution_mode = "off"
+nb_code_prompt_show = nb_code_prompt_hide = "code"  # the bar above folded code
 # Verdicts for machines; the full notebooks; names such as P that several classes have.
 suppress_warnings = ["mystnb.unknown_mime_type", "toc.not_included", "ref.python"]
-myst_enable_extensions = ["dollarmath", "attrs_inline"]
+myst_heading_anchors = 3  # links to sections, as code hosts make them
+myst_enable_extensions = ["dollarmath", "attrs_inline", "attrs_block", "colon_fence"]
 default_role = "py:obj"
 add_module_names = False
+toc_object_entries_show_parents = "hide"
 autodoc_member_order = "bysource"
-html_theme = "furo"
-html_title = "mpt_helpers"
+autodoc_type_aliases = {"ArrayLike": "ArrayLike"}
+copybutton_selector = ":not(.highlight-text, .highlight-myst-ansi) > div.highlight pre"
+copybutton_prompt_text = r">>> |\.\.\. "
+copybutton_prompt_is_regexp = True
+html_theme = "pydata_sphinx_theme"
+html_title = "Position tracking, checked"
 html_favicon = "_static/icon.svg"
+html_theme_options = {
+    "logo": {"text": html_title, "image_light": "_static/icon.svg", "image_dark": "_static/icon.svg", "alt_text": ""},
+    "navbar_align": "right",
+    "navbar_persistent": ["search-button"],
+    "navbar_end": ["theme-switcher"],
+    "show_prev_next": False,
+    "show_nav_level": 2,
+    "show_toc_level": 2,
+    "back_to_top_button": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["links"],
+    "footer_end": [],
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}
+html_context = {"default_mode": "auto"}
+html_sidebars = {"index": [], "values": []}
+templates_path = ["templates/theme"]
 html_static_path = ["_static", "_build/static"]
 html_extra_path = ["_build/extra"]
-html_css_files = ["site.css"]
-html_js_files = [(name, {"defer": "defer"}) for name in ("values.js", "live.js", "sensor.js", "article.js")]
+html_css_files = ["colours.css", "site.css"]
 html_show_sphinx = html_show_copyright = False
-html_copy_source = html_show_search_summary = False  # summaries cannot be read from files
+html_copy_source = html_show_search_summary = html_show_sourcelink = False  # summaries cannot be read from files
 html_use_index = html_domain_indices = False
-mathjax_path = "tex-svg.js"
-mathjax3_config = {"options": {"enableMenu": False}}
-pygments_style = "a11y-high-contrast-light"
-pygments_dark_style = "a11y-high-contrast-dark"
+html_math_renderer = "mathml"
 
 
 def name_parts(app, doctree):
-    """Give each code cell the anchor #cell-ID, fold its code, show its figures as SVG, and mark long formulas."""
+    """Give each code cell the anchor #cell-ID, and show its figures as SVG; name headers, mark short code."""
     for cell in doctree.findall(lambda node: node.get("nb_element") == "cell_code" if node.children else False):
         about = cell["cell_metadata"]
         cell["ids"].append(f"cell-{about['id']}")
-        for code in [each for each in cell.children if each.get("nb_element") == "cell_code_source"]:
-            state = "" if about["folded"] else " open"
-            at = cell.index(code)
-            cell.insert(at, raw(f'<details class="code"{state}><summary>code</summary>'))
-            cell.insert(at + 2, raw("</details>"))
         for image in list(cell.findall(nodes.image)):
             if "figure" in about:
                 image.replace_self(raw(pages.picture(about["figure"], root="../")))
-    for formula in doctree.findall(nodes.math):
-        if len(formula.astext()) > 35:  # too wide for a phone
-            formula["classes"].append("long")
+    for head in doctree.findall(nodes.thead):
+        for empty in [each for each in head.findall(nodes.entry) if not each.astext()]:
+            empty += raw('<span class="visually-hidden">row</span>')  # or a screen reader has no name for it
     for code in doctree.findall(nodes.literal):
         if len(code.astext()) <= 28:  # fits a line of a phone
             code["classes"].append("unbroken")
-    add_contents(app.env.docname, doctree)
-
-
-WITH_CONTENTS = re.compile(r"guide|by_hand|rinex|accuracy|notebooks/.*(?<!-full)")
-
-
-def add_contents(name, doctree):
-    """Give a long page a list of its sections, and an article one more below the heading of Part II."""
-    if not WITH_CONTENTS.fullmatch(name):
-        return
-    (top,) = (each for each in doctree.children if isinstance(each, nodes.section))
-    parts = [each for each in top.children if isinstance(each, nodes.section)]
-    after_title = top.first_child_matching_class(nodes.title) + 1
-    starts = [i for i, part in enumerate(parts) if title_of(part).startswith("Part II")]
-    if starts:
-        evidence = parts[starts[0]]
-        inside = [each for each in evidence.children if isinstance(each, nodes.section)] + parts[starts[0] + 1 :]
-        evidence.insert(evidence.first_child_matching_class(nodes.title) + 1, contents("Its sections", inside))
-        parts = parts[: starts[0] + 1]
-    top.insert(after_title, contents("On this page", parts))
-
-
-def title_of(section):
-    """Return the heading of a section as text."""
-    return section.next_node(nodes.title).astext()
-
-
-def contents(summary, sections):
-    """Return a list of links to sections that opens."""
-    items = "".join(f'<li><a href="#{each["ids"][0]}">{escape(title_of(each))}</a></li>' for each in sections)
-    return raw(f'<details class="sections"><summary>{summary}</summary><ul>{items}</ul></details>')
-
-
-def describe(app, pagename, templatename, context, doctree):
-    """Give a page its description, from papers.toml."""
-    words = json.loads((pages.BUILD / "words.json").read_text(encoding="utf-8"))
-    place, _, key = pagename.rpartition("/")
-    key = key.removesuffix("-full")
-    said = words["descriptions"].get(pagename)
-    if key in words["papers"]:
-        paper = words["papers"][key]
-        first = {"corrections": "Corrections to ", "notebooks": "Checked: "}[place]
-        said = f"{first}{paper['authors']}. {paper['outcome']}"
-    context["metatags"] = (
-        context.get("metatags", "")
-        + f'<meta name="description" content="{escape(said or words["descriptions"]["index"])}">'
-    )
 
 
 def size_pictures(app, doctree):
@@ -120,10 +90,35 @@ def raw(html):
     return nodes.raw("", html, format="html")
 
 
+def write_formula(self, node):
+    """Write a formula in a line as MathML."""
+    self.body.append(mathml(node.astext(), block=False))
+    raise nodes.SkipNode
+
+
+def write_display(self, node):
+    """Write a displayed formula as MathML, in a box that scrolls where it is too wide."""
+    self.body.append(f'<div class="math" tabindex="0">{mathml(node.astext(), block=True)}</div>')
+    raise nodes.SkipNode
+
+
+def mathml(tex, block):
+    r"""Return a formula as MathML, by the converter of docutils.
+
+    It knows no \dots, and a slash would have spaces around it.
+    """
+    try:
+        made = latex2mathml.tex2mathml(tex.strip().replace(r"\dots", r"\ldots"), as_block=block)
+    except MathError as error:
+        logger.warning("the formula %r cannot be set: %s", tex, error)
+        return ""
+    return re.sub(r"<mo[^>]*>/</mo>", r'<mo lspace="0" rspace="0">/</mo>', made)
+
+
 def plain_docstring(app, what, name, obj, options, lines):
     """Read docstrings as plain text: an indented part is a formula, as it stands; stars and bars are no markup.
 
-    A formula that writes a matrix as [a b; c d] is set as math.
+    A formula that writes a matrix as [a b; c d] is set as math. Lines that continue indented are the items of a list.
     """
     parts = "\n".join(lines).split("\n\n")
     for i, part in enumerate(parts):
@@ -132,8 +127,14 @@ def plain_docstring(app, what, name, obj, options, lines):
         elif part.startswith("    "):
             parts[i] = f"::\n\n{part}"
         elif not part.startswith(">>>"):
-            parts[i] = re.sub(r"([*|])|(?<=\w)_(?!\w)", r"\\\g<0>", part)
+            plain = re.sub(r"([*|])|(?<=\w)_(?!\w)", r"\\\g<0>", part)
+            parts[i] = as_list(plain) if "\n    " in plain else plain
     lines[:] = "\n\n".join(parts).splitlines()
+
+
+def as_list(text):
+    """Return lines, of which some continue indented on the next, as a list with an item for each."""
+    return "\n".join(f"- {line}" for line in re.sub(r"\n +", " ", text).splitlines())
 
 
 MATRIX = re.compile(r"\[([^\[\]]*;[^\[\]]*)\]")
@@ -162,9 +163,15 @@ def as_tex(formula):
     return formula
 
 
+def short_signature(app, what, name, obj, options, signature, returns):
+    """Leave `ArrayLike` one word: Sphinx 9.0 spells it TypeAliasForwardRef('ArrayLike') in a union."""
+    return tuple(text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in (signature, returns))
+
+
 def setup(app):
     """Connect them."""
+    app.add_html_math_renderer("mathml", (write_formula, None), (write_display, None))
     app.connect("doctree-read", name_parts)
     app.connect("doctree-read", size_pictures)
-    app.connect("html-page-context", describe)
     app.connect("autodoc-process-docstring", plain_docstring)
+    app.connect("autodoc-process-signature", short_signature)

@@ -123,4 +123,4 @@ def questions(given, asked):
     by_id = {each.id: each for each in given}
     failing = [(text, by_id[id]) for id, text in asked.items() if id in by_id and by_id[id].verdict in FAILS]
     lacking = [each for each in given if each.verdict == CANNOT_BE_CHECKED and not each.cause]
-    return failing + [(f"“{each.printed}”: what the paper leaves out is {each.reason}.", each) for each in lacking]
+    return failing + [(f"{each.printed}: what the paper leaves out is {each.reason}.", each) for each in lacking]

@@ -2,26 +2,29 @@
 
 Everything that says what the papers print and what was computed comes from the verdicts in the executed notebooks. The
 few sentences per paper are in papers.toml, where each number is looked up in a verdict; home.py computes what the home
-page says, corrections.py writes the corrections, archive.py packs the source. The HTML is in templates/.
+page says, corrections.py writes the corrections. The HTML is in templates/.
 """
 
+import base64
 import csv
-import hashlib
+import doctest
+import importlib
+import inspect
 import json
 import re
 import shutil
+import subprocess
 import tomllib
 import zlib
-from importlib.metadata import distribution
 from pathlib import Path
 from textwrap import shorten
 from typing import NamedTuple
 from urllib.parse import urlencode
 
-import archive
 import break_sensor
 import corrections
 import home
+import nbformat
 import numpy as np
 import speed
 import yaml
@@ -33,23 +36,39 @@ import mpt_helpers as mpt
 from mpt_helpers import plots
 from reproduction import figures
 from reproduction.ledger import Verdicts, keys, stored_verdicts
-from reproduction.ledger.verdicts import BASES, CANNOT_BE_CHECKED, CAUSE_KINDS, FIELDS, OF_CLAIMS, VERDICTS
+from reproduction.ledger.verdicts import (
+    BASES,
+    CANNOT_BE_CHECKED,
+    CAUSE_KINDS,
+    DIFFERS,
+    ERRATUM,
+    FIELDS,
+    IN_PART,
+    OF_CLAIMS,
+    REPRODUCED,
+    VERDICTS,
+    WITHIN_BAND,
+)
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 BUILD = DOCS / "_build"
-# es5/tex-svg.js of MathJax 3.2.2, as in the package `mathjax` of the npm registry.
-MATHJAX = "sphinx-mathjax-offline", "sphinx-mathjax-offline/static/mathjax/tex-svg.js"
-MATHJAX_SHA256 = "d4295dc33744836935c1399feece5159577b34c5c8ffb9f1c6324cd82e03a882"
 SAVED = re.compile(r'save_figure\(\w+, "(\w+)"\)')
 # More verdicts than this that share their table, outcome and cause become one row, or one chip, that opens.
 FOLD = 4
 PART_2 = re.compile(r"(?m)^## Part II\b")
 # What the filter of the values calls all that did not come out as printed.
 NOT_REPRODUCED = "not reproduced"
+# What a reader of the values comes for, first.
+WORST_FIRST = (ERRATUM, DIFFERS, IN_PART, CANNOT_BE_CHECKED, WITHIN_BAND, REPRODUCED)
 # What a page holds for the site, hidden where Markdown is shown as it is: a template.
 INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
 CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  # for readers of a checkout only
+
+
+# Pages whose blocks of Python can be downloaded as a notebook, and those that stand below the guide, where they are.
+GUIDES = ("guide", "by_hand")
+BELOW_GUIDE = {"by_hand": "Every step by hand", "rinex": "From RINEX files"}
 
 
 class Group(NamedTuple):
@@ -67,13 +86,13 @@ class Group(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A figure of a notebook: its file's name, what it is called, its heading, its caption and what that concludes."""
+    """A figure of a notebook: its file's name, what it is called, its section, its caption, its finding."""
 
     name: str
     label: str
-    heading: str
+    section: str
     caption: str
-    conclusion: str
+    finding: str
     cell: str
     alt: str
     width: int
@@ -106,6 +125,11 @@ def grouped(verdicts):
     return sorted([*filter(lambda group: group.folds, groups), *single], key=lambda group: order[id(group.members[0])])
 
 
+def worst_first(verdicts):
+    """Return verdicts with those first that fail, then those under a condition; otherwise in the paper's order."""
+    return sorted(verdicts, key=lambda each: WORST_FIRST.index(each.verdict))
+
+
 def by_cause(given, kind):
     """Return the verdicts whose cause is of this kind."""
     return [each for each in given if each.cause and given.causes[each.paper, each.cause].kind == kind]
@@ -136,24 +160,26 @@ def common(members):
 
 
 def figures_of(key, cells):
-    """Return the figures of a notebook; the caption is the paragraph that begins with **Figure 1.** or so."""
+    """Return the figures of a notebook; the caption is the paragraph that begins with **Figure 1.** or so.
+
+    What a figure found is the first sentence of its caption, else the question of its section.
+    """
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
-    drawn, section = [], "What we found"
+    drawn, section = [], ""
     for cell in cells:
         if cell["cell_type"] == "markdown":
-            section = [section, *re.findall(r"(?m)^###? (?:\d+\. )?(.*)", source(cell))][-1]
+            section = [section, *re.findall(r"(?m)^#{1,3} (?:\d+\. )?(.*)", source(cell))][-1]
         for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
-            heading = label if label[-1].isdigit() else f"{section} ({label[0].lower()}{label[1:]})"
             captions = [part for part in prose if label in names_of(part)]
             (alt,) = (
                 out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out.get("data", {})
             )
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
-            caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else alt
-            said = conclusion(caption)
-            drawn.append(Drawn(name, label, heading, caption, said, cell["id"], alt, width, height))
+            caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else ""
+            finding = conclusion(caption) or section
+            drawn.append(Drawn(name, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
 
 
@@ -198,44 +224,47 @@ def unbroken(text):
     )
 
 
-def home_page(given, about):
-    """Return what the home page says: the words of papers.toml with the numbers of home.py in them."""
-    by_id = {(each.paper, each.id): each for each in given}
+def home_page(about, given, drawn):
+    """Return what the home page says: the words of papers.toml with the numbers of home.py in them.
+
+    drawn maps names of figures to Drawn. Raises ValueError for a mistake whose figure no notebook draws.
+    """
+    numbers, costs = home.choice(), home.mistakes()
 
     def said(mistake):
-        words = {name: unbroken(text.format(**mistake.words)) for name, text in about["mistakes"][mistake.name].items()}
-        return words | {"scene": mistake.scene, "proof": mistake.proof}
+        if mistake["figure"] not in drawn:
+            known = ", ".join(sorted(drawn))
+            raise ValueError(
+                f"docs/papers.toml: the figure of the mistake {mistake['name']!r} must be one of {known}; "
+                f"it is {mistake['figure']!r}"
+            )
+        words = {name: unbroken(text.format(**costs[mistake["name"]])) for name, text in mistake.items()}
+        return words | {"drawn": drawn[mistake["figure"]], "key": key_of(mistake["figure"])}
 
-    filters = home.choice()
-    metres, choices = home.in_metres(by_id), home.of_choice(by_id)
-    counts = home.outcomes(given)
-    numbers = {"late": next(each.words["metres"] for each in metres if each.name == "lag")}
-    for name in ("claims", "values"):
-        numbers |= {f"{name}_{part}": n for part, n in zip(("hold", "part", "all"), counts[name], strict=True)}
-    values = [each for each in given if each.kind != "claim"]
-    numbers["table4"] = next(each.words["wrong"] for each in choices if each.name == "table4")
     return {
-        "short": {name: unbroken(about["home"][name].format(**numbers)) for name in ("hold", "cost", "take")},
-        "choice": [{name: unbroken(text.format(**filters)) for name, text in row.items()} for row in about["choice"]],
-        "metres": [said(each) for each in metres],
-        "choices": [said(each) for each in choices],
-        "lost": sum(each.verdict == CANNOT_BE_CHECKED for each in values),
-        "table4": numbers["table4"],
+        **{name: unbroken(text.format(**numbers)) for name, text in about["home"].items()},
+        "choice": [{name: unbroken(text.format(**numbers)) for name, text in row.items()} for row in about["choice"]],
+        "mistakes": [said(each) for each in about["mistakes"]],
+        "lost": sum(each.verdict == CANNOT_BE_CHECKED and each.kind != "claim" for each in given),
+        "claims": sum(each.kind == "claim" for each in given),
     }
+
+
+def key_of(figure):
+    """Return the paper to which a figure belongs."""
+    (key,) = (each for each in keys() if figure.startswith(f"{each}_"))
+    return key
 
 
 def draw_sensor(folder):
     """Draw what the first figure shows first, as sensor.svg, and return what the page needs to know of it."""
     fig = break_sensor.draw("gap")
     alt = figures.save_figure(fig, "sensor", folder).alt
-    scene, track = break_sensor.SCENES["gap"], break_sensor.average()
     return {
         "data": break_sensor.for_the_page(),
         "json": json.dumps(break_sensor.for_the_page(), ensure_ascii=False),
         "size": svg_size(folder / "sensor.svg"),
         "alt": f"{alt} {break_sensor.said('gap')}",
-        "numbers": break_sensor.numbers(scene, track),
-        "order": break_sensor.run(scene, track).order,
         "said": break_sensor.said("gap"),
         "candidates": break_sensor.CANDIDATES,
     }
@@ -276,8 +305,9 @@ def prepared(key, notebook, page, whole):
         made = {**cell, "source": text, "metadata": {**cell["metadata"], "id": cell["id"]}}
         ledger = "ledger" in cell["metadata"].get("tags", ())
         evidence = evidence or PART_2.search(text) is not None
-        made["metadata"]["folded"] = not whole and not is_open(cell, evidence)
-        made["metadata"]["tags"] = []  # code is folded here, not by myst-nb
+        if made["cell_type"] == "code":
+            made["outputs"] = [with_named_headers(each) for each in cell["outputs"]]
+        made["metadata"]["tags"] = [] if whole or is_open(cell, evidence) else ["hide-input"]
         if ledger and not whole:
             cells.append(raw_cell(page["verdicts"](cell["id"])))
         else:
@@ -289,6 +319,14 @@ def prepared(key, notebook, page, whole):
         if i == last_of_part_1:
             cells.append(raw_cell(live))
     return {**notebook, "cells": cells}
+
+
+def with_named_headers(output):
+    """Return an output of a cell whose tables have no empty header: to a screen reader it would have no name."""
+    if "text/html" not in output.get("data", {}):
+        return output
+    html = "".join(output["data"]["text/html"]).replace("<th></th>", "<td></td>")
+    return {**output, "data": {**output["data"], "text/html": html}}
 
 
 def end_of_part_1(cells, figure):
@@ -317,11 +355,6 @@ def raw_cell(html):
 def raw_html(html):
     """Return HTML as a block of MyST, in which blank lines end nothing."""
     return f"```{{raw}} html\n{html}\n```"
-
-
-def live_presets(chosen):
-    """Return the presets of the figure with sliders as JSON."""
-    return json.dumps(chosen, ensure_ascii=False)
 
 
 def draw_still(preset, folder):
@@ -363,34 +396,115 @@ def picture(figure, root="", folder="figures"):
     return str(environment().get_template("figures.html").module.picture(figure, root, folder)).strip()
 
 
-def mathjax():
-    """Return MathJax, after checking that it is the file of its project."""
-    package, name = MATHJAX
-    data = Path(distribution(package).locate_file(name)).read_bytes()
-    if hashlib.sha256(data).hexdigest() != MATHJAX_SHA256:
-        raise ValueError(f"{name} of {package} is not es5/tex-svg.js of MathJax 3.2.2")
-    return data
+# Modules that no page shows: those behind the doors. Others are listed as the package has them, so that a new one is.
+NOT_SHOWN = ["checks", "files"]
 
 
-# The modules of the core in the order in which they are read; others come after them, with what runs the filters.
-FIRST = ["model", "filters", "steady", "predictor", "combined"]
-JUDGE = ["metrics", "fitting", "bands", "monte_carlo"]
-NOT_SHOWN = ["checks", "files", "plots"]
+class Described(NamedTuple):
+    """A page of the package's interface: a class or a module, its name, how it is used, and what stands elsewhere."""
+
+    name: str
+    path: str
+    use: str
+    summary: str
+    elsewhere: list
 
 
-def api():
-    """Return the headings of the API page, each with its modules: those of the layout, and what is in papers/."""
-    papers = sorted(path.stem for path in (ROOT / "mpt_helpers" / "papers").glob("[a-z]*.py"))
-    core = sorted(path.stem for path in (ROOT / "mpt_helpers").glob("[a-z]*.py"))
-    others = [name for name in core if name not in (*FIRST, *JUDGE, *NOT_SHOWN)]
-    return {
-        "Models and filters": [name for name in FIRST if name in core],
-        "Judging them": [name for name in JUDGE if name in core],
-        "What runs them": others,
-        "What the papers need": [f"papers.{name}" for name in papers],
-        "What the papers print, and whether it holds": ["ledger.paper", "ledger.verdicts", "ledger.tables"],
-        "Figures": ["plots"],
-    }
+def interface():
+    """Return the pages of the package, (classes, modules), as lists of Described.
+
+    Classes are those that `mpt_helpers` exports; a module's page has its functions and the other classes.
+    """
+    exported = [getattr(mpt, name) for name in mpt.__all__]
+    classes = [each for each in exported if inspect.isclass(each)]
+    names = sorted(path.stem for path in (ROOT / "mpt_helpers").glob("[a-z]*.py"))
+    modules = [importlib.import_module(f"mpt_helpers.{name}") for name in names if name not in NOT_SHOWN]
+    return (
+        [described(each, f"{each.__module__}.{each.__name__}", []) for each in classes],
+        [
+            described(each, each.__name__, [one.__name__ for one in classes if one.__module__ == each.__name__])
+            for each in modules
+        ],
+    )
+
+
+def described(thing, path, elsewhere):
+    """Return the page of a class or a module."""
+    summary = " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
+    return Described(path.rpartition(".")[2], path, lines_of_use(thing, path), summary, elsewhere)
+
+
+def lines_of_use(thing, path):
+    """Return lines that use a class, or a module's first function that shows how: they run as they stand.
+
+    They are the first example of the docstring, as far as the first line that uses the name.
+
+    >>> print(lines_of_use(mpt.FIRFilter, "mpt_helpers.steady.FIRFilter"))
+    from mpt_helpers.steady import FIRFilter, SteadyStateFilter
+    from mpt_helpers.model import gsm_axis
+    <BLANKLINE>
+    steady = SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1))
+    FIRFilter.from_steady_state(steady, tol=1e-3).order
+    """
+    module, used = (path.rpartition(".")[0], [thing]) if inspect.isclass(thing) else (path, public_functions(thing))
+    for each in used:
+        lines = []
+        for example in doctest.DocTestParser().get_examples(inspect.getdoc(each) or ""):
+            lines.append(example.source.rstrip())
+            if re.search(rf"\b{each.__name__}[.(]", lines[-1]):
+                return with_imports(lines, module)
+    return f"from {module.rpartition('.')[0]} import {module.rpartition('.')[2]}"
+
+
+def with_imports(lines, module):
+    """Return lines of an example of a module with what they need: the names of the module, and numpy."""
+    said = "\n".join(line for line in lines if not line.startswith(("from ", "import ")))
+    own = vars(importlib.import_module(module))
+    used = sorted(set(re.findall(r"\b[A-Za-z_]\w*", said)))
+    names = [name for name in used if name in own and not inspect.ismodule(own[name])]
+    imports = [line for line in lines if line.startswith(("from ", "import "))]
+    known = re.findall(r"\w+", " ".join(imports))
+    needed = [name for name in names if name not in known and re.search(rf"(?<![\w.]){name}\b(?!=)", said)]
+    first = [f"from {module} import {', '.join(needed)}"] if needed else []
+    numpy = ["import numpy as np"] if "np." in said and "import numpy as np" not in imports else []
+    return "\n".join([*numpy, *first, *imports, "", said])
+
+
+def public_functions(module):
+    """Return the functions that a module defines, in its order, without those of its own use."""
+    own = [each for each in vars(module).values() if inspect.isfunction(each) and each.__module__ == module.__name__]
+    return [each for each in own if not each.__name__.startswith("_")]
+
+
+def guide_as_notebook(text, pictures):
+    """Return the guide as a notebook that runs beside the folder tracks/: its blocks are cells, with what they print.
+
+    A picture of a block, `![...](guide/look.png)`, is what its figure `fig` shows.
+    """
+    notebook = nbformat.v4.new_notebook(metadata={"language_info": {"name": "python"}})
+    for i, part in enumerate(re.split(r"(?ms)(^```python\n.*?^```$(?:\n\n```text\n.*?^```$)?)", text)):
+        block = re.fullmatch(r"(?s)```python\n(.*?)\n```(?:\n\n```text\n(.*?)```)?", part)
+        if block:
+            said = [nbformat.v4.new_output("stream", name="stdout", text=block[2])] if block[2] else []
+            cell = nbformat.v4.new_code_cell(block[1], outputs=said)
+        elif part.strip():
+            cell = nbformat.v4.new_markdown_cell(pictures_inside(part.strip(), pictures))
+        else:
+            continue
+        cell["id"] = f"guide-{i}"
+        notebook.cells.append(cell)
+    nbformat.validate(notebook)
+    return notebook
+
+
+def pictures_inside(text, folder):
+    """Return Markdown whose pictures stand in it, so that the notebook is one file."""
+
+    def inside(found):
+        data = base64.b64encode((folder / found[2]).read_bytes()).decode()
+        return f"![{found[1]}](data:image/png;base64,{data})"
+
+    return re.sub(r"!\[([^\]]*)\]\(([\w/]+\.png)\)", inside, text)
 
 
 # A letter with an index or a power: P_k, A^(ν-1). A small letter is one only where no word ends with it.
@@ -423,19 +537,21 @@ def environment():
         "BASES": BASES,
         "CAUSE_KINDS": CAUSE_KINDS,
         "OF_CLAIMS": OF_CLAIMS,
+        "FAILS": (ERRATUM, DIFFERS),
         "grouped": grouped,
+        "worst_first": worst_first,
         "claims": claims,
         "cause_options": cause_options,
         "outcomes": home.outcomes,
         "common": common,
         "shorten": shorten,
         "NOT_REPRODUCED": NOT_REPRODUCED,
-        "live_presets": live_presets,
     }
     env.filters |= {
         "slug": lambda text: text.replace(" ", "-"),
-        "code": lambda text: re.sub(r"`([^`]*)`", r"\1", text),
+        "code": lambda text: re.sub(r"[`$*]", "", text),
         "place": place,
+        "plain": lambda text: re.sub(r"([\\`*_|<>$])", r"\\\1", text),
         "typeset": typeset,
     }
     return env
@@ -453,7 +569,7 @@ def write_tables(given, folder):
 def main():
     """Write docs/_build afresh: source, static and extra."""
     shutil.rmtree(BUILD, ignore_errors=True)
-    for part in ("source/notebooks", "source/corrections", "static", "extra/notebooks"):
+    for part in ("source/notebooks", "source/corrections", "source/api", "source/modules", "static", "extra/notebooks"):
         (BUILD / part).mkdir(parents=True)
     notebooks = {key: stored_notebook(key) for key in keys()}
     stored = [stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb") for key in notebooks]
@@ -466,41 +582,55 @@ def main():
     draw_accuracy((DOCS / "accuracy.md").read_text(encoding="utf-8").partition("<!-- digits -->")[2], BUILD / "static")
     cff, own, references = citations()
     name = f"mpt_helpers-{cff['version']}"
-    size = write_archive(BUILD / "extra" / f"{name}.tar.gz", name, cff["date-released"])
+    size = write_archive(BUILD / "extra" / f"{name}.tar.gz", name)
+    drawn = {key: figures_of(key, each["cells"]) for key, each in notebooks.items()}
+    classes, modules = interface()
     env.globals |= {
         "given": given,
         "texts": about,
-        "home": home_page(given, about),
+        "home": home_page(about, given, {each.name: each for own in drawn.values() for each in own}),
         "sensor": draw_sensor(BUILD / "static"),
-        "archive": name,
+        "archive": name if size else "",
         "archive_size": f"{size / 1e6:.1f} MB",
         "citation": own,
         "citation_of": lambda key: references.get(key[:4], about["papers"][key]["authors"]),
         "accuracy": svg_size(BUILD / "static" / "accuracy.svg"),
         "titles": {key: title(each["cells"]) for key, each in notebooks.items()},
-        "figures": {key: figures_of(key, each["cells"]) for key, each in notebooks.items()},
-        "api": api().items(),
+        "figures": drawn,
+        "classes": classes,
+        "modules": modules,
         "speed": speed,
     }
     write_pages(env)
+    # Two folders: on a disk that ignores case, Predictor and predictor are one file.
+    for folder, described in (("api", classes), ("modules", modules)):
+        for each in described:
+            text = env.get_template("interface.md").render(each=each, of_class=folder == "api")
+            (BUILD / "source" / folder / f"{each.name}.md").write_text(text, encoding="utf-8")
     for key, notebook in notebooks.items():
         write_article(env, key, notebook, given.of(key), about["live"]["after"])
         write_corrections(env, key, given.of(key), about)
     shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
     shutil.copytree(DOCS / "tracks", BUILD / "extra" / "tracks")
-    (BUILD / "static" / "tex-svg.js").write_bytes(mathjax())
+    for page in [DOCS / f"{name}.md" for name in GUIDES if (DOCS / f"{name}.md").exists()]:
+        text = CHECKOUT.sub("", page.read_text(encoding="utf-8"))
+        nbformat.write(guide_as_notebook(text, DOCS), BUILD / "extra" / f"{page.stem}.ipynb")
     write_tables(given, BUILD / "extra")
-    words = {"descriptions": about["descriptions"], "papers": about["papers"]}
-    (BUILD / "words.json").write_text(json.dumps(words), encoding="utf-8")  # for conf.py
+    colours = "".join(f"--{name}: {colour}; " for name, colour in plots.COLOUR_OF.items() if colour.startswith("#"))
+    (BUILD / "static" / "colours.css").write_text(f":root {{ {colours}}}\n", encoding="utf-8")
     for png in (BUILD / "static").glob("*.png"):
         png.unlink()
 
 
-def write_archive(path, name, day):
-    """Write the source of the project to a .tar.gz, and return its size in bytes."""
-    data = archive.source(ROOT, name, day)
-    path.write_bytes(data)
-    return len(data)
+def write_archive(path, name):
+    """Write the committed source as a .tar.gz, and return its size in bytes: 0 where there is no git."""
+    if not (ROOT / ".git").exists():
+        return 0
+    # Git writes the time of the commit into it: the same bytes wherever the same commit is packed. A container's folder
+    # may belong to somebody else, which git minds unless it is told.
+    git = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
+    subprocess.run([*git, "archive", "--format=tar.gz", f"--prefix={name}/", "-o", str(path), "HEAD"], check=True)
+    return path.stat().st_size
 
 
 def write_pages(env):
@@ -511,13 +641,35 @@ def write_pages(env):
         text = page.read_text(encoding="utf-8").replace("](../notebooks/", "](notebooks/")
         text = INCLUDE.sub(raw_html(r'{% include "\1" %}'), CHECKOUT.sub("", text))
         text = env.from_string(text).render(root="")
+        if page.stem in (said := env.globals["texts"]["descriptions"]):
+            text = f"---\n{yaml.safe_dump({'myst': described_as(said[page.stem])})}---\n{text}"
+        if page.stem in GUIDES:
+            first, _, rest = text.partition("\n\n")
+            text = f"{first}\n\n{download(page.stem)}\n\n{rest}"
+        if page.stem == "guide":
+            text += toctree({name: words for name, words in BELOW_GUIDE.items() if (DOCS / f"{name}.md").exists()})
         (BUILD / "source" / page.name).write_text(text, encoding="utf-8")
+
+
+def download(name):
+    """Return the line of a guide that leads to its notebook, which reads the ride."""
+    return (
+        f'<a href="{name}.ipynb" download>Download it as a notebook</a>; it reads '
+        '<a href="tracks/ride.gpx" download>ride.gpx</a> from a folder `tracks` beside it.'
+    )
+
+
+def toctree(pages):
+    """Return the pages below a page, {name: words}, for Sphinx: they stand in the navigation only."""
+    entries = "\n".join(f"{words} <{name}>" for name, words in pages.items())
+    return f"\n```{{toctree}}\n:hidden:\n\n{entries}\n```\n"
 
 
 def write_article(env, key, notebook, own, live):
     """Write the article and the full notebook of one paper."""
     shutil.copy(ROOT / "notebooks" / f"{key}.ipynb", BUILD / "extra" / "notebooks")
     here = {"key": key, "root": "../"}
+    about = env.globals["texts"]["papers"][key]
 
     def verdicts(cell):
         chosen = [each for each in own if each.cell == cell]
@@ -527,20 +679,31 @@ def write_article(env, key, notebook, own, live):
     for name, whole in ((key, False), (f"{key}-full", True)):
         first = source(notebook["cells"][0])
         page = html | {"top": env.get_template("top.html").render(here, whole=whole, first=first)}
-        text = json.dumps(prepared(key, notebook, page, whole), ensure_ascii=False)
+        made = prepared(key, notebook, page, whole)
+        made["metadata"] = made["metadata"] | {"myst": described_as(f"{about['authors']}, checked. {about['outcome']}")}
+        text = json.dumps(made, ensure_ascii=False)
         (BUILD / "source" / "notebooks" / f"{name}.ipynb").write_text(text, encoding="utf-8")
+
+
+def described_as(text):
+    """Return front matter of MyST that says what a page is about, for search engines and previews."""
+    return {"html_meta": {"description": text}}
 
 
 def write_corrections(env, key, own, about):
     """Write the page of corrections to one paper."""
     html = env.get_template("correction.html").render(
         key=key,
+        root="../",
         rows=corrections.names_of_rows(own),
         sections=corrections.sections(own, about["corrected"].get(key, {})),
         lost=corrections.lost(own),
         questions=corrections.questions(own, about["questions"].get(key, {})),
+        beyond=[each for each in own if each.beyond],
     )
-    text = f"---\nhide-toc: true\n---\n# Corrections to {about['papers'][key]['authors']}\n\n{raw_html(html)}\n"
+    paper = about["papers"][key]
+    front = yaml.safe_dump({"myst": described_as(f"Corrections to {paper['authors']}. {paper['outcome']}")})
+    text = f"---\n{front}---\n# Corrections to {paper['authors']}\n\n{raw_html(html)}\n"
     (BUILD / "source" / "corrections" / f"{key}.md").write_text(text, encoding="utf-8")
 
 

@@ -21,13 +21,11 @@ KEY = re.search(r"The key is .*, here `(\w+)`", PAGE)[1]
 KERNEL = json.loads(re.search(r"has the metadata `(\{.*?\})`", PAGE)[1])
 FOLDED = json.loads(re.search(r"folded by the metadata `(\{.*?\})`", PAGE)[1])
 IGNORED = shutil.ignore_patterns(".*", "__pycache__", "_build", "dist", "*.egg-info")
-# What `make site` makes before Sphinx runs, without the guide's figures and the file of MathJax, which other tests see.
+# What `make site` makes before Sphinx runs.
 SITE = """\
 import sys
 sys.path.insert(0, "docs")
 import pages
-pages.with_pictures = lambda text, place: text
-pages.mathjax = lambda: b""
 pages.main()"""
 
 
@@ -122,8 +120,10 @@ def test_the_projects_tests_of_papers_and_pages_pass_with_the_new_paper(copy):
 def test_the_site_has_the_new_paper(copy):
     run(copy, "-c", SITE)
     source = copy / "docs" / "_build" / "source"
-    assert f"A random walk (1960) <notebooks/{KEY}>" in (source / "index.md").read_text(encoding="utf-8")
-    assert "is 0.618034, not 0.681" in (source / "index.md").read_text(encoding="utf-8")
+    papers = (source / "papers.md").read_text(encoding="utf-8")
+    assert f"A random walk (1960) <notebooks/{KEY}>" in papers
+    assert "How far off is a walker whose steps are random?" in papers
+    assert "is 0.618034, not 0.681" in papers
     assert (source / "notebooks" / f"{KEY}.ipynb").is_file()
 
 

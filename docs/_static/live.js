@@ -1,5 +1,5 @@
-// "Does the time step change the filter?": a figure with sliders. The formulas come first; they are those of the
-// package, and a test in the browser holds them to its numbers. The state stands in the address: #model=cv&dt=1&...
+// "Does the time step change the filter?": a figure with sliders, over kalman.js. The state stands in the address:
+// #model=cv&dt=1&...
 const live = (() => {
   // Models of one axis with the state [s v] and F = [1 dt; 0 1], as mpt.gsm_axis and mpt.constant_velocity.
   const MODELS = {
@@ -7,44 +7,8 @@ const live = (() => {
     cv: { H: () => [1, 0], Q: (dt, q) => [q * dt ** 3 / 3, q * dt * dt / 2, q * dt] },
   };
 
-  // One step of the Kalman filter. P is [P_ss, P_sv, P_vv]; P - K S K' is (r P + |P| u u') / S with u = [-g, h] for
-  // H = [h, g], which takes no difference of large numbers.
-  function step(P, { dt, H: [h, g], Q, r }) {
-    const a = P[0] + 2 * dt * P[1] + dt * dt * P[2] + Q[0], b = P[1] + dt * P[2] + Q[1], d = P[2] + Q[2];
-    const S = h * h * a + 2 * h * g * b + g * g * d + r, det = a * d - b * b;
-    const K = [(h * a + g * b) / S, (h * b + g * d) / S];
-    const updated = [r * a + det * g * g, r * b - det * g * h, r * d + det * h * h].map((each) => each / S);
-    const [m, n, o, p] = [1 - K[0] * h, -K[0] * g, -K[1] * h, 1 - K[1] * g]; // I - K H
-    return { K, A: [m, m * dt + n, o, o * dt + p], P: updated };
-  }
-
-  const parts = (model, dt, q, r) => ({ dt, r, H: MODELS[model].H(dt), Q: MODELS[model].Q(dt, q) });
-
-  // The Riccati recursion until it rests: the constant gain K, A = (I - K H) F, and the covariance P of the estimate.
-  function steadyState(model, dt, q, r) {
-    const system = parts(model, dt, q, r);
-    let now = { P: [0, 0, 0] };
-    for (let k = 0, moved = Infinity; k < 3e5 && moved > 2e-15; k++) {
-      const next = step(now.P, system), size = [next.P[0], Math.sqrt(next.P[0] * next.P[2]), next.P[2]];
-      moved = Math.max(...next.P.map((each, i) => Math.abs(each - now.P[i]) / size[i]));
-      now = next;
-    }
-    return now;
-  }
-
-  // The largest singular value of [a b; c d].
-  const norm = ([a, b, c, d]) => {
-    const sum = a * a + b * b + c * c + d * d, det = a * d - b * c;
-    return Math.sqrt((sum + Math.sqrt(Math.max(sum * sum - 4 * det * det, 0))) / 2);
-  };
-  const times = ([a, b, c, d], [e, f, g, h]) => [a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h];
-
-  // How many measurements the FIR filter takes: the first M at which the norm of A to the power of M is below tol.
-  function firOrder(A, tol = 1e-3) {
-    let M = 1;
-    for (let power = A; norm(power) >= tol && M < 1e5; M++) power = times(power, A);
-    return M;
-  }
+  const system = ({ model, dt, q, r }) => ({ dt, r, H: MODELS[model].H(dt), Q: MODELS[model].Q(dt, q) });
+  const steadyState = (chosen) => kalman.steadyState(system(chosen));
 
   // Normal random numbers, the same in every browser.
   function normals(seed, count) {
@@ -61,34 +25,24 @@ const live = (() => {
 
   // A track from s = 0 with velocity v, its measurements, and two estimates: the Kalman filter knows the start; the FIR
   // filter sums its last M measurements.
-  function track({ model, dt, q, r, v, M }) {
-    const system = parts(model, dt, q, r), { H, Q } = system, { A, K } = steadyState(model, dt, q, r);
+  function track({ v, M, ...chosen }) {
+    const own = system(chosen), { dt, H, Q, r } = own;
     const root = Math.sqrt(Q[0]), cross = root ? Q[1] / root : 0, rest = Math.sqrt(Math.max(Q[2] - cross * cross, 0));
-    const taps = [K];
-    while (taps.length < M) {
-      const [x, y] = taps.at(-1);
-      taps.push([A[0] * x + A[1] * y, A[2] * x + A[3] * y]);
-    }
-    let s = 0, speed = v, x = [0, v], P = [0, 0, 0];
-    const out = { s: [], z: [], kalman: [], sigma: [], fir: [] };
+    const truth = [], z = [];
+    let s = 0, speed = v;
     for (let k = 0; k < STEPS; k++) {
       const [w1, w2, w3] = NOISE.slice(3 * k, 3 * k + 3);
       s += dt * speed + root * w1;
       speed += cross * w1 + rest * w2;
-      out.s.push(s);
-      out.z.push(H[0] * s + H[1] * speed + Math.sqrt(r) * w3);
-      const now = step(P, system), ahead = [x[0] + dt * x[1], x[1]];
-      const innovation = out.z[k] - H[0] * ahead[0] - H[1] * ahead[1];
-      x = [ahead[0] + now.K[0] * innovation, ahead[1] + now.K[1] * innovation];
-      P = now.P;
-      out.kalman.push(x[0]);
-      out.sigma.push(Math.sqrt(P[0]));
-      out.fir.push(taps.slice(0, k + 1).reduce((sum, tap, j) => sum + tap[0] * out.z[k - j], 0));
+      truth.push(s);
+      z.push(H[0] * s + H[1] * speed + Math.sqrt(r) * w3);
     }
-    return out;
+    const { x, P } = kalman.filter(z, own, [0, v], [0, 0, 0]);
+    const fir = kalman.fir(z, own, [0, v], kalman.taps(kalman.steadyState(own), M));
+    return { s: truth, z, kalman: x.map(([each]) => each), sigma: P.map(([each]) => Math.sqrt(each)), fir: fir.map(([each]) => each) };
   }
 
-  return { steadyState, firOrder, track, STEPS };
+  return { steadyState, track, STEPS };
 })();
 
 // The drawing: a small SVG for each panel, in the colours of the page.
@@ -104,7 +58,7 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
   const ROWS = 41, number = (value, digits = 3) => String(Number(value.toPrecision(digits)));
   const state = {}, controls = {};
   let panels = 0;
-  const ruled = ({ model, dt, q, r }) => Math.min(live.firOrder(live.steadyState(model, dt, q, r).A), SLIDERS.M.to);
+  const ruled = (chosen) => Math.min(kalman.order(live.steadyState(chosen).A), SLIDERS.M.to);
   const take = ({ name, ...preset }) => Object.assign(state, preset, { M: ruled(preset) });
 
   // A panel: axes, curves of [x, y], each with its label at its end, and a mark at the chosen time step.
@@ -138,9 +92,9 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
   }
 
   function draw() {
-    const { model, dt, q, r, M } = state, { K, A, P } = live.steadyState(model, dt, q, r);
+    const { model, dt, M } = state, { K, A, P } = live.steadyState(state);
     const steps = Array.from({ length: ROWS }, (_, i) => 10 ** (-2 + i / 10));
-    const over = steps.map((each) => [each, live.steadyState(model, each, q, r)]);
+    const over = steps.map((each) => [each, live.steadyState({ ...state, dt: each })]);
     const spread = (values) => [10 ** Math.floor(Math.log10(Math.min(...values)) + 0.001), 10 ** Math.ceil(Math.log10(Math.max(...values)) - 0.001)];
     const sigma = over.map(([each, { P }]) => [each, Math.sqrt(P[0])]);
     const gain = [0, 1].map((i) => over.map(([each, { K }]) => [each, K[i]]));
@@ -158,7 +112,7 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
       panel("the constant gain", "time step Δt (s)", { ...wide, y: spread(gain.flat().map(([, g]) => g)), mark: [[dt, K[0]], [dt, K[1]]],
         curves: [{ name: "position", points: gain[0] }, { name: "velocity", points: gain[1] }] }),
     ].join("");
-    const rule = live.firOrder(A), last = errors.map((each) => number(Math.abs(each.at(-1)[1]), 2));
+    const rule = kalman.order(A), last = errors.map((each) => number(Math.abs(each.at(-1)[1]), 2));
     figure.querySelector(".said").textContent = `With Δt = ${number(dt)} s the constant gain is ${number(K[0])} for the position and `
       + `${number(K[1])} 1/s for the velocity; σ of the position is ${number(Math.sqrt(P[0]))} m. The rule ‖Aᴹ‖ < 0.001 takes M = ${rule}${rule > live.STEPS ? ", more than this track has" : ""}; `
       + `at step ${live.STEPS} the Kalman filter is off by ${last[0]} m, the FIR filter with M = ${M} by ${last[1]} m`

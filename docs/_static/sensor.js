@@ -1,92 +1,14 @@
-// "Break the sensor": one axis, 60 fixes, three filters. The filters come first; they are those of the package
-// (docs/break_sensor.py), which also made the track, the scenes and the sentences. A test in the browser
-// holds x, P, K and NIS to it. What is broken stands in the address: #sensor=gap&lost=28-35&pulled=46:2.6.
+// "Break the sensor": one axis, 60 fixes, three filters over kalman.js. Track, scenes and sentences are the package's
+// (docs/break_sensor.py). What is broken stands in the address: #sensor=gap&lost=28-35&pulled=46:2.6.
 const sensor = (() => {
-  // Symmetric matrices are [P_ss, P_sv, P_vv], states are [s, v], F = [1 dt; 0 1], H = [h, g].
-  const predictedP = ([a, b, d], dt, Q) => [a + 2 * dt * b + dt * dt * d + Q[0], b + dt * d + Q[1], d + Q[2]];
-  const innovationS = ([a, b, d], [h, g], r) => h * h * a + 2 * h * g * b + g * g * d + r;
-  const gainOf = (P, H, r) => {
-    const S = innovationS(P, H, r);
-    return [(H[0] * P[0] + H[1] * P[1]) / S, (H[0] * P[1] + H[1] * P[2]) / S];
-  };
-
-  // Joseph's form, (I - K H) P (I - K H)' + K r K', which holds for any gain.
-  function correctedP([a, b, d], K, [h, g], r) {
-    const [m, n, o, p] = [1 - K[0] * h, -K[0] * g, -K[1] * h, 1 - K[1] * g];
-    const [ma, mb, oa, ob] = [m * a + n * b, m * b + n * d, o * a + p * b, o * b + p * d];
-    return [ma * m + mb * n + r * K[0] * K[0], ma * o + mb * p + r * K[0] * K[1], oa * o + ob * p + r * K[1] * K[1]];
-  }
-
-  // The Riccati recursion until it rests: the constant gain, its covariance, and A = (I - K H) F.
-  function steadyState({ dt, Q, r, H }) {
-    let P = [0, 0, 0], K = [0, 0];
-    for (let k = 0, moved = Infinity; k < 1e5 && moved > 1e-15; k++) {
-      const before = predictedP(P, dt, Q);
-      K = gainOf(before, H, r);
-      const after = correctedP(before, K, H, r);
-      moved = Math.max(...after.map((each, i) => Math.abs(each - P[i]) / Math.sqrt(after[0] * after[2])));
-      P = after;
-    }
-    const [m, n, o, p] = [1 - K[0] * H[0], -K[0] * H[1], -K[1] * H[0], 1 - K[1] * H[1]];
-    return { K, P, A: [m, m * dt + n, o, o * dt + p] };
-  }
-
-  // The taps A^j K of the FIR filter, until the largest singular value of A^M is below tol.
-  function taps(A, K, tol = 1e-3) {
-    const made = [K];
-    for (let power = A; norm(power) >= tol; power = times(power, A)) made.push([power[0] * K[0] + power[1] * K[1], power[2] * K[0] + power[3] * K[1]]);
-    return made;
-  }
-  const norm = ([a, b, c, d]) => {
-    const sum = a * a + b * b + c * c + d * d, det = a * d - b * c;
-    return Math.sqrt((sum + Math.sqrt(Math.max(sum * sum - 4 * det * det, 0))) / 2);
-  };
-  const times = ([a, b, c, d], [e, f, g, h]) => [a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h];
-
-  // One filter over positions z, null where a fix is lost. gain is null for Kalman, which computes its own.
-  function filter(z, { dt, Q, r, H }, x0, P0, gain) {
-    const out = { x: [], P: [], K: [], nis: [] };
-    let x = x0, P = P0;
-    for (const each of z) {
-      x = [x[0] + dt * x[1], x[1]];
-      P = predictedP(P, dt, Q);
-      if (each === null) {
-        out.K.push(null);
-        out.nis.push(null);
-      } else {
-        const K = gain ?? gainOf(P, H, r), innovation = each - H[0] * x[0] - H[1] * x[1];
-        out.K.push(K);
-        out.nis.push(innovation * innovation / innovationS(P, H, r));
-        x = [x[0] + K[0] * innovation, x[1] + K[1] * innovation];
-        P = correctedP(P, K, H, r);
-      }
-      out.x.push(x);
-      out.P.push(P);
-    }
-    return out;
-  }
-
-  // The last measurements only; a lost one is replaced by its prediction, as in the package.
-  function fir(z, { dt, H }, x0, own) {
-    const used = [], out = [];
-    let x = x0;
-    z.forEach((each, k) => {
-      const ahead = [x[0] + dt * x[1], x[1]];
-      used.push(each ?? H[0] * ahead[0] + H[1] * ahead[1]);
-      x = [0, 1].map((i) => own.slice(0, k + 1).reduce((sum, tap, j) => sum + tap[i] * used[k - j], 0));
-      if (each === null) x = ahead;
-      out.push(x);
-    });
-    return out;
-  }
-
   // All three on positions z, from the origin at rest.
   function run(z, { dt, Q, r, p0, ahead, origin }) {
-    const system = { dt, Q, r, H: ahead ? [1, dt] : [1, 0] }, steady = steadyState(system), own = taps(steady.A, steady.K), x0 = [origin, 0];
+    const system = { dt, Q, r, H: ahead ? [1, dt] : [1, 0] }, x0 = [origin, 0];
+    const steady = kalman.steadyState(system), own = kalman.taps(steady, kalman.order(steady.A));
     return {
-      kalman: filter(z, system, x0, [p0, 0, p0], null),
-      constant: filter(z, system, x0, steady.P, steady.K),
-      fir: fir(z, system, x0, own),
+      kalman: kalman.filter(z, system, x0, [p0, 0, p0]),
+      constant: kalman.filter(z, system, x0, steady.P, steady.K),
+      fir: kalman.fir(z, system, x0, own),
       order: own.length,
       rest: steady.K[0],
       weights: own.reduce((sum, tap) => sum + tap[0], 0),
@@ -161,7 +83,7 @@ if (stage) {
       const [first, last] = gap(), count = last - first + 1;
       if (last === N) name = "open";
       else Object.assign(words, { missing: `${count} missing fix${count > 1 ? "es" : ""}`, jump: seen.gain[last].toFixed(2), kalman: size(seen.kalman[last]),
-        constant: size(seen.constant[last]), fir: Number.isFinite(seen.fir[last]) ? `${size(seen.fir[last])} m` : "not full yet", sigma: seen.sigma[last].toFixed(2), sigma_constant: seen.sigmaConstant[last].toFixed(2) });
+        constant: size(seen.constant[last]), sigma: seen.sigma[last].toFixed(2), sigma_constant: seen.sigmaConstant[last].toFixed(2) });
     }
     words.band = size(2 * seen.sigma[N - 1]);
     if (name === "outlier") {
@@ -172,73 +94,62 @@ if (stage) {
     return fill(given.sentences[name], words);
   }
 
-  // The drawing: errors above, gains below. Everything that is touched lies in `errors`, from `top` to `bottom`.
-  const LEFT = 30, RIGHT = 6, TOP = 4, BOTTOM = 188, LOW = 264, HIGH = 204, HEIGHT = 282;
+  // The drawing: errors in metres, from `TOP` to `BOTTOM`, with a label at each line.
+  const LEFT = 30, RIGHT = 6, TOP = 4, BOTTOM = 204, HEIGHT = 224, LETTER = 6.7; // LETTER: the width of one, on average
   let width = 374;
   const across = (fix) => LEFT + (fix - 0.5) * (width - LEFT - RIGHT) / N;
   const down = (metres) => TOP + (BOTTOM - TOP) * (given.reach - Math.max(-given.reach, Math.min(given.reach, metres))) / (2 * given.reach);
-  const lower = (gain) => LOW - (LOW - HIGH) * Math.min(gain, 1.05) / 1.05;
   const path = (points) => "M" + points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L");
   const line = (name, values, from = 0) => `<path class="${name}" d="${path(values.slice(from).map((each, i) => [across(i + from + 1), down(each)]))}"/>`;
   const text = (x, y, words, { name = "", anchor = "start" } = {}) => `<text class="${name}" x="${x.toFixed(1)}" y="${y.toFixed(1)}" text-anchor="${anchor}">${words}</text>`;
 
+  // What is labelled: [filter, words, fix]. After a gap both filters at its first fix, else a line where it is furthest off.
+  function labels(seen, name) {
+    const metres = (values, fix) => `${Math.abs(values[fix - 1]).toFixed(1)} m`;
+    const furthest = (values) => fixes.slice(given.settled, -4).reduce((a, b) => Math.abs(values[a - 1]) >= Math.abs(values[b - 1]) ? a : b);
+    const last = name === "gap" ? gap()[1] : N;
+    if (last < N) return [["kalman", `Kalman: ${metres(seen.kalman, last + 1)}`, last + 1], ["constant", `constant gain: ${metres(seen.constant, last + 1)}`, last + 1]];
+    const both = furthest(seen.kalman), found = [["kalman", "Kalman and constant gain", both]];
+    return name === "far" ? [...found, ["fir", `FIR: ${metres(seen.fir, furthest(seen.fir))}`, furthest(seen.fir)]] : found;
+  }
+
   function draw() {
-    width = Math.max(300, stage.querySelector(".stage").clientWidth);
-    const seen = compute(), column = across(2) - across(1), parts = [];
+    width = Math.max(280, stage.querySelector(".stage").clientWidth);
+    const seen = compute(), name = fact(), column = across(2) - across(1), parts = [];
     parts.push(`<rect class="paper" x="${LEFT}" y="${TOP}" width="${width - LEFT - RIGHT}" height="${BOTTOM - TOP}"/>`);
-    for (const fix of state.lost) parts.push(`<rect class="lost" x="${(across(fix) - column / 2).toFixed(1)}" y="${TOP}" width="${(column + 0.3).toFixed(1)}" height="${LOW - TOP}"/>`);
+    for (const fix of state.lost) parts.push(`<rect class="lost" x="${(across(fix) - column / 2).toFixed(1)}" y="${TOP}" width="${(column + 0.3).toFixed(1)}" height="${BOTTOM - TOP}"/>`);
     for (const metres of [-2, 0, 2]) parts.push(text(LEFT - 5, down(metres) + 4, String(metres).replace("-", "−"), { anchor: "end" }));
     const edge = (sign) => fixes.map((fix, i) => [across(fix), down(seen.kalman[i] + sign * 2 * seen.sigma[i])]);
     parts.push(`<path class="band" d="${path([...edge(1), ...edge(-1).reverse()])}Z"/>`);
     parts.push(`<path class="truth" d="M${LEFT} ${down(0)}H${width - RIGHT}"/>`);
     const outside = fixes.filter((fix, i) => Math.abs(seen.kalman[i]) > 2 * seen.sigma[i]);
     parts.push(`<path class="outside" d="${outside.map((fix) => `M${(across(fix) - column / 2).toFixed(1)} ${down(0)}h${column.toFixed(1)}`).join("")}"/>`);
-    parts.push(line("constant", seen.constant), line("kalman", seen.kalman), line("fir", seen.fir, seen.order - 1));
+    parts.push(line("constant", seen.constant), line("kalman", seen.kalman));
+    if (state.origin) parts.push(line("fir", seen.fir, seen.order - 1)); // elsewhere it lies on the constant gain's
     for (const fix of fixes) {
       const kind = state.lost.has(fix) ? "missing" : state.pulled.has(fix) ? "pulled" : "fix";
       parts.push(`<circle class="${kind}" data-fix="${fix}" cx="${across(fix).toFixed(1)}" cy="${down(seen.off[fix - 1]).toFixed(1)}" r="${kind === "pulled" ? 4 : 2.3}"/>`);
     }
-    parts.push(text(LEFT + 4, TOP + 13, "metres off the truth (red: outside the band)", { name: "title" }));
+    for (const fix of [1, 20, 40, 60]) parts.push(text(across(fix), HEIGHT - 5, fix === 1 ? "fix 1" : fix, { anchor: fix === 1 ? "start" : fix === N ? "end" : "middle" }));
 
-    parts.push(text(across(7), HIGH + 6, "gain: share of a new fix", { name: "title" }));
-    for (const level of [0, 1]) parts.push(text(LEFT - 5, lower(level) + 4, level, { anchor: "end" }));
-    seen.gain.forEach((gain, i) => {
-      if (gain === null) return;
-      const bar = (from, to, name) => `<rect class="${name}" x="${(across(i + 1) - 0.4 * column).toFixed(1)}" y="${lower(to).toFixed(1)}" width="${(0.8 * column).toFixed(1)}" height="${(lower(from) - lower(to)).toFixed(1)}"/>`;
-      parts.push(bar(0, Math.min(gain, seen.rest), "share-of-fix"));
-      if (gain > seen.rest + 0.005) parts.push(bar(seen.rest, gain, "jump"));
+    const named = labels(seen, name), errorOf = ([kind, , fix]) => seen[kind][fix - 1];
+    named.forEach((label, i) => {
+      const [kind, words, fix] = label, error = errorOf(label), x = across(fix), long = LETTER * words.length;
+      const above = named.length > 1 ? errorOf(named[1 - i]) <= error : error > 0;
+      const y = above ? Math.min(down(error), down(0.8)) - 9 : Math.max(down(error), down(-0.8)) + 18;
+      const rightwards = x + 9 + long < width - RIGHT;
+      parts.push(`<circle class="mark ${kind}" cx="${x.toFixed(1)}" cy="${down(error).toFixed(1)}" r="5"/>`);
+      parts.push(text(rightwards ? x + 9 : Math.max(x - 9, LEFT + 4 + long), y, words, { name: `label ${kind}`, anchor: rightwards ? "start" : "end" }));
     });
-    parts.push(`<path class="constant" d="M${LEFT} ${lower(seen.rest).toFixed(1)}H${width - RIGHT}"/>`);
-    for (const fix of [1, 20, 40, 60]) parts.push(text(across(fix), HEIGHT - 3, fix === 1 ? "fix 1" : fix, { anchor: fix === 1 ? "start" : fix === N ? "end" : "middle" }));
-
-    const name = fact(), [first, last] = name === "gap" ? gap() : [0, N];
-    let free = width - RIGHT;
-    if (last < N) {
-      const x = across(last + 1), rightwards = x < 0.62 * width, anchor = rightwards ? "start" : "end", beside = rightwards ? x + 9 : across(first) - column;
-      const two = [["kalman", "Kalman", seen.kalman[last]], ["constant", "constant gain", seen.constant[last]]];
-      const upper = two[0][2] > two[1][2] ? 0 : 1;
-      two.forEach(([kind, words, error], i) => {
-        parts.push(`<circle class="mark ${kind}" cx="${x.toFixed(1)}" cy="${down(error).toFixed(1)}" r="5"/>`);
-        const y = i === upper ? Math.min(down(error), down(0.8)) - 8 : Math.max(down(error), down(-0.8)) + 16;
-        parts.push(text(beside, y, `${words}: ${Math.abs(error).toFixed(1)} m`, { name: `label ${kind}`, anchor }));
-      });
-      if (seen.gain[last] > seen.rest + 0.1) parts.push(text(beside, lower(seen.gain[last]) + 9, `Kalman’s gain: ${seen.gain[last].toFixed(2)}`, { name: "label kalman", anchor }));
+    if (name === "gap") {
+      const [first, last] = gap();
       if (across(last) > across(first) + 50) parts.push(text((across(first) + across(last)) / 2, BOTTOM - 6, "no fixes", { anchor: "middle" }));
-      if (!rightwards) free = Math.min(free, across(first) - column);
     }
-    parts.push(text(free, lower(seen.rest) - 4, `constant gain: ${seen.rest.toFixed(2)}`, { name: "label constant", anchor: "end" }));
     parts.push(`<circle class="cursor" cx="${across(at.fix).toFixed(1)}" cy="${down(seen.off[at.fix - 1]).toFixed(1)}" r="9"/>`);
     board.innerHTML = `<svg viewBox="0 0 ${width} ${HEIGHT}" height="${HEIGHT}" aria-hidden="true">${parts.join("")}</svg>`;
 
     board.setAttribute("aria-valuenow", at.fix);
     board.setAttribute("aria-valuetext", `fix ${at.fix}, ${state.lost.has(at.fix) ? "lost" : `${state.pulled.has(at.fix) ? "pulled, " : ""}${seen.off[at.fix - 1].toFixed(1)} metres off`}`);
-    const values = { kalman: [seen.kalman, seen.sigma], constant: [seen.constant, seen.sigmaConstant], fir: [seen.fir, null] };
-    for (const [kind, [error, sigma]] of Object.entries(values)) {
-      const card = stage.querySelector(`.cards .${kind}`), pick = (each) => seen.counted.length ? `${rms(seen.counted.map((i) => each[i])).toFixed(2)} m` : "–";
-      card.querySelector("b").textContent = `${pick(error)} rms`;
-      card.querySelector("span").textContent = sigma ? `claims ${pick(sigma)}` : "claims nothing";
-    }
-    stage.querySelector(".cards .fir i").textContent = `FIR, last ${seen.order}`;
     const sentence = said(seen), box = stage.querySelector(".said");
     if (box.textContent !== sentence) box.textContent = sentence;
     for (const button of stage.querySelectorAll("[data-scene]")) button.setAttribute("aria-pressed", button.dataset.scene === state.name);
@@ -384,9 +295,14 @@ if (stage) {
   stage.querySelector(".still").replaceWith(board);
   stage.classList.add("moves");
   take("gap");
-  const linked = read();
+  const follow = () => {
+    if (!read()) return;
+    stage.querySelector("details").open = true;
+    draw();
+    stage.scrollIntoView({ block: "nearest" });
+  };
   draw();
-  if (linked) stage.scrollIntoView({ block: "nearest" });
-  addEventListener("hashchange", () => { if (read()) { draw(); stage.scrollIntoView({ block: "nearest" }); } });
+  follow();
+  addEventListener("hashchange", follow);
   new ResizeObserver(() => { if (Math.abs(stage.querySelector(".stage").clientWidth - width) > 1) draw(); }).observe(stage);
 }
