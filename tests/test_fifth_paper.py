@@ -153,7 +153,9 @@ def test_the_page_names_every_part():
 
 def written(copy, kind):
     """Write the file that the page adds to the package, a "motion" or a "filter", into the copy; return its name."""
-    ((name, text),) = re.findall(rf"Here `mpt_helpers/(\w+)\.py`.*?```python {kind}\n(.*?)```", PAGE, re.DOTALL)
+    ((name, text),) = re.findall(
+        rf"Here `mpt_helpers/(\w+)\.py`(?:(?!Here `).)*?```python {kind}\n(.*?)```", PAGE, re.DOTALL
+    )
     (copy / "mpt_helpers" / f"{name}.py").write_text(text, encoding="utf-8")
     return name
 

@@ -139,7 +139,7 @@ def cases(draw, timed=None, least_rows=1, most_rows=36, variances=SHARING):
         missing[..., 0] = False
     z = np.where(missing, np.nan, 3 * rng.standard_normal((N, m, M)))
     lengths = rng.choice([0.0, 0.1, DT, 2.5], (N, M))
-    lengths[0] = DT
+    lengths[:2] = DT  # times that are all alike are refused
     r = rng.uniform(0.2, 4.0, (N, m, M))
     # Of what is missing the variance may be anything.
     r = np.where(missing & (rng.random((N, m, M)) < 0.5), rng.choice([np.nan, -1.0, 0.0]), r)
