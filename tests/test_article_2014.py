@@ -5,6 +5,7 @@ A text in `says` has its numbers put in by the test, so that a number that chang
 
 import json
 import re
+import timeit
 
 import numpy as np
 import pytest
@@ -122,10 +123,7 @@ def test_the_usual_test_hardly_sees_the_delay():
     nis = float(re.search(r"mean NIS ([\d.]+)", output_of("late-test"))[1])
     says(f"The late filter has a NIS of {nis:.2f}")
     says(f"Is {nis:.2f} not 1?")
-    (steps,) = re.findall(r"50 % in (\d+)", output_of("late-test"))
-    says(f"Only after {int(steps):,} seconds, almost forty minutes")
-    assert 38 < int(steps) / 60 < 40
-    says(f"The {nis:.2f} and the {int(steps):,} are exact")
+    says(f"The {nis:.2f} is exact")
     late, right = re.findall(r"mean NIS ([\d.]+)", output_of("nis-turns"))
     says(f"NIS is {late} in the late filter and {right} in the right one")
 
@@ -170,8 +168,10 @@ def test_the_table_of_walkers_is_that_of_the_evidence():
 
 
 def test_the_condition_of_the_fit_tells_who_moves():
-    sigma = np.sqrt(settled(NOW)[2][1, 1])
-    says(f"at least three times the σ that the filter states for the velocity. Here that is {3 * sigma:.2f} m/s")
+    late, right = (np.sqrt(settled(H)[2][1, 1]) for H in (NEXT, NOW))
+    says("at least three times the σ that the filter states for the velocity.")
+    says(f"The late filter states {late:.3f} m/s, so there it is {3 * late:.2f} m/s")
+    says(f"the right one states {right:.3f}, which makes {3 * right:.2f}")
     for line in output_of("lateness").splitlines()[1:]:
         assert (float(line.split()[-1]) > 3) == (not line.startswith("never moves")), line
     for line in output_of("lateness-slow").splitlines()[1:]:
@@ -181,6 +181,41 @@ def test_the_condition_of_the_fit_tells_who_moves():
             assert low > 0.5 if cells[1] == "[1 Δt]" else high < 0.5, line
 
 
+def test_a_stiff_filter_looks_late_too():
+    """The fit alone cannot tell; NIS does."""
+    _, hundredth, least = (line.split() for line in output_of("lateness-stiff").splitlines()[1:])
+    says(f"a hundredth of Q looks {hundredth[2]} seconds late, with a ten-thousandth {least[2]};")
+    says("the velocities look real")
+    says(f"but NIS is {hundredth[4]} and {least[4]}")
+    assert min(float(hundredth[3]), float(least[3])) > 3
+
+
+def test_a_far_origin_is_subtracted_first(taught):
+    (far,) = re.findall(r"without subtracting: ([\d.]+) m", output_of("lfilter"))
+    says(f"10 km from the origin, row 21 is still {far} m off")
+    (near,) = re.findall(r"within ([\d.]+) m of the Kalman filter", output_of("one-call"))
+    assert float(near) < 0.1 * np.sqrt(settled(NOW)[2][0, 0])
+    _, z = article_2014.walk()
+    moved = taught["in_pieces"](z - z[0], 30, NOW)[:, 0] + z[0]
+    far_away = taught["in_pieces"](z + 5e6 - (z[0] + 5e6), 30, NOW)[:, 0] + z[0]
+    np.testing.assert_allclose(far_away, moved, rtol=0, atol=1e-6)
+    assert abs(taught["in_pieces"](z + 5e6, 30, NOW)[5, 0] - 5e6 - moved[5]) > 1000
+
+
+def test_the_speed_of_the_simulated_track(taught):
+    speed = 1.5 + np.cumsum(np.random.default_rng(14).normal(0, 0.1, 10_000))
+    says(f"whose speed wanders up to {np.abs(speed).max():.0f} m/s")
+
+
+def test_in_numpy_a_fir_sum_is_faster_than_a_step():
+    """Minima of many runs; the step takes about twice as long."""
+    says("there FIR is the faster one at every step")
+    A, K, taps = np.eye(4), np.ones((4, 2)), np.ones((4, 34))
+    x, z = np.ones(4), np.ones((100, 2))
+    fir = min(timeit.repeat(lambda: taps @ z[50:67].ravel(), number=2000, repeat=15))
+    assert fir < min(timeit.repeat(lambda: A @ x + K @ z[66], number=2000, repeat=15))
+
+
 def test_a_car_is_as_far_behind_as_it_drives_in_a_step():
     positions = 30.0 * np.arange(1, 101)
     x = mpt.KalmanFilter(article_2014.from_unknown(article_2014.AXIS)).filter(positions[:, None])
@@ -188,11 +223,9 @@ def test_a_car_is_as_far_behind_as_it_drives_in_a_step():
 
 
 def test_part_two_has_what_part_one_refers_to():
-    says("(`lfilter`; Part II, section 6, shows it)")
     evidence = "\n".join(source(cell) for cell in parts(CELLS)[1])
     section = evidence.split("### 6. ")[1].split("### 7. ")[0]
     assert "lfilter(" in section
-    says("Part II shows which they are")
 
 
 def test_to_report_the_prediction_repairs_the_late_filter():
@@ -309,6 +342,7 @@ def test_what_the_article_says_of_times_is_measured():
         if row["work"] == "one track, 4 states, 12,000 rows" and row["against"].endswith("filterpy loop")
     )
     assert 1 / ROUGHLY < four["ratio"] / float(said) < ROUGHLY
+    says(f"other runs may differ by {ROUGHLY} times")
     says("200 rows are hardly worth it")
     (short,) = (
         row
@@ -332,19 +366,17 @@ def test_the_cost_of_fir_is_taken_apart_as_it_is_counted():
     says(f"with its H, M is {M}. Such a filter")
     term = burden.product(4, 2, 1)
     total = burden.total(burden.fir(4, 2, M))
-    says(f"so a term takes {term}, and seventeen take {M * term}")
+    says(f"two measurements: {term} operations, and seventeen take {M * term}")
     says(f"Adding them up takes {M - 1} times 4, which is {4 * (M - 1)}. Together {total}.")
     one = burden.total(burden.steady_state(4, 2))
-    says(f"The paper prints 108: one ordinary step ({one}) and the {4 * (M - 1)} additions")
+    says("The paper prints 108")
     assert one + 4 * (M - 1) == 108
     says("each term is a 4 × 2 matrix times two measurements")
-    says(f"It left out {M - 1} of the {M} products, and counted one with A that FIR does not have")
+    says(f"It left out {M - 1} of the {M} products ({(M - 1) * term}), and counted the product with A (28) and one")
+    says(f"addition of a column (4), which FIR does not have: 108 + {(M - 1) * term} - {28 + 4} = {total}")
+    assert burden.product(4, 4, 1) == 28
     assert total - 108 == (M - 1) * term - burden.product(4, 4, 1) - 4  # the sum with A x is not needed either
-    says(f"after {M} steps no trace of a measurement is left")
     says(f"only a sum of {M} terms when you want a result")
-    rho = np.abs(np.linalg.eigvals(settled(NEXT)[0])).max()
-    says("The weights shrink by about a third from term to term")
-    assert 1 - rho == pytest.approx(1 / 3, abs=0.03)
 
 
 def test_from_which_step_on_fir_pays():
@@ -356,16 +388,11 @@ def test_from_which_step_on_fir_pays():
     says(f"That takes 28 + 16 L operations, which reach {total} at L = {equal}")
     assert (int(np.ceil(108 / one)), int(np.ceil(total / one))) == (3, 7)
     says("FIR pays from every 7th step on, not every 3rd")
-    says("With 108 operations, FIR would cost no more than ordinary steps from every third step on")
-    says(f"With {total} it is from every seventh")
-    says(f"from 7 on, where the ordinary steps have passed it, and from {equal} on if these are collected")
+    says("if you want a result at every seventh step, not at every third")
     M = order_of(settled(NOW)[0])
     total = burden.total(burden.fir(4, 2, M))
     pays, collected = int(np.ceil(total / one)), next(L for L, cost in several.items() if cost >= total)
-    says(f"(With H = [1 0], M is {M}, and it is {pays} and {collected}.)")
-    says(f"every {pays}th step or less often (every {collected}th, if you can collect)")
-    says("a result only every 7th step or less often. (The paper says every third.)")
-    says(f"If the constant gain may collect its measurements meanwhile, it is every {equal}th")
+    says(f"every {pays}th step or less often (every {collected}th, if the steps are collected)")
 
 
 def test_what_fir_drops_grows_with_the_distance():
@@ -373,25 +400,14 @@ def test_what_fir_drops_grows_with_the_distance():
     short, sigma = np.linalg.matrix_power(A, 17)[0, 0], np.sqrt(P[0, 0])
     says(f"{1000 * short:.2f} mm for each metre from the origin. At 1 km that is {1000 * short:.2f} m, four times")
     assert 1000 * short / sigma == pytest.approx(4, abs=0.5)
-    says("Count positions from a point within 20 m, and it stays below a tenth of σ")
+    says("only with positions from a point within 20 m: there it stays below a tenth of σ")
     for H in (NEXT, NOW):
         A, _, P, _ = settled(H)
         assert 20 * abs(np.linalg.matrix_power(A, order_of(A))[0, 0]) < 0.1 * np.sqrt(P[0, 0])
 
 
-def test_how_far_the_groups_are_apart():
-    (row,) = (each for each in stored_verdicts(NOTEBOOK) if each.id == "behaviour.3")
-    first, from_step = re.search(
-        r"\((\d+) cm of position\) at most.*below 0.1 σ from step (\d+) on", row.computed
-    ).groups()
-    says(f"they differ by {first} cm (rms) at the first step, and by less than 2 cm from step {from_step} on")
-    assert 10 * np.sqrt(settled(NEXT)[2][0, 0]) < 2  # a tenth of σ, in cm
-    (unknown,) = re.findall(r"from P0 = 100 I .* below 0.1 σ from step (\d+) on", row.beyond)
-    says(f"If it does not, the constant gain takes {unknown} steps to come as near")
-
-
 def test_the_constant_gain_may_be_used_after_20_rows():
-    says("constant gain and `lfilter`, without its first 20 rows")
+    says("subtract the first position from all rows, run `lfilter`, drop 20 rows, add the position back")
     before, after = re.search(r"up to ([\d.]+) m .* ([\d.]+) mm after", output_of("lfilter")).groups()
     assert float(before) > 0.5
     assert float(after) / 1000 < 0.1 * np.sqrt(settled(NOW)[2][0, 0])  # a tenth of σ
@@ -404,8 +420,8 @@ def test_what_is_printed_wrong_is_what_the_verdicts_say():
     wrong = [each for each in stored_verdicts(NOTEBOOK) if each.verdict == "erratum"]
     ratios = [each for each in wrong if each.id.startswith("table4.")]
     legible = [each for each in stored_verdicts(NOTEBOOK) if each.id.startswith("table4.") and each.printed != "?"]
-    totals = [f"{each.printed} for {each.computed}" for each in wrong if each.id.startswith("table3.")]
-    says(f"two totals of operations ({', and '.join(totals)}), the cost of FIR")
+    totals = [f"{each.printed} where {each.computed} is right" for each in wrong if each.id.startswith("table3.")]
+    says(f"two totals of operations in Table 3 ({', '.join(totals)}), the cost of FIR")
     says(f"{len(ratios)} of the {len(legible)} speedups that our copy of Table 4 shows, all with a join filter")
     others = {each.cause for each in wrong if each not in ratios}
     assert others == {"table3-join", "fir-cost"}
@@ -448,7 +464,7 @@ SOLUTIONS = {
         "    return F @ x, P",
         r"not yet: x is off by up to [\d.]+, P by up to [\d.]+; a Kalman step gives x = ",
     ),
-    "exercise-m": ("M = 20", "M = 34", "M = 33", r"not yet: 33 terms drop up to [\d.]+ m of 10,000 m"),
+    "exercise-m": ("M = 20", "M = 33", "M = 26", r"not yet: 26 terms drop up to [\d.]+ m of 10,000 m"),
 }
 
 
@@ -467,7 +483,7 @@ def test_an_exercise_says_kindly_how_far_off_an_answer_is(taught, capsys, id):
     [
         ("judge_h", [1, 2, 3], "not yet: H needs two numbers"),
         ("judge_step", lambda x, P, z: (1.0, P), "not yet: needs x of two numbers"),
-        ("judge_order", 60, "enough, and 26 more than needed"),
+        ("judge_order", 60, "enough, and 27 more than needed"),
     ],
 )
 def test_an_exercise_is_kind_to_answers_of_another_form(judge, answer, said):
