@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import checks
-from .checks import Seconds
+from .checks import Array, Seconds
 from .fitting import fit
 from .model import LinearModel
+from .recursive import Filter
 
 MOST_FIXES = 1500  # of a log that is fitted: a day, one a minute; more tell little of what lasts and take longer
 PARAMETERS = ("r", "sigma", "tau")
@@ -173,7 +175,7 @@ def _fit_axis(z, step):
 
     def make(r, sigma, tau):
         still = LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[r]], P0=[[10 * variance]])
-        return lasting_error(still, sigma, tau, dt=step)
+        return _AtRest(lasting_error(still, sigma, tau, dt=step))
 
     new = float(np.nanmean(np.square(np.diff(z, axis=0)))) / 2
     start = {"r": max(new, 0.01 * variance), "sigma": math.sqrt(variance), "tau": 60 * step}
@@ -181,6 +183,38 @@ def _fit_axis(z, step):
         warnings.simplefilter("ignore", UserWarning)  # what is not known is told by fit_lasting
         found = fit(make, z, **start)
     return tuple(np.array([each[name] for name in PARAMETERS]) for each in (found.values, found.log_errors))
+
+
+@dataclass(frozen=True, eq=False)
+class _AtRest(Filter):
+    """The Kalman filter of a position at rest and its lasting error, without matrices: a fit runs it 400 times.
+
+    Its covariance never settles, so that a general filter computes each step with small matrices, ten times as slowly.
+    """
+
+    model: LinearModel
+
+    def innovations_of(self, z: Array) -> tuple[Array, Array]:
+        """Return the innovations of logs z (N, 1, M), NaN where z has NaN, and their variances (N, 1, 1, M)."""
+        values, S = np.transpose([self._innovations_of_one(log.tolist()) for log in z[:, 0].T], (1, 2, 0))
+        return values[:, None], S[:, None, None]
+
+    def _innovations_of_one(self, z):
+        """Return the innovations of one log, a list of N numbers, and their variances."""
+        fades, gains, r = float(self.model.F[1, 1]), float(self.model.Q[1, 1]), float(self.model.R[0, 0])
+        (p, both), (_, e) = self.model.P0.tolist()  # variances of position and lasting error, and their covariance
+        position = lasting = 0.0
+        values, variances = [], []
+        for z_k in z:
+            lasting, both, e = fades * lasting, fades * both, fades * fades * e + gains
+            new, S = z_k - position - lasting, p + 2 * both + e + r
+            values.append(new)
+            variances.append(S)
+            if new == new:  # not NaN
+                K_p, K_e = (p + both) / S, (both + e) / S
+                position, lasting = position + K_p * new, lasting + K_e * new
+                p, both, e = p - K_p * (p + both), both - K_p * (both + e), e - K_e * (both + e)
+        return values, variances
 
 
 def _of_lasting(errors, r):
