@@ -43,7 +43,7 @@ def draw_covariance():
     ax["P"].set_ylim(edges[-1], edges[0])
     ax["P"].spines[:].set_visible(False)
     zeros = np.count_nonzero(P == 0)
-    ax["P"].set_title(f"{zeros} of {P.size} entries are zero,\nand the three blocks are equal")
+    ax["P"].set_title(f"{zeros} of {P.size} entries are zero,\nand the three blocks are equal", weight="bold")
     return fig
 
 
@@ -72,30 +72,27 @@ def in_one_line(x, columns):
 def draw_lost_axis(last=30):
     """Return a figure of the errors on x, which is measured, and on z, which falls silent: phones, and twice sigma.
 
-    Both panels have the same scale; x lies so close to zero there that an inset shows it again, magnified.
+    The first and the last panel have the same scale; x lies so close to zero there that the middle one magnifies it.
     """
     errors, sigma = silent_phones(last=last)
     k = np.arange(1, len(errors) + 1)
     plots.use_style()
-    fig, ax = plots.panels([["x"], ["z"]], height=2.3)
-    inset = fig.add_axes([0.21, 0.758, 0.49, 0.115])  # in parts of the figure
-    for panel, i in ((ax["x"], 0), (ax["z"], 2), (inset, 0)):
+    fig, ax = plots.panels([["x"], ["magnified"], ["z"]], height=1.75)
+    for name, i, limit in (("x", 0, 36), ("magnified", 0, 1), ("z", 2, 36)):
         lines = in_one_line(k, errors[:, i])
-        panel.plot(*lines, color=KALMAN, lw=0.6, alpha=0.6)
+        ax[name].plot(*lines, color=KALMAN, lw=0.6, alpha=0.6)
         band = in_one_line(k, np.column_stack([2 * sigma[:, i], -2 * sigma[:, i]]))
-        panel.plot(*band, color="black", lw=1.4)
-        panel.set_ylim(-36, 36)
-    inset.set_ylim(-1, 1)
-    inset.set_yticks([-1, 0, 1])
-    inset.set_xticks([])
+        ax[name].plot(*band, color="black", lw=1.4)
+        ax[name].set_ylim(-limit, limit)
     plots.finish(ax["x"], "", "error of x, measured all the time (m)")
+    plots.finish(ax["magnified"], "", f"the same, magnified: σ = {sigma[-1, 0]:.2f} m, black: ± 2σ")
     plots.finish(ax["z"], "second", f"error of z, silent from second {last + 1} on (m)")
-    ax["x"].annotate(f"σ = {sigma[-1, 0]:.2f} m", (k[-1], -6), ha="right", va="top")
-    ax["x"].annotate("the same,\nmagnified", (k[-1], 33), ha="right", va="top", color="0.3", fontsize="small")
-    ax["z"].annotate(f"σ = {sigma[-1, 2]:.1f} m,\nblack: ± 2σ", (k[-1] - 12, 32), ha="right", va="top")
+    at_the_end = f"σ = {sigma[-1, 2]:.1f} m at second {k[-1]}"
+    ax["z"].annotate(at_the_end, (k[-1], 35), ha="right", va="top")
     ax["z"].axvline(last, color="0.5", ls=":")
     ax["z"].annotate("last measurement", (last - 1, -32), ha="right", va="bottom", color="0.3")
-    fig.suptitle("Thirty seconds of silence cost 10 m", x=0.02, ha="left", weight="bold")
+    title = f"{len(k) - last} seconds of silence turn {sigma[last - 1, 2]:.2f} m into {sigma[-1, 2]:.1f} m"
+    fig.suptitle(title, x=0.02, ha="left", weight="bold")
     return fig
 
 
