@@ -64,11 +64,13 @@ def draw_waves(cases, names, hours=4):
     for name in names:
         case = cases[name]
         k = case.seconds <= 3600 * hours
-        ax[name].plot(case.seconds[k] / 3600, case.errors[k, 2], ".", ms=2, color="0.6")
+        ax[name].plot(case.seconds[k] / 3600, case.errors[k, 2], ".", ms=2, color="0.6", label="one fix")
         if case.lasting is not None:
-            ax[name].plot(case.seconds[k] / 3600, case.lasting[k, 2], color=plots.COLOURS[0])
+            line = {"color": plots.COLOURS[0], "label": "without its noise"}
+            ax[name].plot(case.seconds[k] / 3600, case.lasting[k, 2], **line)
         ax[name].set_ylim(-9, 9)
         plots.finish(ax[name], "hour" if name == names[-1] else "", f"error of the height (m), {name}")
+    plots.legend_below(ax[names[-1]], 2)
     return fig
 
 
@@ -76,9 +78,10 @@ def draw_biases(case, raw):
     """Draw the lasting error of the height over a day, with the satellites' code biases left in (raw) and corrected."""
     plots.use_style()
     fig, ax = plots.panels([["up"]], height=2.8)
-    titled(fig, "A third of the lasting error was ours to correct")
+    titled(fig, "A part of the lasting error was ours to correct")
     for each, colour, label in ((raw, plots.COLOURS[1], "biases left in"), (case, plots.COLOURS[0], "corrected")):
         errors = each.errors if each.lasting is None else each.lasting
+        label = f"{label}: rms {np.sqrt(np.nanmean(errors[:, 2] ** 2)):.2f} m"
         ax["up"].plot(each.seconds / 3600, errors[:, 2], color=colour, lw=1.2, label=label)
     plots.finish(ax["up"], "hour of the day", f"lasting error of the height (m), {case.station}, {case.kind}")
     plots.legend_below(ax["up"], 2)
@@ -89,7 +92,7 @@ def draw_recorded(cases):
     """Draw how far a line through n fixes reduces their error: as a whole, and of noise and lasting error apart."""
     plots.use_style()
     fig, ax = plots.panels([["whole", "parts"]], height=3.4)
-    titled(fig, "Averaging works on the noise, and on nothing else")
+    titled(fig, "A line works on the noise. The lasting error stays")
     independent = [line_sigma(n, n) for n in LENGTHS]
     for name, look in looks(cases).items():
         case = cases[name]
@@ -126,7 +129,7 @@ def draw_stated(filtered):
             y = -j - 0.27 * i
             panel.plot([stated, made], [y, y], "-", color=colour, lw=2)
             label = {"label": f"{word}: states ○, makes ●"} if j == 0 else {}
-            panel.plot(stated, y, "o", color=colour, mfc="white", ms=6)
+            panel.plot(stated, y, "o", color=colour, mfc="white", ms=9)
             panel.plot(made, y, "o", color=colour, ms=6, **label)
             panel.annotate(f"{made / stated:.1f} x", (max(made, stated), y), (6, -4), textcoords="offset points")
             right = max(right, made, stated)
@@ -136,7 +139,9 @@ def draw_stated(filtered):
     panel.set_yticks(*zip(*ticks, strict=True))
     panel.set_xlim(0, 1.18 * right)
     minutes = recorded.WINDOW * next(iter(filtered.values())).step / 60
-    plots.finish(panel, "m; the numbers are made / stated", f"error in space after {minutes:.0f} minutes")
+    plots.finish(
+        panel, "m; beside the dots: error made over error stated", f"error in space after {minutes:.0f} minutes"
+    )
     plots.legend_below(panel, 1)
     return fig
 
@@ -243,12 +248,14 @@ def spread(values, form="{:.2f}"):
 
 
 def judgements(filtered):
-    """Return a row for each of three filters: ranges over all axes of all cases."""
+    """Return a row for each of three filters: the ratio in space over all cases, and ranges over all axes of them."""
     rows = []
     for word in FILTERS:
-        judged = [axis for each in filtered.values() for axis in getattr(each, word)]
+        cases = [getattr(each, word) for each in filtered.values()]
+        judged = [axis for case in cases for axis in case]
         rows.append([
             word,
+            spread([in_space(each, "error") / in_space(each, "stated") for each in cases], "{:.1f}"),
             spread([axis.error[-1] / axis.stated[-1] for axis in judged], "{:.1f}"),
             spread([100 * axis.within for axis in judged], "{:.0f}"),
             spread([axis.nees for axis in judged], "{:.2g}"),
@@ -314,6 +321,13 @@ def other_half(cases, filtered):
                 floor = np.sqrt(max(np.nanmean(np.square(own)) - r, 0))
                 found["the same with its floor"].append(100 * within_floor(filter, tracks, floor))
     return found
+
+
+def carried(cases, filtered):
+    """Return a row for constants of the other half-day and of another station: percent within 2σ, and with a floor."""
+    found = {"the other half of the day": other_half(cases, filtered), "another station": exchanged(cases, filtered)}
+    names = ("percent within 2σ", "the same with its floor")
+    return [[what, *(spread(each[name], "{:.0f}") for name in names)] for what, each in found.items() if each]
 
 
 def within_floor(filter, tracks, floor):

@@ -20,7 +20,7 @@ from mpt_helpers.checks import refuse
 from mpt_helpers.filters import KalmanFilter
 from mpt_helpers.fitting import fit
 from mpt_helpers.lasting import LastingFit, fit_lasting, lasting_error
-from mpt_helpers.metrics import innovations, rms
+from mpt_helpers.metrics import innovations, log_likelihood, rms
 from mpt_helpers.model import constant_velocity, gps_ins
 
 from . import positioning
@@ -505,7 +505,8 @@ class Filtered(NamedTuple):
     """Three axes of a case: the constants of `fit_lasting`, and three filters `judged` over windows.
 
     The white filter takes the variance of the fixes for that of independent errors, the tuned one has the constants of
-    `fit_tracker`, the aware one those of `fit_lasting`. step is the time between fixes in seconds.
+    `fit_tracker`, the aware one those of `fit_lasting`. step is the time between fixes in seconds. favour has the
+    log-likelihood of the day by the aware filter less that by the tuned one.
     """
 
     step: float
@@ -513,6 +514,7 @@ class Filtered(NamedTuple):
     white: tuple
     tuned: tuple
     aware: tuple
+    favour: tuple
 
 
 def aware_filters(step, found):
@@ -529,7 +531,12 @@ def filtered(case):
         "tuned": [fit_tracker(case.step, errors).filter for errors in case.errors.T],
         "aware": aware_filters(case.step, found),
     }
-    return Filtered(case.step, found, *(tuple(map(judged, each, tracks)) for each in filters.values()))
+    likely = {
+        word: [log_likelihood(*pair) for pair in zip(each, case.errors.T[..., None], strict=True)]
+        for word, each in filters.items()
+    }
+    favour = tuple(np.subtract(likely["aware"], likely["tuned"]).tolist())
+    return Filtered(case.step, found, *(tuple(map(judged, each, tracks)) for each in filters.values()), favour)
 
 
 def half_days(case):
