@@ -7,7 +7,7 @@ import pytest
 from conftest import AXIS
 
 import mpt_helpers as mpt
-from mpt_helpers import fit_lasting, lasting_error
+from mpt_helpers import fit_lasting, lasting, lasting_error
 from mpt_helpers.lasting import memory
 
 CV = mpt.constant_velocity(dt=30.0, q=0.0, r=0.04, P0=np.diag([100.0, 1.0]))
@@ -245,3 +245,15 @@ def test_bad_logs_are_refused_by_name(logs, message):
 def test_a_span_holds_two_fixes(span):
     with pytest.raises(ValueError, match="span: needs"):
         memory((np.arange(200.0), np.arange(200.0)), span)
+
+
+def test_a_receiver_at_rest_is_filtered_without_matrices_as_with_them():
+    """Two logs with gaps of their own, against the filter of the package."""
+    still = mpt.LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[0.5]], P0=[[30.0]])
+    model = lasting_error(still, 1.2, 900.0, dt=30.0)
+    z = np.random.default_rng(12).standard_normal((80, 1, 2)).cumsum(axis=0)
+    z[[3, 17, 18], 0, 0] = z[40, 0, 1] = np.nan
+    for found, expected in zip(
+        lasting._AtRest(model).innovations_of(z), mpt.KalmanFilter(model).innovations_of(z), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)

@@ -436,11 +436,14 @@ def printed(cells):
     )
 
 
-def test_every_number_of_the_article_is_printed_by_its_cells(cells):
+def left_of_the_noise(cases):
+    return article.spread([recorded.newest_ratio(case.noise, 100) for case in cases.values()])
+
+
+def test_every_number_of_the_article_is_printed_by_its_cells(cases, cells):
     """Those with decimals; 2.55 is what two frequencies make of a bias, and whole percents stand in the next test."""
-    article, _ = cells
-    said = printed(article) + f" {recorded.AMPLIFIED:.2f}"
-    for cell in article:
+    said = f"{printed(cells[0])} {recorded.AMPLIFIED:.2f} {left_of_the_noise(cases)}"
+    for cell in cells[0]:
         if cell["cell_type"] == "markdown":
             for number in re.findall(r"(?<![\d.])\d+\.\d+(?![\d.])", source(cell)):
                 shorter = rf"(?<![\d.]){re.escape(number)}\d?(?!\d)"  # 1.3 of 1.34 too, where both are said
@@ -458,7 +461,11 @@ def test_the_first_screen_says_what_the_recordings_do(cases, cells):
     ratios = re.findall(r"(?m)^(white|tuned|aware) +([\d.]+) to ([\d.]+) ", printed(cells[0]))
     of = {word: (float(low), float(high)) for word, low, high in ratios}
     low, high = min(of["white"][0], of["tuned"][0]), max(of["white"][1], of["tuned"][1])
-    assert f"a filter was {low:.1f} to {high:.1f} times as wrong as it said" in first
+    assert f"a filter was {low:.1f} to {high:.1f} times as wrong in space as it said" in first
+    spans = re.findall(r"(?m)^(?:the other half of the day|another station) +(\d+) to (\d+) ", printed(cells[0]))
+    assert len(spans) == 2
+    low, high = min(int(least) for least, _ in spans), max(int(most) for _, most in spans)
+    assert f"within 2σ in {low} to {high} % of the fixes" in first
     assert f"with it, {of['aware'][0]:.1f} to {of['aware'][1]:.1f} times" in first
 
 
@@ -475,10 +482,39 @@ def test_the_first_screen_says_what_the_biases_did(days, cases, cells):
 
 def test_a_filter_that_is_tuned_to_its_innovations_passes_its_own_test_and_is_wrong(cells):
     (row,) = re.findall(r"(?m)^tuned +(.*)$", printed(cells[0]).split("truth within")[1])
-    wrong, within, _, nis = re.findall(r"([\d.]+) to ([\d.]+)", row)
+    _, wrong, within, _, nis = re.findall(r"([\d.]+) to ([\d.]+)", row)
     assert all(abs(float(each) - 1) < 0.1 for each in nis)
     assert float(wrong[0]) > 1.5
     assert float(within[1]) < 80
+    (least,) = re.findall(r"log-likelihood of a day, aware less tuned: ([\d.-]+) to", printed(cells[0]))
+    assert float(least) > 10  # the likelihood, which needs no truth either, tells the two apart on every axis
+
+
+def test_noise_falls_nearly_as_theory_says_and_what_lasts_does_not(cases, cells):
+    prose = "\n".join(source(cell) for cell in cells[0])
+    assert f"to {left_of_the_noise(cases)} of itself, where theory has {line_sigma(100, 100):.2f}" in prose
+    assert min(recorded.newest_ratio(case.lasting, 100) for case in cases.values()) > 0.995
+
+
+def test_two_frequencies_halve_the_smoothed_error_at_belem_alone(cases):
+    """And gain almost nothing at ESBC, and lose at NYA1; at all three the noise is about three times as large."""
+    rows = {row[0]: [float(text) for text in row[1:]] for row in article.remedies(cases)}
+    one, two = recorded.KINDS
+    gained = {name: rows[f"{name}, {two}"][2] / rows[f"{name}, {one}"][2] for name in recorded.TABLES}
+    assert 0.45 < gained["Belem"] < 0.55
+    assert 0.95 < gained["ESBC"] < 1
+    assert gained["NYA1"] > 1.1
+    for name in recorded.TABLES:
+        noise = [recorded.size(cases[f"{name}, {kind}"].noise) for kind in (one, two)]
+        assert 2.5 < noise[1] / noise[0] < 3.5
+
+
+def test_the_spike_of_the_first_figure_is_a_satellite_whose_phase_is_lost_at_each_fix(days, cases):
+    case, arc = cases["NYA1, two frequencies"], recorded.arcs(days["NYA1"])
+    k = np.abs(np.diff(case.lasting[:480, 2])).argmax()  # the spike is the fix before the largest step
+    assert round(case.seconds[k] / 3600, 1) == 1.3
+    lengths = [np.sum(arc[:, j] == arc[k, j]) for j in np.flatnonzero(arc[k] >= 0)]
+    assert min(lengths) == 1
 
 
 def test_the_mean_of_fixes_at_rest_is_compared_with_one(cases):

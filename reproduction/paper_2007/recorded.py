@@ -8,7 +8,7 @@ left out first (`tested`), and each case says how many.
 """
 
 import gzip
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -112,7 +112,16 @@ def with_biases(day, biases):
 
 def recorded_days(tables=None):
     """Read tables {name: file} from the notebooks' data, by default those shipped; return {name: Day}."""
-    return {name: recorded_day(_data() / file) for name, file in (tables or TABLES).items()}
+    return {name: _kept_day((_data() / file).resolve()) for name, file in (tables or TABLES).items()}
+
+
+@lru_cache(maxsize=8)
+def _kept_day(path):
+    """Return `recorded_day`, read once in a process: both parts of the notebook use it, and nobody may write to it."""
+    day = recorded_day(path)
+    for values in day:
+        values.setflags(write=False)
+    return day
 
 
 def _data():
