@@ -61,7 +61,7 @@ CHECKED = 1 / 3
 
 
 class Band(NamedTuple):
-    """What a prediction is worth, on the part of a track that the fit behind it has not seen.
+    """The worth of predictions on the part of a track that the fit behind them has not seen.
 
     seconds: how far ahead; half_width: the median half-width of the band that follows its own checked errors, m
     asked, held, own: the share of fixes that is asked for, that this band held, and that the fit's own band held
@@ -275,11 +275,7 @@ def _likelihoods(line, ratio, about, each):
 
     q is about so much: it says how large the variances of the start are beside it.
     """
-    relative = None if line.relative is None else line.relative[:, None]
-    P0 = np.diag([(100 * each.speed * each.step) ** 2, (10 * each.speed) ** 2]) / about
-    axis = constant_velocity(dt=each.step, q=1.0, r=ratio, P0=P0)
-    kf = KalmanFilter(axis, t=line.t, r=None if relative is None else ratio * relative)
-    values, S = metrics.innovations(kf, line.z[:, None])
+    values, S = metrics.innovations(_from_an_unknown_start(line, 1.0, ratio, each, about), line.z[:, None])
     values = np.where(line.first[:, None], np.nan, values[:, 0])
     return values**2 / S[:, 0, 0], np.where(np.isnan(values), np.nan, np.log(S[:, 0, 0]))
 
@@ -302,7 +298,7 @@ def _sample(line):
     for start in starts:
         first[fixes[np.searchsorted(fixes, start) :][:2]] = True
     part = line.part(rows)
-    return replace(part, first=first[rows], t=part.t)
+    return replace(part, first=first[rows])
 
 
 def log_errors(line: Stretches, motion: Motion, each: Usual) -> dict[str, float]:
@@ -363,11 +359,15 @@ def seen_from_both_sides(line: Stretches, motion: Motion, each: Usual, number: N
 
 def _smoothed(line, motion, each):
     """Return the smoothed positions of a line and their variances, (K, m)."""
-    P0 = np.diag([(100 * each.speed * each.step) ** 2, (10 * each.speed) ** 2])
-    axis = constant_velocity(dt=each.step, q=motion.q, r=motion.r, P0=P0)
-    relative = None if line.relative is None else motion.r * line.relative[:, None]
-    s = KalmanFilter(axis, t=line.t, r=relative).smooth(line.z[:, None])
+    s = _from_an_unknown_start(line, motion.q, motion.r, each).smooth(line.z[:, None])
     return s.x[:, 0], s.P[:, 0, 0]
+
+
+def _from_an_unknown_start(line, q, r, each, about=1.0):
+    """Return the filter of one axis of a line, all of whose variances of the start are divided by `about`."""
+    P0 = np.diag([(100 * each.speed * each.step) ** 2, (10 * each.speed) ** 2]) / about
+    axis = constant_velocity(dt=each.step, q=q, r=r, P0=P0)
+    return KalmanFilter(axis, t=line.t, r=None if line.relative is None else r * line.relative[:, None])
 
 
 def band_of(line: Stretches, motion: Motion, each: Usual, seconds: float) -> Band | None:

@@ -169,7 +169,7 @@ def _without_stuck_ones(found, way):
 
 
 class _Way:
-    """How far fixes are apart, z (N, m) in units of their noise, and whether one is too far from another in its time.
+    """The distance between fixes, z (N, m) in units of their noise, and whether one is too far from another.
 
     Those of different recordings never are.
     """

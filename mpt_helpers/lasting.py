@@ -80,7 +80,7 @@ def _of_each(name, value, m, accept):
 
 
 class LastingFit(NamedTuple):
-    """What logs of fixes at rest say of their errors: the result of `fit_lasting`, one number for each of m axes.
+    """The errors that logs of fixes at rest tell: the result of `fit_lasting`, one number for each of m axes.
 
     r (m²) is the variance of what is new at each fix, sigma (m) the size of what lasts, tau (s) the time in which its
     correlation falls to 1/e. known has {"r", "sigma", "tau"}: (m, 2) each, from where to where 95 % of such estimates

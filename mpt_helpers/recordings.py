@@ -143,7 +143,7 @@ def read_gpx(path: str | PathLike[str]) -> Recording:
 
 
 class _Reader:
-    """What the parser of a GPX file calls: it keeps numbers, and the text of the element that it is in."""
+    """The target of the parser of a GPX file: it keeps numbers, and the text of the element that it is in."""
 
     def __init__(self):
         self.time, self.segment, self.begin, self.end = (array("q") for _ in range(4))

@@ -121,7 +121,7 @@ def _require_own(contents, overwrite):
 
 
 class _Progress:
-    """What is done, on a terminal, in one line that is cleared at the end."""
+    """The present task, on a terminal, in one line that is cleared at the end."""
 
     def __init__(self, path):
         self._shown = sys.stderr.isatty()
