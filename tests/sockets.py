@@ -4,7 +4,9 @@ jupyter_client finds ports that are free and leaves them to the kernel: another 
 may take one before.
 """
 
-from tempfile import TemporaryDirectory
+import shutil
+import weakref
+from tempfile import mkdtemp
 
 from jupyter_client import KernelManager
 
@@ -22,8 +24,10 @@ def talk_through_files():
 
     def made_with_files(self, *args, **kwargs):
         if "transport" not in kwargs:  # as where this was called twice
-            self._folder = TemporaryDirectory(prefix="kernel-")
-            kwargs = through_files(self._folder.name) | kwargs
+            folder = mkdtemp(prefix="kernel-")
+            # Not a TemporaryDirectory: nobody closes a manager, and it would warn in whichever test runs just then.
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            kwargs = through_files(folder) | kwargs
         made(self, *args, **kwargs)
 
     KernelManager.__init__ = made_with_files

@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import gc
 import io
 import json
 import os
@@ -11,12 +12,14 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from conftest import KERNEL, ROOT, VERDICTS, write_notebook
+from jupyter_client import KernelManager
 from nbformat.v4 import new_output
 
 import mpt_helpers as mpt
@@ -567,3 +570,15 @@ sys.exit(m.main(["{command}"]))
 @pytest.mark.parametrize(("folder", "fits"), [("/sockets", True), ("/" + 97 * "a", False)])
 def test_kernels_use_ports_where_a_path_is_too_long_for_a_socket(folder, fits):
     assert bool(through_files(folder)) == fits
+
+
+@pytest.mark.skipif(os.name != "posix", reason="elsewhere kernels use ports")
+def test_the_folder_of_a_kernel_goes_with_its_manager_without_a_word():
+    manager = KernelManager()
+    folder = Path(manager.connection_file).parent
+    assert folder.is_dir()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        del manager
+        gc.collect()
+    assert not folder.exists()
