@@ -117,6 +117,8 @@ def test_a_walk_of_positions_is_late_by_its_pace_and_its_innovations_lie_within_
     x = kf.filter(measured[:, None])
     late = (states[:, 0] - x[:, 0])[2:]
     assert (late > 2 * np.sqrt(kf.covariances(60)[2:, 0, 0])).all()
+    says(f"Above, the error stays near {PACE} m, far outside the grey stripe")
+    says(f"as often {PACE} m too far left as too far right")
     assert late.mean() == pytest.approx(PACE, abs=0.1)
     new = mpt.metrics.innovations(kf, measured[:, None])
     assert np.mean(np.abs(new.values[2:, 0] / np.sqrt(new.S[2:, 0, 0])) < 2) >= 0.95
@@ -209,6 +211,8 @@ def test_a_far_origin_is_subtracted_first(taught):
     says(f"10 km from the origin, row 21 is still {far} m off")
     (near,) = re.findall(r"within ([\d.]+) m of the Kalman filter", output_of("one-call"))
     assert float(near) < 0.1 * np.sqrt(settled(NOW)[2][0, 0])
+    says("`in_pieces` starts at 0, give or take 10 m: subtract the first measurement, and add it back at the end")
+    assert code_of("pieces").count("100 * np.eye(2)") == 1
     _, z = article_2014.walk()
     moved = taught["in_pieces"](z - z[0], 30, NOW)[:, 0] + z[0]
     far_away = taught["in_pieces"](z + 5e6 - (z[0] + 5e6), 30, NOW)[:, 0] + z[0]
@@ -338,6 +342,7 @@ def test_the_best_length_of_a_piece():
     N = 10_000
     steps = {L: N / L + 2 * L for L in range(1, N)}
     best = min(steps, key=steps.get)
+    says("The terms of N/L + 2L have a fixed product, 2N,")
     says("so their sum is smallest when they are equal: L = \\sqrt{N/2}, about 70 here")
     assert best == round(np.sqrt(N / 2))
     assert round(best, -1) == 70
@@ -451,6 +456,7 @@ def test_what_fir_drops_grows_with_the_distance():
 
 
 def test_the_constant_gain_may_be_used_after_20_rows():
+    says("Drop the first 20 rows, in which the gain should not yet have been constant")
     says("`lfilter`, without its first 20 rows | subtract the first position, add it back")
     before, after = re.search(r"up to ([\d.]+) m .* ([\d.]+) mm after", output_of("lfilter")).groups()
     assert float(before) > 0.5
