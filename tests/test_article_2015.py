@@ -243,7 +243,7 @@ def test_the_parts_of_the_lost_metres_are_those_of_the_recursion(settled):
 
 
 def test_the_phone_of_the_ride_is_lost_four_times_as_fast():
-    """The ride's own q, and then a filter that has settled with changes four times as large, and the r of the article."""
+    """The q of the ride; then a filter that has settled with changes four times as large and the r of the article."""
     says("The bicycle ride in our guide changes its velocity by about 0.4 m/s each second, and the 10.5 m become 40 m.")
     (ride,) = mpt.tracks.gpx(ROOT / "docs" / "tracks" / "ride.gpx")
     assert np.sqrt(mpt.tracks.clean(ride.t, ride.z).q) == pytest.approx(0.4, abs=0.05)  # about: to one digit
