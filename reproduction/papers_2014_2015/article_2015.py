@@ -27,8 +27,8 @@ def draw_covariance():
     P = covariance()
     names = [rf"${kind}_{axis}$" for axis in "xyz" for kind in "sv"]
     plots.use_style()
-    fig, ax = plots.panels([["P"]], height=4.3)
-    ax["P"].imshow(P != 0, cmap=ListedColormap(["white", KALMAN]), alpha=0.25)
+    fig, ax = plots.panels([["P"]], height=3.6)
+    ax["P"].imshow(P != 0, cmap=ListedColormap(["white", KALMAN]), alpha=0.25, aspect="auto")  # wide cells
     for i, j in np.ndindex(P.shape):
         text = f"{P[i, j]:.4f}" if P[i, j] else "0"
         ax["P"].text(j, i, text, ha="center", va="center", color="black" if P[i, j] else "0.6")
@@ -72,25 +72,30 @@ def in_one_line(x, columns):
 def draw_lost_axis(last=30):
     """Return a figure of the errors on x, which is measured, and on z, which falls silent: phones, and twice sigma.
 
-    The first and the last panel have the same scale; x lies so close to zero there that the middle one magnifies it.
+    Both axes stand beside each other, above in a scale that holds all of z, below in one that shows x.
     """
     errors, sigma = silent_phones(last=last)
     k = np.arange(1, len(errors) + 1)
     plots.use_style()
-    fig, ax = plots.panels([["x"], ["magnified"], ["z"]], height=1.75)
-    for name, i, limit in (("x", 0, 36), ("magnified", 0, 1), ("z", 2, 36)):
-        lines = in_one_line(k, errors[:, i])
-        ax[name].plot(*lines, color=KALMAN, lw=0.6, alpha=0.6)
-        band = in_one_line(k, np.column_stack([2 * sigma[:, i], -2 * sigma[:, i]]))
-        ax[name].plot(*band, color="black", lw=1.4)
-        ax[name].set_ylim(-limit, limit)
-    plots.finish(ax["x"], "", "error of x, measured all the time (m)")
-    plots.finish(ax["magnified"], "", f"the same, magnified: σ = {sigma[-1, 0]:.2f} m, black: ± 2σ")
-    plots.finish(ax["z"], "second", f"error of z, silent from second {last + 1} on (m)")
-    at_the_end = f"σ = {sigma[-1, 2]:.1f} m at second {k[-1]}"
-    ax["z"].annotate(at_the_end, (k[-1], 35), ha="right", va="top")
-    ax["z"].axvline(last, color="0.5", ls=":")
-    ax["z"].annotate("last measurement", (last - 1, -32), ha="right", va="bottom", color="0.3")
+    fig, ax = plots.panels([["x", "z"], ["x near", "z near"]], height=2.2)
+    for axis, i in (("x", 0), ("z", 2)):
+        for name, limit in ((axis, 36), (f"{axis} near", 1)):
+            band = in_one_line(k, np.column_stack([2 * sigma[:, i], -2 * sigma[:, i]]))
+            ax[name].plot(*band, color="black", lw=1.0)
+            lines = in_one_line(k, errors[:, i])
+            ax[name].plot(*lines, color=KALMAN, lw=0.6, alpha=0.6)  # over the band, which would hide them from afar
+            ax[name].axvline(last, color="0.5", ls=":", visible=axis == "z")
+            ax[name].set_ylim(-limit, limit)
+            ax[name].set_xlim(0, k[-1] + 2)
+            ax[name].set_xticks([0, last, k[-1]])
+    plots.finish(ax["x"], "", "x: measured\nall the time")
+    plots.finish(ax["z"], "", f"z: silent after\nsecond {last}")
+    plots.finish(ax["x near"], "second", f"x, near: σ = {sigma[-1, 0]:.2f} m")
+    plots.finish(ax["z near"], "second", "z, near")
+    ax["x"].set_ylabel("error (m)")
+    ax["x near"].set_ylabel("error (m)")
+    ax["z"].annotate(f"σ = {sigma[-1, 2]:.1f} m", (k[-1], 34), ha="right", va="top")
+    ax["x"].annotate(f"blue: {errors.shape[2]} phones\nblack: ± 2σ", (2, -34), ha="left", va="bottom", color="0.3")
     title = f"{len(k) - last} seconds of silence turn {sigma[last - 1, 2]:.2f} m into {sigma[-1, 2]:.1f} m"
     fig.suptitle(title, x=0.02, ha="left", weight="bold")
     return fig
@@ -150,21 +155,30 @@ def sigma_of_both(P0, steps):
     return np.sqrt(best[:, 0, 0]), np.sqrt(constant[:, 0, 0])
 
 
-def losses_apart(sizes, c):
+def losses_apart(sizes, errors=0.0, changes=0.0):
     """Return what axes kept apart lose to one filter, in percent (axes, 2): sigma of position and velocity.
 
-    The measurement errors of all axes have the correlation c, and sizes (axes,) times sigma of AXIS.
+    The measurement errors of all axes are sizes (axes,) times those of AXIS. They have the correlation `errors`, and
+    the random changes of the velocity the correlation `changes`. Neither changes what an axis kept apart does.
 
-    >>> losses_apart([1, 1], c=0.5).round(1)
+    >>> losses_apart([1, 1], errors=0.5).round(1)
     array([[1. , 1.6],
            [1. , 1.6]])
     """
     sizes, identity = np.asarray(sizes, float), np.eye(len(sizes))
-    R = AXIS.R[0, 0] * np.outer(sizes, sizes) * (c + (1 - c) * identity)
+    scales = AXIS.R[0, 0] * np.outer(sizes, sizes)
     F, H, Q = (np.kron(identity, each) for each in (AXIS.F, AXIS.H, AXIS.Q))
-    together = SteadyStateFilter.from_kalman(LinearModel(F=F, H=H, Q=Q, R=R)).P
-    apart = SteadyStateFilter.from_kalman(LinearModel(F=F, H=H, Q=Q, R=R * identity)).P
+    linked = LinearModel(
+        F=F, H=H, Q=np.kron(correlated(len(sizes), changes), AXIS.Q), R=scales * correlated(len(sizes), errors)
+    )
+    together = SteadyStateFilter.from_kalman(linked).P
+    apart = SteadyStateFilter.from_kalman(LinearModel(F=F, H=H, Q=Q, R=scales * identity)).P
     return 100 * (np.sqrt(np.diag(apart) / np.diag(together)) - 1).reshape(-1, 2)
+
+
+def correlated(axes, c):
+    """Return the correlation matrix (axes, axes) of axes that have the correlation c with each other."""
+    return c + (1 - c) * np.eye(axes)
 
 
 def silent_in_company(c, seconds=30):
@@ -173,7 +187,7 @@ def silent_in_company(c, seconds=30):
     >>> round(silent_in_company(0.0), 1)
     10.5
     """
-    axes = c + (1 - c) * np.eye(3)
+    axes = correlated(3, c)
     F, H, R = (np.kron(np.eye(3), each) for each in (AXIS.F, AXIS.H, AXIS.R))
     measured = np.zeros((60 + seconds, 3))  # sixty steps settle the filter; P does not depend on what is measured
     measured[60:, 2] = np.nan
