@@ -22,9 +22,9 @@ five promises, which the functions here and a user's own gate live from:
 - The innovations of a track are white and of unit variance if the model is right, also with correlated noises and in
   rows that are partly missing. The sum of their squares is the NIS of the row. With correlated noises a single one of
   them does not belong to one measurement, so that a gate takes or refuses a row as a whole.
-- A filter of constant gain returns no innovations (m = 0). Its `optimal` is false, and a gate must refuse it: a NIS of
-  zero would let everything pass.
-- A measurement that is missing, and the variance that stands in its place, change nothing.
+- A filter of constant gain returns no innovations (m = 0). `in_sequence` refuses a gate for it: a NIS of zero would let
+  everything pass.
+- A measurement that is missing changes nothing, nor does the variance of 1 that `Layout.rows` puts in its place.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ import numpy as np
 
 from . import checks
 from .algebra import product_for_covariances
-from .epochs import Rows
+from .epochs import Layout, Rows
 from .partition import agree, count_of_pieces, cut, next_starts, rows_per_piece, starts, uncut
 from .steps import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run, tiles
 
@@ -127,6 +127,14 @@ def start_on_columns(estimator, rows):
     return OnColumns(advance, rows, x, np.repeat(P0[..., None], M, axis=2))
 
 
+def on_own_columns(estimator, z):
+    """Return OnColumns of the measurements z (N, m, M), with a column for each track, as a gate needs it.
+
+    Tracks that share a column share a covariance, so that a row could only be refused in all of them.
+    """
+    return start_on_columns(estimator, Layout(one_column=False).rows(estimator.epochs_of(z)))
+
+
 def _keeping_what_is_known(motion, advance, row, x, P):
     """Advance, and let a state that is predicted exactly, by a variance of zero, be known exactly afterwards."""
     x, P_next, innovations = advance(row, x, P)
@@ -139,26 +147,33 @@ def _keeping_what_is_known(motion, advance, row, x, P):
 def in_sequence(advance, rows, x, P, takes=None):
     """Yield x(k/k), P(k/k) and the innovations of one row after the other, from x(0/0) (d, c, M) and P(0/0) (d, d, M).
 
-    The innovations (m, c, M) are at unit covariance. takes(innovations) says which rows are taken, (M,) or one truth
-    value for all; in a column that does not take it, the row counts as missing. Without it all are taken.
+    The innovations (m, c, M) are at unit covariance. takes(row, innovations) is a gate: it says in which columns the
+    Row is taken, (M,) or one truth value for all. Where it is not, it counts as missing. Without a gate all are taken.
 
-    Here is a gate, which refuses what lies further off than 25 variances:
+    Here is one, which refuses what lies further off than 25 variances; only the second track has such a row:
 
     >>> import mpt_helpers as mpt
     >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
-    >>> epochs = kf.epochs_of(np.array([1.0, 2.0, 9.0, 4.0])[:, None, None])
-    >>> on_columns = start_on_columns(kf, epochs.layout.rows(epochs))
-    >>> for x, P, innovations in in_sequence(*on_columns, takes=lambda e: (e**2).sum(axis=(0, 1)) < 25):
-    ...     print(f"{x[0].item():.1f} {innovations.item():.1f}")
-    1.0 0.0
-    2.0 0.0
-    3.0 14.5
-    4.0 0.0
+    >>> z = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 9.0], [4.0, 4.0]])[:, None]  # (N, m, M): one axis of two tracks
+    >>> def near(row, innovations):
+    ...     return (innovations**2).sum(axis=(0, 1)) < 25
+    >>> for x, P, innovations in in_sequence(*on_own_columns(kf, z), takes=near):
+    ...     print(x[0, 0].round(1), innovations[0, 0].round(1))
+    [1. 1.] [0. 0.]
+    [2. 2.] [0. 0.]
+    [3. 3.] [ 0.  14.5]
+    [4. 4.] [0. 0.]
+
+    Raises ValueError for a gate where tracks share a column, TypeError where there are no innovations.
     """
+    if takes is not None and rows.z.shape[2] > 1:
+        checks.refuse("takes", "a column for each track (on_own_columns)", f"{rows.z.shape[2]} tracks in one")
     for row in rows:
         x_next, P_next, innovations = advance(row, x, P)
         if takes is not None:
-            refused = ~np.asarray(takes(innovations))
+            if not len(innovations):
+                checks.refuse("takes", "a filter with innovations", "one of constant gain", TypeError)
+            refused = np.logical_not(takes(row, innovations))
             if refused.any():
                 x_next, P_next, _ = advance(row.without(refused), x, P)
         x, P = x_next, P_next

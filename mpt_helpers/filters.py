@@ -64,7 +64,7 @@ class KalmanFilter(RecursiveFilter):
     def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
         if t is not None and model.dt is None:
-            need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
+            need = "a model that says what a step of another length is (constant_velocity, or a motion of your own)"
             checks.refuse("t", need, "one whose F and Q are for one length only")
         object.__setattr__(self, "t", None if t is None else checks.times("t", t))
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
@@ -168,7 +168,7 @@ class KalmanFilter(RecursiveFilter):
 
     def _length_of(self, dt):
         if self.model.dt is None:
-            need = "a model that says what a step of another length is (constant_velocity, constant_acceleration)"
+            need = "a model that says what a step of another length is (constant_velocity, or a motion of your own)"
             checks.refuse("dt", need, "one whose F and Q are for one length only")
         return dt / self.model.dt
 

@@ -75,6 +75,9 @@ class LinearModel(Immutable):
         if motion is not None and F is None and Q is None:
             F, Q = checked(motion)
             dt = motion.dt
+        elif F is None or Q is None:
+            got = "one of them" if (F is None) != (Q is None) else "neither"
+            checks.refuse("model", "F and Q, or a motion in place of both", got, TypeError)
         n, m = checks.rows("F", F), checks.rows("H", H)
         given = {
             "F": checks.array("F", F, (n, n)),

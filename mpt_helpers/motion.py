@@ -34,7 +34,10 @@ array([[ 1.  ,  0.71],
        [ 3.01,  0.63],
        [19.99,  0.12]])
 
-Two steps of half a length must be one of the whole: a motion for which that does not hold is refused.
+Two steps of half a length must be one of the whole: a motion for which that does not hold is refused. One that holds
+arrays is `class Mine(Immutable, Motion)` with `@dataclass(frozen=True, eq=False)`, as those below: then models that
+have it can be compared and hashed. Mind the range of `over`: Van Loan's matrix exponential for Q overflows over gaps of
+many time constants, where P∞ - F P∞ Fᵀ, with the covariance P∞ at rest of a motion that has one, does not.
 """
 
 from __future__ import annotations
@@ -125,7 +128,10 @@ class Motion:
 
     def _made(self, lengths):
         """Return what `_state` and `_covariance` need of the lengths."""
-        return tuple(np.moveaxis(each, (-2, -1), (0, 1)) for each in self.over(lengths))
+        # F and Q may be dear, as those of a matrix exponential: those of equal lengths are made once.
+        of_each, which = np.unique(lengths, return_inverse=True)
+        which = which.reshape(np.shape(lengths))  # numpy 2.0 returned another shape than 1.26 and 2.1
+        return tuple(np.moveaxis(each[which], (-2, -1), (0, 1)) for each in self.over(of_each))
 
     def _state(self, x, made):
         F, _ = made
@@ -363,12 +369,15 @@ def checked(motion: Motion) -> tuple[Array, Array]:
     checks.positive("motion.dt", getattr(motion, "dt", None))
     F, Q = (checks.real_numbers("motion", each, "an over(length) that returns F and Q") for each in motion.over(1.0))
     n = len(np.atleast_1d(F))
-    lengths = np.array([0.0, 0.5, 1.0])
-    for each, of_many in zip((F, Q), motion.over(lengths), strict=True):
-        if each.shape != (n, n) or np.shape(of_many) != (3, n, n):
-            need = "an over(length) that returns F and Q, (n, n) of a number and (K, n, n) of lengths (K,)"
-            checks.refuse("motion", need, f"shapes {each.shape} and, of 3 lengths, {np.shape(of_many)}")
-    (F_0, half, _), (Q_0, noise, _) = motion.over(lengths)
+    need = "an over(length) that returns F and Q, (n, n) of a number and (K, n, n) of lengths (K,): see `matrices`"
+    try:
+        of_many = motion.over(np.array([0.0, 0.5, 1.0]))
+    except (TypeError, ValueError) as error:  # as of a list with numbers beside arrays
+        checks.refuse("motion", need, f"of 3 lengths, the error {str(error)!r:.60}")
+    for each, many in zip((F, Q), of_many, strict=True):
+        if each.shape != (n, n) or np.shape(many) != (3, n, n):
+            checks.refuse("motion", need, f"shapes {each.shape} and, of 3 lengths, {np.shape(many)}")
+    (F_0, half, _), (Q_0, noise, _) = of_many
     if not np.array_equal(F_0, np.eye(n)) or Q_0.any():
         checks.refuse("motion", "F = I and Q = 0 over a step of length zero", "others")
     twice = half @ noise @ half.T + noise

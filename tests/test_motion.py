@@ -10,6 +10,7 @@ from oracles import gaussian_conditioning_of_steps, plain_loop, van_loan
 
 import mpt_helpers as mpt
 from mpt_helpers import bands, engine, metrics
+from mpt_helpers.immutable import Immutable
 from mpt_helpers.motion import Motion, OneLength, Powers, SideBySide, matrices
 
 TAU = 4.0
@@ -42,6 +43,31 @@ class Singer(Motion):
     def over(self, length):
         A = np.array([[0, 1, 0], [0, 0, 1], [0, 0, -1 / self.tau]])
         return van_loan(A, [0, 0, self.q], np.asarray(length)[..., None, None] * self.dt)
+
+
+@dataclass(frozen=True, eq=False)
+class Decaying(Immutable, Motion):
+    """States that decay, each at a rate of its own: a motion that holds an array, and counts for how many lengths."""
+
+    dt: float
+    rates: np.ndarray
+    asked: list | tuple
+
+    def over(self, length):
+        if isinstance(self.asked, list):
+            self.asked.append(np.size(length))
+        kept = np.exp(-np.multiply.outer(np.asarray(length) * self.dt, self.rates))
+        return kept[..., None] * np.eye(2), (1 - kept**2)[..., None] * np.eye(2)
+
+
+@dataclass(frozen=True)
+class OfNumbers(Motion):
+    """A motion whose F is made by numpy from a list, which it can of one length only."""
+
+    dt: float
+
+    def over(self, length):
+        return np.array([[1, length], [0, 1]]), 0 * np.array([[1, length], [length, 1]])
 
 
 def forgetful(q=0.3, r=0.5, dt=0.7, **given):
@@ -248,7 +274,17 @@ REFUSED = {
     "Q that is not zero at zero": (lambda: of(Wrong(at_zero=1.0)), ValueError, "F = I and Q = 0 over a step of"),
     "one length at a time": (lambda: of(Wrong(many=False)), ValueError, r"of 3 lengths, \(1, 1\)"),
     "other dt": (lambda: replace(forgetful(), dt=1.0), ValueError, "dt: needs the dt of the motion, 0.7 s, got 1 s"),
-    "no F": (lambda: mpt.LinearModel(H=[[1]], R=[[1]]), TypeError, "F: needs a matrix, got None"),
+    "numbers only": (
+        lambda: of(OfNumbers(1.0)),
+        ValueError,
+        "lengths .K,.: see `matrices`, got of 3 lengths, the error",
+    ),
+    "no Q": (lambda: mpt.LinearModel(F=[[1]], H=[[1]], R=[[1]]), TypeError, "F and Q, or a motion in place of both"),
+    "no F": (
+        lambda: mpt.LinearModel(H=[[1]], R=[[1]]),
+        TypeError,
+        "model: needs F and Q, or a motion in place of both, got neither",
+    ),
     "dt without powers": (lambda: given(dt=1.0), ValueError, "dt: needs powers, or a motion in place of F and Q"),
     "powers without dt": (lambda: given(powers=[0.5]), ValueError, "powers: needs a dt"),
     "powers that do not fit": (lambda: given(dt=1.0, powers=[1.5]), ValueError, "powers: needs two steps of dt / 2"),
@@ -264,6 +300,10 @@ def of(motion):
     return mpt.LinearModel(motion=motion, H=[[1]], R=[[1]])
 
 
+def of_two(motion):
+    return mpt.LinearModel(motion=motion, H=[[1, 1]], R=[[1]])
+
+
 def given(**more):
     return mpt.LinearModel(F=[[1]], H=[[1]], Q=[[1]], R=[[1]], **more)
 
@@ -272,6 +312,25 @@ def given(**more):
 def test_what_is_no_motion_is_refused_by_name(call, error, words):
     with pytest.raises(error, match=words):
         call()
+
+
+def test_a_motion_that_holds_an_array_is_compared_and_hashed():
+    models = [of_two(Decaying(1.0, np.array(rates), ())) for rates in ([1.0, 2.0], [1.0, 2.0], [1.0, 3.0])]
+    assert models[0] == models[1] != models[2]
+    assert len(set(models)) == 2
+
+
+def test_steps_of_equal_lengths_are_made_once_for_all_columns():
+    """An `over` may be dear: a hundred tracks with steps of two lengths ask for two at a time."""
+    model = of_two(Decaying(1.0, np.array([1.0, 2.0]), []))
+    t = np.cumsum(np.random.default_rng(1).choice([0.5, 2.0], (30, 100)), axis=0)
+    z = np.random.default_rng(2).standard_normal((30, 1, 100))
+    kf = mpt.KalmanFilter(model, t=t)
+    model.motion.asked.clear()
+    x = kf.filter(z)
+    assert max(model.motion.asked) == 2
+    alone = mpt.KalmanFilter(model, t=t[:, 7]).filter(z[..., 7])
+    np.testing.assert_allclose(x[..., 7], alone, **SAME)
 
 
 def test_a_motion_is_the_only_thing_that_a_step_of_another_length_asks():
@@ -328,9 +387,9 @@ def test_a_row_that_is_refused_counts_as_missing():
     gone = z.copy()
     gone[10, :, 1] = np.nan
     kf = mpt.KalmanFilter(model)
-    epochs = kf.epochs_of(far)
-    on_columns = engine.start_on_columns(kf, epochs.layout.rows(epochs))
-    run = list(engine.in_sequence(*on_columns, takes=lambda e: np.square(e).sum(axis=(0, 1)) < 1e4))
+    run = list(
+        engine.in_sequence(*engine.on_own_columns(kf, far), takes=lambda row, e: np.square(e).sum(axis=(0, 1)) < 1e4)
+    )
     e = kf.estimates(gone)
     np.testing.assert_allclose([x[: model.n, 0] for x, _, _ in run], e.x, **SAME)
     np.testing.assert_allclose([P[: model.n, : model.n] for _, P, _ in run], e.P, **SAME)

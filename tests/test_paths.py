@@ -229,12 +229,12 @@ def in_sequence(kf, rows, limit):
     """x (N, n, c M), P (N, n, n, M), the NIS (N, c M) and which rows were taken (N, M), of a gate that has a limit."""
     n, found = kf.model.n, []
 
-    def takes(innovations):
+    def takes(row, innovations):
         return (innovations**2).sum(axis=(0, 1)) <= limit
 
     on_columns = engine.start_on_columns(kf, rows)
     for x, P, e in engine.in_sequence(*on_columns, takes=None if limit is None else takes):
-        found.append((x[:n].reshape(n, -1), P[:n, :n], (e**2).sum(axis=0).ravel(), limit is None or takes(e)))
+        found.append((x[:n].reshape(n, -1), P[:n, :n], (e**2).sum(axis=0).ravel(), limit is None or takes(None, e)))
     return [np.array(each) for each in zip(*found, strict=True)]
 
 
