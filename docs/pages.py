@@ -5,6 +5,7 @@ few sentences per paper are in papers.toml, where each number is looked up in a 
 page says, corrections.py writes the corrections. The HTML is in templates/.
 """
 
+import ast
 import base64
 import csv
 import doctest
@@ -162,7 +163,8 @@ def common(members):
 def figures_of(key, cells):
     """Return the figures of a notebook; the caption is the paragraph that begins with **Figure 1.** or so.
 
-    What a figure found is the first sentence of its caption, else the question of its section.
+    What a figure found is its own title. A figure without a title has it in the first sentence of its caption, or stands
+    under the title of its only panel, or under the question of its section.
     """
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
     drawn, section = [], ""
@@ -173,14 +175,29 @@ def figures_of(key, cells):
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
             captions = [part for part in prose if label in names_of(part)]
-            (alt,) = (
-                out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out.get("data", {})
-            )
+            (shown,) = (out for out in cell["outputs"] if "image/png" in out.get("data", {}))
+            alt = shown["metadata"]["image/png"]["alt"]
+            above, only = drawn_titles("".join(shown["data"].get("text/plain", "")))
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
             caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else ""
-            finding = conclusion(caption) or section
+            finding = above or conclusion(caption) or only or section
             drawn.append(Drawn(name, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
+
+
+def drawn_titles(description):
+    r"""Return the title above a figure's panels and that of its only panel, from its description: "" if there is none.
+
+    >>> drawn_titles("late.png\ntext 'One step\\nlate'\naxes 1: 'error (m)' x 'step' linear 0..1\naxes 2: x")
+    ('One step late', '')
+    >>> drawn_titles("gain.png\naxes 1: 'It settles' x 'step k' linear 0..1; y '' linear 0..1")
+    ('', 'It settles')
+    """
+    quoted = r"""('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*")"""
+    above = re.match(rf"[^\n]*\ntext {quoted}", description)
+    panels = re.findall(rf"(?m)^axes \d+: (?:{quoted} )?x ", description)
+    only = panels[0] if len(panels) == 1 else ""
+    return tuple(" ".join(ast.literal_eval(each).split()) if each else "" for each in (above[1] if above else "", only))
 
 
 def conclusion(caption):
