@@ -163,8 +163,8 @@ def common(members):
 def figures_of(key, cells):
     """Return the figures of a notebook; the caption is the paragraph that begins with **Figure 1.** or so.
 
-    What a figure found is its own title. A figure without a title has it in the first sentence of its caption, or stands
-    under the title of its only panel, or under the question of its section.
+    What a figure found is its own title. Without one it is the first sentence of its caption, or the title of its only
+    panel, or the question of its section.
     """
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
     drawn, section = [], ""
@@ -188,7 +188,7 @@ def figures_of(key, cells):
 def drawn_titles(description):
     r"""Return the title above a figure's panels and that of its only panel, from its description: "" if there is none.
 
-    >>> drawn_titles("late.png\ntext 'One step\\nlate'\naxes 1: 'error (m)' x 'step' linear 0..1\naxes 2: x")
+    >>> drawn_titles("late.png\ntext 'One step\\nlate'\naxes 1: 'error' x '' linear 0..1\naxes 2: x '' linear 0..1")
     ('One step late', '')
     >>> drawn_titles("gain.png\naxes 1: 'It settles' x 'step k' linear 0..1; y '' linear 0..1")
     ('', 'It settles')
@@ -528,6 +528,16 @@ def pictures_inside(text, folder):
 SYMBOL = re.compile(r"((?:[A-ZΑ-ω]|(?<![A-Za-z\d_.])[a-z])\u0302?²?)([_^])(\([^()]*\)|\d+|[A-Z]+|[a-zν]{1,2}(?![a-z]))")
 
 
+def plain(text):
+    r"""Return a text as Markdown that shows it as it stands; what stands in backticks is code.
+
+    >>> print(plain("P_k of `step_k`"))
+    P\_k of `step_k`
+    """
+    parts = re.split(r"(`[^`]*`)", text)
+    return "".join(each if each.startswith("`") else re.sub(r"([\\*_|<>$])", r"\\\1", each) for each in parts)
+
+
 def typeset(text):
     """Return a text as HTML with its indices lowered and its powers raised: P_k is P<sub>k</sub>."""
 
@@ -568,7 +578,7 @@ def environment():
         "slug": lambda text: text.replace(" ", "-"),
         "code": lambda text: re.sub(r"[`$*]", "", text),
         "place": place,
-        "plain": lambda text: re.sub(r"([\\`*_|<>$])", r"\\\1", text),
+        "plain": plain,
         "typeset": typeset,
     }
     return env

@@ -259,8 +259,11 @@ def test_the_first_screen_says_what_it_is_for_whom_and_where_the_doors_are(visit
         assert box["y"] + box["height"] <= WIDTHS[width], each
     assert page.locator(".navbar-brand").is_visible()
     assert page.locator(".search-button:visible").count() == 1
-    brand, search = (page.locator(each).bounding_box() for each in (".logo__title", ".search-button:visible"))
-    assert brand["x"] + brand["width"] + 16 < search["x"]
+    for place in ("index.html", "guide.html"):  # a page with a list of its sections has a button more
+        page = visit(place, width)
+        brand, search = (page.locator(each).bounding_box() for each in (".logo__title", ".search-button:visible"))
+        assert brand["x"] + brand["width"] + 12 < search["x"]
+        assert page.locator(".logo__title").evaluate("each => each.scrollWidth <= each.clientWidth + 1")
     if width == 1280:
         assert page.locator(".bd-header .navbar-nav .nav-link:visible").all_inner_texts() == [
             "Papers",
@@ -288,6 +291,17 @@ def test_what_a_reader_searches_is_found(visit):
     page.locator("input[type=search]:visible").fill("Lainiotis")
     page.keyboard.press("Enter")
     page.locator("#search-results li a", has_text="LainiotisFilter").first.wait_for()
+
+
+def test_code_without_a_span_has_the_colour_that_the_span_had():
+    styles = (HTML / "_static" / "pygments.css").read_text(encoding="utf-8")
+    for theme in ("light", "dark"):
+        own = rf'(?m)^html\[data-theme="{theme}"\] \.highlight'
+        (base,) = re.findall(own + r" \{[^}]*[; ]color: (#\w+)", styles)
+        assert set(re.findall(own + r" \.(?:n|nn|w|p) \{ color: (#\w+) \}", styles)) == {base}
+    code = re.findall(r"(?s)<pre>(.*?)</pre>", (HTML / ARTICLES[0]).read_text(encoding="utf-8"))
+    assert not [each for each in code if re.search('<span class="(n|nn|w|p)">', each)]
+    assert any('<span class="k">' in each for each in code)
 
 
 def test_code_is_copied_without_prompts_and_outputs(visit):
