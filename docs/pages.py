@@ -163,8 +163,8 @@ def common(members):
 def figures_of(key, cells):
     """Return the figures of a notebook; the caption is the paragraph that begins with **Figure 1.** or so.
 
-    What a figure found is its own title. Without one it is the first sentence of its caption, or the title of its only
-    panel, or the question of its section.
+    What a figure found is its own title or that of its only panel. Without one it is the first sentence of its caption,
+    or the question of its section.
     """
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
     drawn, section = [], ""
@@ -180,7 +180,7 @@ def figures_of(key, cells):
             above, only = drawn_titles("".join(shown["data"].get("text/plain", "")))
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
             caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else ""
-            finding = above or conclusion(caption) or only or section
+            finding = above or only or conclusion(caption) or section
             drawn.append(Drawn(name, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
 

@@ -714,7 +714,7 @@ def test_each_scene_takes_one_tap_and_says_what_the_package_says(visit, scene, w
     page.locator(f"[data-scene={scene}]").click()
     assert page.locator(".sensor .said").inner_text() == break_sensor.said(scene)
     seen = break_sensor.run(break_sensor.SCENES[scene], break_sensor.average())
-    red = page.locator(".board .outside").get_attribute("d").count("M")
+    red = page.locator(".board path.outside").get_attribute("d").count("M")
     assert red == (np.abs(seen.kalman) > 2 * seen.sigma).sum()
     assert page.url.endswith(f"#sensor={scene}")
     panel = page.locator(".board").bounding_box()
