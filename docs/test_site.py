@@ -376,6 +376,13 @@ def test_claims_that_fail_stand_first_then_those_under_a_condition_and_each_open
     ranks = [order.index(each) for each in listed]
     assert ranks == sorted(ranks)
     assert {"erratum", "holds in part", "cannot be checked"} <= set(listed)
+    headings = page.locator(".bd-article :is(h2, h3, details.claim .verdict)").all_inner_texts()
+    for verdict, heading in {
+        "erratum": "Claims that fail",
+        "holds in part": "Claims that hold under a condition",
+        "cannot be checked": "Claims that cannot be checked",
+    }.items():
+        assert headings[headings.index(verdict) - 1].startswith(heading)
     own = [row for row in records if row["kind"] == "claim" and row["verdict"] not in HOLDS]
     findings = {
         (key, cause.id)
