@@ -32,6 +32,10 @@ FAR = 3000.0  # metres from the origin
 CANDIDATES, SEED = 10_000, 1
 USUAL = float(chdtri(1, 0.001))  # a good fix has a higher NIS once in 1,000
 REACH = 3.1  # metres, the vertical axis
+# Written in the drawing, a line each.
+BAND_IS = ("blue band: Kalman is", "95 % sure of the truth")
+RED_IS = ("red: the truth is", "outside the band")
+RED = "#b8251d"
 
 
 @dataclass(frozen=True)
@@ -68,16 +72,15 @@ SCENES = {
 # What is seen. The figure fills the same sentences with the numbers that it computes.
 SENTENCES = {
     "whole": "Every fix is there. After the start Kalman’s gain is the constant gain, and the three lines are one.",
-    "gap": "After {missing} Kalman trusts its own guess less: its gain jumps from {rest} to {jump}, and one fix brings "
-    "it to {kalman} m. The constant gain stays at {rest}: {constant} m. Over many tracks: {sigma} and "
-    "{sigma_constant} m.",
+    "gap": "After {missing} Kalman goes {jump} of the way to the next fix instead of {rest}, and is {kalman} m off. "
+    "The constant gain stays at {rest}: {constant} m. Over many walks: typically {sigma} and {sigma_constant} m.",
     "open": "After the last fix all three filters can only predict: the band opens to ± {band} m.",
     "outlier": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "
-    "Kalman’s own test sees it (NIS {nis}, where 1 is usual), but no filter acts on it without a gate.",
+    "Kalman’s own test, NIS, sees it ({nis}, where 1 is usual), but a filter refuses it only if it has a gate.",
     "small": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "
-    "Kalman’s own test lets it pass (NIS {nis}; a good fix is above {usual} once in 1,000).",
+    "Kalman’s own test, NIS, lets it pass ({nis}; a good fix is above {usual} once in 1,000).",
     "lag": "H = [1 Δt] says that each fix is the next position. Fed with present ones, every filter is one step late: "
-    "{late} m at walking pace, {times} times the σ it states. Its own test {test}.",
+    "{late} m at walking pace, {times} times the error it expects. Its own test {test}.",
     "lasting": "An error that lasts looks like motion, and every filter follows it: the truth is outside the band "
     "(red) at {outside} of {counted} fixes, not at 1 in 20. Its own test {test}.",
     "far": "{km} km from the origin FIR is {off} m off: it is a weighted sum of the last {order} fixes, and the "
@@ -258,22 +261,31 @@ def said(name):
     """
     scene, track = SCENES[name], average()
     seen, given = run(scene, track), numbers(scene, track)
-    words = {"rest": f"{seen.rest:.2f}", "order": seen.order, "weights": f"{seen.weights:.4f}"}
+    words = {"rest": percent(seen.rest), "order": seen.order, "weights": f"{seen.weights:.4f}"}
     low, high = chi_square_band(1, int(given["counted"]))
     words["test"] = (UNSEEN if low <= given["nis"] <= high else SEEN).format(nis=f"{given['nis']:.1f}")
     words |= {"outside": given["outside"], "counted": given["counted"]}
     words |= {"late": f"{given['kalman']:.1f}", "times": f"{given['kalman'] / given['states']:.0f}"}
     if scene.lost:
         first = max(scene.lost)
-        words |= {"missing": f"{len(scene.lost)} missing fixes", "jump": f"{seen.gain[first]:.2f}"}
+        words |= {"missing": f"{len(scene.lost)} missing fixes", "jump": percent(seen.gain[first])}
         words |= {"kalman": f"{abs(seen.kalman[first]):.1f}", "constant": f"{abs(seen.constant[first]):.1f}"}
         words |= {"sigma": f"{seen.sigma[first]:.2f}", "sigma_constant": f"{seen.sigma_constant[first]:.2f}"}
     for fix, off in scene.pulled.items():
-        words |= {"fix": fix, "off": f"{off:.1f}", "share": f"{seen.gain[fix - 1]:.2f}"}
+        words |= {"fix": fix, "off": f"{off:.1f}", "share": percent(seen.gain[fix - 1])}
         words["nis"] = f"{seen.nis[fix - 1]:.0f}"
     if scene.origin:
         words |= {"km": f"{scene.origin / 1000:g}", "off": f"{abs(np.mean(seen.fir[seen.counted])):.1f}"}
     return SENTENCES[name].format(**words)
+
+
+def percent(share):
+    """Return a share in whole percents, as the sentences say a gain.
+
+    >>> percent(0.984)
+    '98 %'
+    """
+    return f"{100 * share:.0f} %"
 
 
 def settled(lost=0, within=0.1):
@@ -325,11 +337,12 @@ def for_the_page():
         "band": [[round(float(edge), 3) for edge in chi_square_band(1, count)] for count in range(1, FIXES + 1)],
         "scenes": scenes,
         "sentences": SENTENCES | {"unseen": UNSEEN, "seen": SEEN},
+        "notes": {"band": BAND_IS, "outside": RED_IS},
     }
 
 
 def draw(name):
-    """Return the figure of a scene: errors in metres and the Kalman filter's band, with a label at each line.
+    """Return the figure of a scene: errors in metres, a label at each line, what the band and the red line are.
 
     It is what the site shows without JavaScript.
     """
@@ -348,6 +361,11 @@ def draw(name):
     top.set_ylim(-REACH, REACH)
     at = max(scene.lost, default=FIXES - 20)
     plots.label_line(constant, "constant gain", at + 1, xytext=(6, 6))
-    plots.label_line(kalman, "Kalman, ± 2σ", at + 1, xytext=(6, -32))
+    plots.label_line(kalman, "Kalman", at + 1, xytext=(6, -32))
+    outside = np.abs(seen.kalman) > 2 * seen.sigma
+    top.hlines(np.zeros(outside.sum()), k[outside] - 0.5, k[outside] + 0.5, color=RED, lw=3)
+    top.text(1, -REACH + 0.15, "\n".join(BAND_IS), color=colour["kalman"], va="bottom")
+    if outside.any():
+        top.text(1, REACH - 0.15, "\n".join(RED_IS), color=RED, va="top")
     plots.finish(top, "fix", "metres off the truth")
     return fig

@@ -50,6 +50,7 @@ def choice():
         "settled": break_sensor.settled(),
         "every": math.ceil(of_fir / steady),
         "near": near(),
+        "order": fir.order,
         "lost": len(gap.lost),
         "sigma": f"{seen.sigma[first]:.2f}",
         "sigma_constant": f"{seen.sigma_constant[first]:.2f}",

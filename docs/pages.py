@@ -5,6 +5,7 @@ few sentences per paper are in papers.toml, where each number is looked up in a 
 page says, corrections.py writes the corrections. The HTML is in templates/.
 """
 
+import ast
 import base64
 import csv
 import doctest
@@ -162,7 +163,8 @@ def common(members):
 def figures_of(key, cells):
     """Return the figures of a notebook; the caption is the paragraph that begins with **Figure 1.** or so.
 
-    What a figure found is the first sentence of its caption, else the question of its section.
+    What a figure found is its own title or that of its only panel. Without one it is the first sentence of its caption,
+    or the question of its section.
     """
     prose = [part for cell in cells if cell["cell_type"] == "markdown" for part in source(cell).split("\n\n")]
     drawn, section = [], ""
@@ -173,14 +175,29 @@ def figures_of(key, cells):
             own = name.removeprefix(f"{key}_")
             label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
             captions = [part for part in prose if label in names_of(part)]
-            (alt,) = (
-                out["metadata"]["image/png"]["alt"] for out in cell["outputs"] if "image/png" in out.get("data", {})
-            )
+            (shown,) = (out for out in cell["outputs"] if "image/png" in out.get("data", {}))
+            alt = shown["metadata"]["image/png"]["alt"]
+            above, only = drawn_titles("".join(shown["data"].get("text/plain", "")))
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
             caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else ""
-            finding = conclusion(caption) or section
+            finding = above or only or conclusion(caption) or section
             drawn.append(Drawn(name, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
+
+
+def drawn_titles(description):
+    r"""Return the title above a figure's panels and that of its only panel, from its description: "" if there is none.
+
+    >>> drawn_titles("late.png\ntext 'One step\\nlate'\naxes 1: 'error' x '' linear 0..1\naxes 2: x '' linear 0..1")
+    ('One step late', '')
+    >>> drawn_titles("gain.png\naxes 1: 'It settles' x 'step k' linear 0..1; y '' linear 0..1")
+    ('', 'It settles')
+    """
+    quoted = r"""('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*")"""
+    above = re.match(rf"[^\n]*\ntext {quoted}", description)
+    panels = re.findall(rf"(?m)^axes \d+: (?:{quoted} )?x ", description)
+    only = panels[0] if len(panels) == 1 else ""
+    return tuple(" ".join(ast.literal_eval(each).split()) if each else "" for each in (above[1] if above else "", only))
 
 
 def conclusion(caption):
@@ -511,6 +528,16 @@ def pictures_inside(text, folder):
 SYMBOL = re.compile(r"((?:[A-ZΑ-ω]|(?<![A-Za-z\d_.])[a-z])\u0302?²?)([_^])(\([^()]*\)|\d+|[A-Z]+|[a-zν]{1,2}(?![a-z]))")
 
 
+def plain(text):
+    r"""Return a text as Markdown that shows it as it stands; what stands in backticks is code.
+
+    >>> print(plain("P_k of `step_k`"))
+    P\_k of `step_k`
+    """
+    parts = re.split(r"(`[^`]*`)", text)
+    return "".join(each if each.startswith("`") else re.sub(r"([\\*_|<>$])", r"\\\1", each) for each in parts)
+
+
 def typeset(text):
     """Return a text as HTML with its indices lowered and its powers raised: P_k is P<sub>k</sub>."""
 
@@ -551,7 +578,7 @@ def environment():
         "slug": lambda text: text.replace(" ", "-"),
         "code": lambda text: re.sub(r"[`$*]", "", text),
         "place": place,
-        "plain": lambda text: re.sub(r"([\\`*_|<>$])", r"\\\1", text),
+        "plain": plain,
         "typeset": typeset,
     }
     return env

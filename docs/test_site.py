@@ -247,21 +247,23 @@ def test_a_link_that_says_how_many_opens_as_many_values(visit):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_first_screen_says_what_it_is_for_whom_and_where_the_doors_are(visit, width):
     page = visit("index.html", width)
-    assert page.locator("h1").inner_text().startswith("Do you need a full Kalman filter to track a phone?")
-    wide = [
-        "p.for",
-        "p.answer",
-        ".sd-btn",
-        ".board",
-        ".sensor .said",
-        ".doors .sd-card >> nth=0",
-        ".doors .sd-card >> nth=2",
-    ]
-    for each in wide if width == 1280 else ["p.for", "p.answer", ".sd-btn"]:
+    assert page.locator("h1").inner_text().startswith("Four papers on tracking a position, reproduced")
+    assert "Python package" in page.locator("p.about").inner_text()
+    for reader in ("students", "engineers", "readers of the papers"):
+        assert reader in page.locator("p.for").inner_text()
+    assert page.locator(".bd-article .sd-btn").count() == 1
+    doors = [f".doors .sd-card >> nth={i}" for i in range(3)]
+    seen = ["p.about", "p.for", ".sd-btn", *doors]
+    for each in [*seen, ".sensor h2", ".board", ".sensor .said"] if width == 1280 else seen:
         box = page.locator(each).bounding_box()
         assert box["y"] + box["height"] <= WIDTHS[width], each
     assert page.locator(".navbar-brand").is_visible()
     assert page.locator(".search-button:visible").count() == 1
+    for place in ("index.html", "guide.html"):  # a page with a list of its sections has a button more
+        page = visit(place, width)
+        brand, search = (page.locator(each).bounding_box() for each in (".logo__title", ".search-button:visible"))
+        assert brand["x"] + brand["width"] + 12 < search["x"]
+        assert page.locator(".logo__title").evaluate("each => each.scrollWidth <= each.clientWidth + 1")
     if width == 1280:
         assert page.locator(".bd-header .navbar-nav .nav-link:visible").all_inner_texts() == [
             "Papers",
@@ -289,6 +291,17 @@ def test_what_a_reader_searches_is_found(visit):
     page.locator("input[type=search]:visible").fill("Lainiotis")
     page.keyboard.press("Enter")
     page.locator("#search-results li a", has_text="LainiotisFilter").first.wait_for()
+
+
+def test_code_without_a_span_has_the_colour_that_the_span_had():
+    styles = (HTML / "_static" / "pygments.css").read_text(encoding="utf-8")
+    for theme in ("light", "dark"):
+        own = rf'(?m)^html\[data-theme="{theme}"\] \.highlight'
+        (base,) = re.findall(own + r" \{[^}]*[; ]color: (#\w+)", styles)
+        assert set(re.findall(own + r" \.(?:n|nn|w|p) \{ color: (#\w+) \}", styles)) == {base}
+    code = re.findall(r"(?s)<pre>(.*?)</pre>", (HTML / ARTICLES[0]).read_text(encoding="utf-8"))
+    assert not [each for each in code if re.search('<span class="(n|nn|w|p)">', each)]
+    assert any('<span class="k">' in each for each in code)
 
 
 def test_code_is_copied_without_prompts_and_outputs(visit):
@@ -360,9 +373,16 @@ def test_claims_that_fail_stand_first_then_those_under_a_condition_and_each_open
     page = visit("papers.html")
     listed = page.locator("details.claim .verdict").all_inner_texts()
     order = ["erratum", "differs", "holds in part", "cannot be checked"]
-    assert [each for i, each in enumerate(listed) if each not in listed[:i]] == [
-        each for each in order if each in listed
-    ]
+    ranks = [order.index(each) for each in listed]
+    assert ranks == sorted(ranks)
+    assert {"erratum", "holds in part", "cannot be checked"} <= set(listed)
+    headings = page.locator(".bd-article :is(h2, h3, details.claim .verdict)").all_inner_texts()
+    for verdict, heading in {
+        "erratum": "Claims that fail",
+        "holds in part": "Claims that hold under a condition",
+        "cannot be checked": "Claims that cannot be checked",
+    }.items():
+        assert headings[headings.index(verdict) - 1].startswith(heading)
     own = [row for row in records if row["kind"] == "claim" and row["verdict"] not in HOLDS]
     findings = {
         (key, cause.id)
@@ -701,16 +721,23 @@ def test_each_scene_takes_one_tap_and_says_what_the_package_says(visit, scene, w
     page.locator(f"[data-scene={scene}]").click()
     assert page.locator(".sensor .said").inner_text() == break_sensor.said(scene)
     seen = break_sensor.run(break_sensor.SCENES[scene], break_sensor.average())
-    red = page.locator(".board .outside").get_attribute("d").count("M")
+    red = page.locator(".board path.outside").get_attribute("d").count("M")
     assert red == (np.abs(seen.kalman) > 2 * seen.sigma).sum()
     assert page.url.endswith(f"#sensor={scene}")
     panel = page.locator(".board").bounding_box()
     labels = page.locator(".board .label").all()
     assert labels
-    for each in labels:  # inside the panel, at every width
-        box = each.bounding_box()
+    boxes = [each.bounding_box() for each in labels]
+    for box in boxes:  # inside the panel, at every width
         assert panel["x"] <= box["x"]
         assert box["x"] + box["width"] <= panel["x"] + panel["width"] + 1
+    words = " ".join(each.text_content() for each in labels)
+    assert " ".join(break_sensor.BAND_IS) in words
+    assert (" ".join(break_sensor.RED_IS) in words) is (red > 0)
+    for i, one in enumerate(boxes):  # two lines of a label have 15 pixels each
+        for other in boxes[:i]:
+            apart = max(one["x"] - other["x"] - other["width"], other["x"] - one["x"] - one["width"]) >= 0
+            assert apart or abs(one["y"] - other["y"]) > 11
 
 
 def test_the_figure_opens_on_a_gap_and_says_it_without_a_touch(visit):

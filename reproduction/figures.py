@@ -129,7 +129,7 @@ def round_svg(text: str) -> str:
 
 
 def alt_text(fig: Figure) -> str:
-    """Say in words what a figure plots, for readers who do not see it: its panels and their curves.
+    """Say in words what a figure plots, for readers who do not see it: its title, its panels and their curves.
 
     >>> from mpt_helpers.plots import finish, panels
     >>> fig, ax = panels([["s", "v"]])
@@ -148,7 +148,9 @@ def alt_text(fig: Figure) -> str:
         if ax.get_yscale() == "log":
             title += " (log scale)"
         alike.setdefault((ax.get_xlabel(), curves), []).append(title)
-    sentences = [f"{len(fig.axes)} panels."] if len(fig.axes) > 1 else []
+    above = fig.get_suptitle()
+    sentences = [above if above.endswith((".", "!", "?")) else f"{above}."] if above else []
+    sentences += [f"{len(fig.axes)} panels."] if len(fig.axes) > 1 else []
     for (xlabel, curves), titles in alike.items():
         place = f", over {xlabel}" if xlabel else ""
         sentences.append(f"{'; '.join(titles)}{place}.")

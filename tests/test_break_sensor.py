@@ -104,7 +104,12 @@ def test_after_a_gap_a_constant_gain_takes_longer_than_kalman():
 def test_the_still_has_a_label_at_each_filter_and_no_legend():
     (top,) = break_sensor.draw("gap").axes
     colours = {text.get_text(): text.get_color() for text in top.texts}
-    assert colours == {"constant gain": COLOUR_OF["steady"], "Kalman, ± 2σ": COLOUR_OF["kalman"]}
+    assert colours == {
+        "constant gain": COLOUR_OF["steady"],
+        "Kalman": COLOUR_OF["kalman"],
+        "blue band: Kalman is\n95 % sure of the truth": COLOUR_OF["kalman"],
+        "red: the truth is\noutside the band": break_sensor.RED,
+    }
     assert top.get_legend() is None
 
 

@@ -364,6 +364,20 @@ def test_a_figure_without_a_caption_stands_under_the_question_of_its_section():
     assert pages.figures_of("2014_gsm_2d", own)[0].finding == "How sure?"
 
 
+def test_what_a_figure_found_is_its_title_where_it_has_one():
+    own = cells()
+    drawing = next(each for each in own if each["id"] == "draw")
+    drawing["outputs"][0]["data"]["text/plain"] = "a.png\ntext 'It\\nrests'\naxes 1: 'gain' x 'k' linear 0..1"
+    assert pages.figures_of("2014_gsm_2d", own)[0].finding == "It rests"
+    drawing["outputs"][0]["data"]["text/plain"] = "a.png\naxes 1: 'It falls' x 'k' linear 0..1"
+    assert pages.figures_of("2014_gsm_2d", own)[0].finding == "It falls"
+
+
+def test_no_figure_of_the_articles_has_a_name_or_a_question_for_its_finding(drawn):
+    bare = r"(of the paper|figure|what we found|section)\b|.*\?$"
+    assert not [each.name for each in drawn.values() if re.match(bare, each.finding, re.IGNORECASE)]
+
+
 def test_the_conclusion_of_a_figure_is_the_first_sentence_of_its_caption():
     assert pages.conclusion("**Figure 1.** It falls. Then it rests.") == "It falls."
     assert (

@@ -260,6 +260,14 @@ def test_an_alt_text_names_every_panel_and_curve():
     )
 
 
+@pytest.mark.parametrize(("title", "said"), [("It settles", "It settles."), ("Is it\nlate?", "Is it late?")])
+def test_an_alt_text_begins_with_the_title_above_the_panels(title, said):
+    fig, ax = panels([["a"]])
+    finish(ax["a"], "step k", "gain")
+    fig.suptitle(title)
+    assert alt_text(fig) == f"{said} gain, over step k."
+
+
 def test_an_alt_text_says_that_a_panel_has_no_title():
     fig, ax = panels([["a"]])
     line(ax["a"], np.arange(3.0))

@@ -69,7 +69,8 @@ if (stage) {
 
   function said(seen) {
     const pick = (values) => seen.counted.map((i) => values[i]), size = (value, digits = 1) => Math.abs(value).toFixed(digits);
-    const words = { rest: seen.rest.toFixed(2), order: seen.order, weights: seen.weights.toFixed(4), counted: seen.counted.length };
+    const percent = (share) => `${(100 * share).toFixed(0)} %`;
+    const words = { rest: percent(seen.rest), order: seen.order, weights: seen.weights.toFixed(4), counted: seen.counted.length };
     let name = fact();
     if (seen.counted.length) {
       const nis = pick(seen.nis).reduce((sum, each) => sum + each, 0) / seen.counted.length, [low, high] = given.band[seen.counted.length - 1];
@@ -82,14 +83,14 @@ if (stage) {
     if (name === "gap") {
       const [first, last] = gap(), count = last - first + 1;
       if (last === N) name = "open";
-      else Object.assign(words, { missing: `${count} missing fix${count > 1 ? "es" : ""}`, jump: seen.gain[last].toFixed(2), kalman: size(seen.kalman[last]),
+      else Object.assign(words, { missing: `${count} missing fix${count > 1 ? "es" : ""}`, jump: percent(seen.gain[last]), kalman: size(seen.kalman[last]),
         constant: size(seen.constant[last]), sigma: seen.sigma[last].toFixed(2), sigma_constant: seen.sigmaConstant[last].toFixed(2) });
     }
     words.band = size(2 * seen.sigma[N - 1]);
     if (name === "outlier") {
       const fix = state.pulled.has(at.fix) ? at.fix : [...state.pulled.keys()].at(-1), nis = seen.nis[fix - 1];
       if (nis < given.usual) name = "small";
-      Object.assign(words, { fix, off: size(state.pulled.get(fix)), share: seen.gain[fix - 1].toFixed(2), nis: nis.toFixed(0), usual: given.usual.toFixed(0) });
+      Object.assign(words, { fix, off: size(state.pulled.get(fix)), share: percent(seen.gain[fix - 1]), nis: nis.toFixed(0), usual: given.usual.toFixed(0) });
     }
     return fill(given.sentences[name], words);
   }
@@ -113,6 +114,17 @@ if (stage) {
     return name === "far" ? [...found, ["fir", `FIR: ${metres(seen.fir, furthest(seen.fir))}`, furthest(seen.fir)]] : found;
   }
 
+  // What the band and the red line are: in the first corner that no label has taken.
+  function note(name, lines, order, taken) {
+    const long = LETTER * Math.max(...lines.map((each) => each.length)), tall = 15 * lines.length;
+    const lefts = [LEFT + 5, width - RIGHT - 5 - long], tops = { top: TOP + 3, bottom: BOTTOM - 5 - tall };
+    const corners = lefts.flatMap((left) => order.map((end) => [left, tops[end], left + long, tops[end] + tall]));
+    const free = corners.find(([a, b, c, d]) => taken.every(([left, top, right, bottom]) => c < left || right < a || d < top || bottom < b));
+    const [left, top] = free ?? corners[0];
+    if (free) taken.push(free);
+    return lines.map((each, i) => text(left, top + 12 + 15 * i, each, { name: `label note ${name}` })).join("");
+  }
+
   function draw() {
     width = Math.max(280, stage.querySelector(".stage").clientWidth);
     const seen = compute(), name = fact(), column = across(2) - across(1), parts = [];
@@ -132,6 +144,7 @@ if (stage) {
     }
     for (const fix of [1, 20, 40, 60]) parts.push(text(across(fix), HEIGHT - 5, fix === 1 ? "fix 1" : fix, { anchor: fix === 1 ? "start" : fix === N ? "end" : "middle" }));
 
+    const taken = []; // boxes of the labels, [left, top, right, bottom]
     const named = labels(seen, name), errorOf = ([kind, , fix]) => seen[kind][fix - 1];
     named.forEach((label, i) => {
       const [kind, words, fix] = label, error = errorOf(label), x = across(fix), long = LETTER * words.length;
@@ -139,12 +152,20 @@ if (stage) {
       const y = above ? Math.min(down(error), down(0.8)) - 9 : Math.max(down(error), down(-0.8)) + 18;
       const rightwards = x + 9 + long < width - RIGHT;
       parts.push(`<circle class="mark ${kind}" cx="${x.toFixed(1)}" cy="${down(error).toFixed(1)}" r="5"/>`);
-      parts.push(text(rightwards ? x + 9 : Math.max(x - 9, LEFT + 4 + long), y, words, { name: `label ${kind}`, anchor: rightwards ? "start" : "end" }));
+      const end = rightwards ? x + 9 + long : Math.max(x - 9, LEFT + 4 + long);
+      taken.push([end - long, y - 12, end, y + 3]);
+      parts.push(text(rightwards ? x + 9 : end, y, words, { name: `label ${kind}`, anchor: rightwards ? "start" : "end" }));
     });
     if (name === "gap") {
       const [first, last] = gap();
-      if (across(last) > across(first) + 50) parts.push(text((across(first) + across(last)) / 2, BOTTOM - 6, "no fixes", { anchor: "middle" }));
+      if (across(last) > across(first) + 50) {
+        const middle = (across(first) + across(last)) / 2;
+        taken.push([middle - 28, BOTTOM - 18, middle + 28, BOTTOM]);
+        parts.push(text(middle, BOTTOM - 6, "no fixes", { anchor: "middle" }));
+      }
     }
+    if (outside.length) parts.push(note("outside", given.notes.outside, ["top", "bottom"], taken));
+    parts.push(note("kalman", given.notes.band, ["bottom", "top"], taken));
     parts.push(`<circle class="cursor" cx="${across(at.fix).toFixed(1)}" cy="${down(seen.off[at.fix - 1]).toFixed(1)}" r="9"/>`);
     board.innerHTML = `<svg viewBox="0 0 ${width} ${HEIGHT}" height="${HEIGHT}" aria-hidden="true">${parts.join("")}</svg>`;
 
