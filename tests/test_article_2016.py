@@ -98,7 +98,7 @@ def test_table_1_beside_what_is_computed():
             )
             total += (folded / column.positions(axis, STEPS)).mean(axis=1) / 2
         np.testing.assert_allclose([float(each) for each in rows[row][1:]], 100 * total, atol=0.00005)
-    says(f"the pair that looks worst, {rows[2][1]} and {rows[3][1]}")
+    says(f"The pair that looks worst, {rows[2][1]} and {rows[3][1]}")
     gaps = [abs(float(a) - float(b)) for i in (0, 2) for a, b in zip(rows[i][1:], rows[i + 1][1:], strict=True)]
     assert max(gaps) == pytest.approx(float(rows[2][1]) - float(rows[3][1]))
 
@@ -385,7 +385,7 @@ def test_the_operations_are_those_of_the_papers_counts():
     assert burden.formula_holds(printed, burden.kalman)
     six = [6 * dense[2], 6 * dense[3]]
     assert [row[1:] for row in rows] == [kalman, [dense[2], dense[3]], six, [7, 13], [7 + 6, 13 + 13]]
-    says(f"A step then costs {dense[2]} operations, or {dense[3]} with acceleration")
+    says(f"A step costs {dense[2]} operations, or {dense[3]} with acceleration")
     says(f"would cost {kalman[0]} or {kalman[1]}, by a formula that two of the authors printed in 2014")
     says(f"The paper's {dense[2]} and {dense[3]} are right")
     says(f"The estimate and the next five positions cost {rows[4][1]} operations together")
