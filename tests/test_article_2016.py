@@ -262,7 +262,7 @@ def test_the_sum_that_makes_the_first_number():
     assert cv[0] == pytest.approx(100 * (1 - COLUMNS["cv"].steady.B[0, 0]), abs=0.01)  # the noise adds next to nothing
     says("A run of 20,000 steps would have had half of it")
     assert table1.of_both_axes(COLUMNS["cv"], 20_000)[0] == pytest.approx(cv[-1] / STEPS / 200, rel=0.01)
-    assert f"Ten of 10,000 steps make {100 * cv[9] / cv[-1]:.0f} % of the first number" in printed_by("sum")
+    assert f"Ten of 10,000 steps make {100 * cv[9] / cv[-1]:.0f} % of Table 1's first number" in printed_by("sum")
     says(f"Divide {cv[-1]:.0f} % by 10,000 steps and you have {cv[-1] / STEPS:.4f} %")
     assert f"{cv[-1] / STEPS:.4f}" == f"{table1.PRINTED['cv'][0]}"
     says(f"take the first number, {table1.PRINTED['cv'][0]} percent, apart")

@@ -243,7 +243,7 @@ def draw_sum(single=10):
     ax.set_ylim(0, 52)
     ax.set_ylabel("error / position (%)")
     share = 100 * added[:single].sum() / added.sum()
-    plots.finish(ax, "step", f"Ten of {STEPS:,} steps make {share:.0f} % of the first number of Table 1")
+    plots.finish(ax, "step", f"Ten of {STEPS:,} steps make {share:.0f} % of Table 1's first number")
     ax.get_legend().remove()
     return fig
 
