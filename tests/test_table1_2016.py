@@ -209,6 +209,7 @@ def test_the_notebook_counts_what_the_verdicts_say():
     tally = ledger.stored_verdicts(path).tally()
     causes = ", ".join(tally.cause_text(kind) for kind in ("slip", "wording", "finding"))
     bar = dict(tally.claims_bar())
-    others = f"{bar['hold under a condition']} hold under a condition, {bar['fail']} fails, "
+    assert list(bar) == ["hold", "hold under a condition", "contradict their own paper", "cannot be checked"]
+    others = f"{bar['hold under a condition']} holds under a condition, "
     others += f"{bar['contradict their own paper']} contradicts its own paper, and {bar['cannot be checked']} cannot be"
     assert f"{causes}. {tally.claims_text()}, {others} checked." in source(evidence[0])

@@ -81,17 +81,12 @@ def settled_sigma(column, seconds, noise=0.0):
 
 def sigma_table():
     """Return header and rows of the table to print instead of Table 1: σ in metres."""
-    seconds = np.arange(table1.LARGEST_N + 1)
-    header = ["σ of the position (m)", "now", *(f"{ahead} s ahead" for ahead in seconds[1:])]
+    header = ["σ of the position (m)", "now", "1 s ahead", "3 s ahead", "5 s ahead"]
     rows = []
     for key, column in table1.columns().items():
-        rows += [
-            [f"{table1.NAMES[key]}, exact motion", *(f"{value:.3f}" for value in settled_sigma(column, seconds))],
-            [
-                f"{table1.NAMES[key]}, with process noise",
-                *(f"{value:.3f}" for value in settled_sigma(column, seconds, noise=1.0)),
-            ],
-        ]
+        for noise, motion in ((0.0, "exact motion"), (1.0, "with process noise")):
+            sigma = settled_sigma(column, [0, 1, 3, 5], noise)
+            rows.append([f"{table1.NAMES[key]}, {motion}", *(f"{value:.3f}" for value in sigma)])
     return header, rows
 
 
@@ -164,16 +159,15 @@ def frozen_step(x, K, z, dt):
 def cost_table():
     """Return header and rows of the table of operations per step."""
     written_out = {2: 7, 3: 13}  # what `frozen_step` multiplies and adds
-    one = {2: 2, 3: 4}  # a position any number of steps ahead: N Δt and (N Δt)² / 2 are constants
     five = {2: 1 + 5, 3: 4 + 5 + 4}  # what `positions_ahead` multiplies and adds
     rows = {}
     for n in (2, 3):
         counts = {
             "Kalman filter, its gain varies": burden.total(burden.kalman(n, 1)),
             "the paper's line, or one of its predictors": burden.total(burden.steady_state(n, 1)),
+            "the paper's line and five of its predictors": 6 * burden.total(burden.steady_state(n, 1)),
             "the two frozen lines of track, written out": written_out[n],
-            "the same, and any one prediction": written_out[n] + one[n],
-            "the same, and the next five predictions": written_out[n] + five[n],
+            "the same, and the next five positions": written_out[n] + five[n],
         }
         for what, count in counts.items():
             rows.setdefault(what, []).append(count)
@@ -205,7 +199,6 @@ def draw_start(steps=25):
     ax.set_ylim(0.1, 20)
     ax.set_yticks([0.1, 0.3, 1, 3, 10], ["0.1", "0.3", "1", "3", "10"])
     ax.minorticks_off()
-    plots.label_line(frozen, f"frozen at once: {rms['steady'].max():.0f} m off", at=4, xytext=(8, 2))
     zero = rms["steady"][:10].argmin()
     ax.annotate("its error passes\nthrough zero", (k[zero], rms["steady"][zero]), (2, 52), textcoords="offset points",
                 color=frozen.get_color(), arrowprops={"arrowstyle": "-", "color": "0.6", "relpos": (0, 0)})  # fmt: skip
@@ -213,54 +206,67 @@ def draw_start(steps=25):
     ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(table1.R)), (0, 5), textcoords="offset points", ha="right",
                 color=measured.get_color())  # fmt: skip
     ax.set_ylabel("rms error (m)")
-    plots.finish(ax, "measurements so far", "Let the gain vary first, or start 11 m off")
+    faster, _ = table1.mean_and_variance(column, 1, steps, column.steady)
+    slow, fast = rms["steady"].max(), np.abs(faster[0]).max()
+    plots.label_line(frozen, f"frozen at once: {slow:.0f} m off\n({fast:.0f} m at 30 m/s)", at=4, xytext=(8, -6))
+    plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {slow:.0f} to {fast:.0f} m off")
     ax.get_legend().remove()
     return fig
 
 
-def draw_sum():
-    """Return a figure of the running sum whose last value, divided by 10,000, is the first number of Table 1."""
-    fig, ax = plots.panels([["start", "all"]], height=3.0)
-    k = np.arange(1, STEPS + 1)
-    total = percent_of_position(table1.columns()["cv"]).cumsum()
-    some = np.unique(np.r_[np.arange(20), np.linspace(20, STEPS, 40).astype(int) - 1])  # enough for a smooth line
-    for name, shown in {"start": slice(0, 20), "all": some}.items():
-        ax[name].plot(k[shown], total[shown], color=plots.COLOUR_OF["steady"])
-        ax[name].plot(10, total[9], "o", color=plots.COLOUR_OF["steady"], ms=5)
-        ax[name].set_ylim(0, 135)
-    ax["start"].annotate(f"{total[9]:.0f} % after\nten steps", (10, total[9]), (0, -8), textcoords="offset points",
-                         va="top", color=plots.COLOUR_OF["steady"])  # fmt: skip
-    ax["all"].annotate(f"{total[-1]:.0f} % after all", (STEPS, total[-1]), (0, 5), textcoords="offset points",
-                       ha="right", color=plots.COLOUR_OF["steady"])  # fmt: skip
-    ax["start"].set_xticks([1, 5, 10, 15, 20])
-    ax["all"].set_xticks([10, 5000, STEPS], ["10", "5,000", "10,000"])
-    plots.finish(ax["start"], "step", "the sum (%), first 20 steps")
-    plots.finish(ax["all"], "step", "all 10,000 steps")
-    title = f"Ten of 10,000 steps make {100 * total[9] / total[-1]:.0f} % of the first number of Table 1"
-    fig.suptitle(title, x=0.02, ha="left", fontsize=11)
+def printed_and_computed():
+    """Return header and rows of Table 1 beside what is expected of its filters: percent, both axes, 10,000 steps."""
+    header = ["average error (%)", "estimate", *(f"{N} ahead" for N in range(1, table1.LARGEST_N + 1))]
+    rows = []
+    for key, column in table1.columns().items():
+        rows.append([f"{table1.NAMES[key]}, printed", *(f"{each:.4f}" for each in column.printed)])
+        computed = 100 * table1.of_both_axes(column, STEPS)
+        rows.append([f"{table1.NAMES[key]}, computed", *(f"{each:.4f}" for each in computed)])
+    return header, rows
+
+
+def draw_sum(single=10):
+    """Return a figure of what each step adds to the first number of Table 1: ten single steps, and all others."""
+    fig, axes = plots.panels([["sum"]], height=3.2)
+    ax = axes["sum"]
+    added = percent_of_position(table1.columns()["cv"])
+    others = added[single:].sum()
+    colour = plots.COLOUR_OF["steady"]
+    ax.bar(np.arange(1, single + 1), added[:single], color=colour, label="each of the first ten steps")
+    ax.bar(single + 2, others, color="0.45", label="all later steps together")
+    for k in range(1, 5):
+        ax.annotate(f"{added[k - 1]:.0f} %", (k, added[k - 1]), (0, 2), textcoords="offset points", ha="center",
+                    color=colour)  # fmt: skip
+    ax.annotate(f"the other {STEPS - single:,} steps\ntogether: {others:.0f} %", (single + 2, others), (10, 6),
+                textcoords="offset points", ha="right", color="0.35")  # fmt: skip
+    ax.set_xticks([*range(1, single + 1), single + 2], [*map(str, range(1, single + 1)), "later"])
+    ax.set_ylim(0, 52)
+    ax.set_ylabel("error / position (%)")
+    share = 100 * added[:single].sum() / added.sum()
+    plots.finish(ax, "step", f"Ten of {STEPS:,} steps make {share:.0f} % of Table 1's first number")
+    ax.get_legend().remove()
     return fig
 
 
 def draw_time_step():
-    """Return a figure of σ of the predicted position for three time steps, counted in steps and in seconds."""
-    fig, ax = plots.panels([["steps", "seconds"]], height=3.2)
-    looks = zip(TIME_STEPS, ("o:", "s-", "^--"), (-9, -5, 1), strict=True)
-    for dt, style, below in looks:
+    """Return a figure of σ of the predicted position, by seconds ahead, for three time steps."""
+    fig, axes = plots.panels([["sigma"]], height=3.0)
+    ax = axes["sigma"]
+    colour = plots.COLOUR_OF["steady"]
+    for dt, style, aside in zip(TIME_STEPS, (":", "-", "--"), (-9, -4, 1), strict=True):
         column = table1.columns(dt=dt)["cv"]
-        whole = np.arange(table1.LARGEST_N + 1)
-        for name, seconds in {"steps": dt * whole, "seconds": whole}.items():
-            sigma = settled_sigma(column, seconds)
-            colour = plots.COLOUR_OF["steady"]
-            (line,) = ax[name].plot(whole, sigma, style, ms=4, color=colour, label=f"Δt = {dt:g} s")
-            aside = -4 if name == "steps" else below
-            plots.label_line(line, f"{dt:g} s: {sigma[-1]:.2f} m", at=SECONDS, xytext=(6, aside))
-    for name, panel in ax.items():
-        panel.set_ylim(0, 1.1)
-        panel.set_xlim(-0.2, SECONDS + 4.2)  # room for the labels
-        panel.set_xticks(range(SECONDS + 1))
-        plots.finish(panel, f"{name} ahead", "σ of the position (m)")
-        panel.get_legend().remove()
-    fig.suptitle("Counted in seconds, the time step hardly matters", x=0.02, ha="left", fontsize=11)
+        seconds = np.arange(0, SECONDS + 0.25, 0.5)
+        (line,) = ax.plot(seconds, settled_sigma(column, seconds), style, color=colour, label=f"Δt = {dt:g} s")
+        ax.plot(dt, settled_sigma(column, [dt])[0], "o", color=colour, mfc="white", ms=7)
+        plots.label_line(line, f"steps of {dt:g} s: {line.get_ydata()[-1]:.2f} m", at=SECONDS, xytext=(6, aside))
+    ax.set_ylim(0, 0.75)
+    ax.set_xlim(-0.2, SECONDS + 2.6)  # room for the labels
+    ax.set_xticks(range(SECONDS + 1))
+    ax.set_ylabel("σ of the position (m)")
+    ax.annotate("circles: one step ahead", (2, settled_sigma(table1.columns(dt=2.0)["cv"], [2])[0]), (14, -50),
+                textcoords="offset points", color=colour)  # fmt: skip
+    plots.finish(ax, "seconds ahead", "Counted in seconds, the time step hardly matters")
+    ax.get_legend().remove()
     return fig
 
 
