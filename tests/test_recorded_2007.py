@@ -567,6 +567,8 @@ def test_the_smoothing_of_the_article_begins_anew_after_a_slip_and_outlives_a_ga
         assert np.isfinite(wrong).sum() == len(wrong) - 3 * missing.startswith("phase")
         assert np.nanmax(np.abs(wrong)) < 1.5  # at a start one code, 0.5 m: three of it
         assert np.sqrt(np.nanmean(wrong**2)) < 0.13
+        code, phase, smooth = (names[name][350:355] for name in ("code", "phase", "smooth"))
+        assert smooth[-1] - phase[-1] == pytest.approx(np.mean(code - phase))  # a mean from the slip on
 
 
 def test_the_tracker_s_own_innovations_are_those_of_the_kalman_filter():
