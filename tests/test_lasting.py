@@ -175,6 +175,8 @@ def test_a_bad_half_makes_the_floor_and_widens_what_is_known():
     loud = 100 + (z - 100) * np.where(np.arange(len(z)) < 200, 1.0, 4.0)[:, None]
     calm, found = fit_lasting((t, z)), fit_lasting((t, loud))
     assert found.floor[0] > 2.5 * calm.floor[0]
+    worse = np.array_split(loud - loud.mean(), 2)[1]
+    assert found.floor[0] ** 2 == pytest.approx(np.mean(worse**2) - found.r[0])
     assert np.divide(*found.known["sigma"][0, ::-1]) > 2 * np.divide(*calm.known["sigma"][0, ::-1])
 
 

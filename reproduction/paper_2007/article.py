@@ -14,7 +14,6 @@ from .positioning import line_sigma
 
 LENGTHS = np.array([2, 3, 5, 10, 20, 35, 50, 75, 100])
 STYLES = ("-", "--")  # of the kinds of range
-COLOURS = ("C0", "C1", "C2", "C3", "C4", "C5")  # of the stations
 # One colour for one filter, here and in Part II.
 FILTERS = {"white": plots.COLOURS[1], "tuned": plots.COLOURS[2], "aware": plots.COLOUR_OF["kalman"]}
 SPAN = 3000.0  # s, of the averages that are tabled: a hundred fixes 30 s apart, the paper's n
@@ -26,10 +25,13 @@ def cases(tables=None):
     return recorded.cases(recorded.recorded_days(tables))
 
 
-def cases_without_biases(tables=None):
-    """Return the `cases` whose ranges keep the satellites' code biases."""
+def without_biases(cases, tables=None):
+    """Return some `cases` anew, {name: Case}, by ranges that keep the satellites' code biases."""
     days = recorded.recorded_days(tables)
-    return recorded.cases({name: recorded.without_biases(day) for name, day in days.items()})
+    return {
+        name: recorded.case(case.station, recorded.without_biases(days[case.station]), case.kind)
+        for name, case in cases.items()
+    }
 
 
 def filtered(cases):
@@ -39,24 +41,12 @@ def filtered(cases):
         return {name: recorded.filtered(case) for name, case in cases.items()}
 
 
-def looks(cases):
-    """Return the colour and the style of each case, by its name: a colour for a station, a style for a kind."""
-    stations = list(dict.fromkeys(case.station for case in cases.values()))
-    return {
-        name: {
-            "color": COLOURS[stations.index(case.station) % len(COLOURS)],
-            "linestyle": STYLES[recorded.KINDS.index(case.kind)],
-        }
-        for name, case in cases.items()
-    }
-
-
 def titled(fig, finding):
     """Give a figure its finding as a title."""
     fig.suptitle(finding, x=0.02, ha="left", fontsize=12)
 
 
-def draw_waves(cases, names, hours=4):
+def draw_waves(cases, names, hours=3.5):
     """Draw the errors of the height over some hours, as single fixes and without their noise: a panel for each name."""
     plots.use_style()
     fig, ax = plots.panels([[name] for name in names], height=2.0)
@@ -91,24 +81,26 @@ def draw_biases(case, raw):
 def draw_recorded(cases):
     """Draw how far a line through n fixes reduces their error: as a whole, and of noise and lasting error apart."""
     plots.use_style()
-    fig, ax = plots.panels([["whole", "parts"]], height=3.4)
+    fig, ax = plots.panels([["whole", "parts"]], height=3.0)
     titled(fig, "A line works on the noise. The lasting error stays")
     independent = [line_sigma(n, n) for n in LENGTHS]
-    for name, look in looks(cases).items():
-        case = cases[name]
-        ax["whole"].plot(LENGTHS, [recorded.newest_ratio(case.errors, n) for n in LENGTHS], label=name, **look)
-        for part in (case.noise, case.lasting):
-            if part is not None:
-                ax["parts"].plot(LENGTHS, [recorded.newest_ratio(part, n) for n in LENGTHS], **look)
+    colours = {"errors": "0.35", "noise": plots.COLOUR_OF["measured"], "lasting": plots.COLOURS[0]}
+    for case in cases.values():
+        style = STYLES[recorded.KINDS.index(case.kind)]
+        for part, colour in colours.items():
+            errors, panel = getattr(case, part), ax["whole" if part == "errors" else "parts"]
+            if errors is not None:
+                panel.plot(LENGTHS, [recorded.newest_ratio(errors, n) for n in LENGTHS], style, color=colour, lw=1.3)
     for panel in ax.values():
         panel.plot(LENGTHS, independent, "k:")
         panel.set_ylim(0, 1.25)
+    ax["whole"].text(30, 1.1, "one frequency")
+    ax["whole"].text(27, 0.635, "two, dashed")
     ax["whole"].text(35, 0.09, "if independent")
-    ax["parts"].text(30, 1.14, "lasting error")
+    ax["parts"].text(30, 1.14, "lasting error", color=colours["lasting"])
     ax["parts"].text(55, 0.42, "noise")
     plots.finish(ax["whole"], "fixes n in the line", "error (one fix = 1)")
     plots.finish(ax["parts"], "fixes n in the line", "its two parts")
-    plots.legend_below(ax["whole"], 2)
     return fig
 
 
@@ -127,10 +119,10 @@ def draw_stated(filtered):
         for i, (word, colour) in enumerate(FILTERS.items()):
             made, stated = (in_space(getattr(each, word), what) for what in ("error", "stated"))
             y = -j - 0.27 * i
-            panel.plot([stated, made], [y, y], "-", color=colour, lw=2)
-            label = {"label": f"{word}: states ○, makes ●"} if j == 0 else {}
+            label = {"label": word} if j == 0 else {}
+            panel.plot([stated, made], [y, y], "-", color=colour, lw=2, **label)
             panel.plot(stated, y, "o", color=colour, mfc="white", ms=9)
-            panel.plot(made, y, "o", color=colour, ms=6, **label)
+            panel.plot(made, y, "o", color=colour, ms=6)
             panel.annotate(f"{made / stated:.1f} x", (max(made, stated), y), (6, -4), textcoords="offset points")
             right = max(right, made, stated)
         ticks.append(
@@ -139,26 +131,14 @@ def draw_stated(filtered):
     panel.set_yticks(*zip(*ticks, strict=True))
     panel.set_xlim(0, 1.18 * right)
     minutes = recorded.WINDOW * next(iter(filtered.values())).step / 60
-    plots.finish(
-        panel, "m; beside the dots: error made over error stated", f"error in space after {minutes:.0f} minutes"
-    )
-    plots.legend_below(panel, 1)
+    plots.finish(panel, "m; ○ stated, ● made; beside: made over stated", f"error in space after {minutes:.0f} minutes")
+    plots.legend_below(panel, 3)
     return fig
 
 
-def parts(cases, raw):
-    """Return a row for each case: one fix, its noise, its lasting error (m); fix and lasting with biases left in."""
-    return [
-        [
-            name,
-            metres(case.errors),
-            metres(case.noise),
-            metres(case.lasting),
-            metres(raw[name].errors),
-            metres(raw[name].lasting),
-        ]
-        for name, case in cases.items()
-    ]
+def parts(cases):
+    """Return a row for each case: one fix, its noise, its lasting error, in metres."""
+    return [[name, *map(metres, (case.errors, case.noise, case.lasting))] for name, case in cases.items()]
 
 
 def metres(errors):
@@ -195,22 +175,17 @@ def gains(cases):
     }
 
 
-def how_far(cases, raw):
-    """Return rows of the 95 % error (m) horizontally and up, one fix and smoothed, the constant of the day included.
+def how_far(cases):
+    """Return a row for each case: its 95 % error (m) horizontally and up, one fix and smoothed, and its constant (m).
 
-    There is a row for each station and way: one frequency, two with the satellites' biases left in, two corrected.
+    The errors count from the position in the files' headers, so that the constant of the day is in them.
     """
-    one, two = recorded.KINDS
-    ways = {one: (cases, one), f"{two}, biases left in": (raw, two), f"{two}, corrected": (cases, two)}
     rows = []
-    for way, (of, kind) in ways.items():
-        for case in of.values():
-            if case.kind == kind:
-                texts = []
-                for errors in (case.errors, case.smooth):
-                    found = ["-", "-"] if errors is None else [f"{each:.1f}" for each in of_95(errors + case.offset)]
-                    texts += found
-                rows.append([f"{case.station}, {way}", *texts])
+    for name, case in cases.items():
+        texts = []
+        for errors in (case.errors, case.smooth):
+            texts += ["-", "-"] if errors is None else [f"{each:.1f}" for each in of_95(errors + case.offset)]
+        rows.append([name, *texts, f"{np.linalg.norm(case.offset):.1f}"])
     return rows
 
 
@@ -247,87 +222,126 @@ def spread(values, form="{:.2f}"):
     return f"{form.format(np.min(values))} to {form.format(np.max(values))}"
 
 
-def judgements(filtered):
-    """Return a row for each of three filters: the ratio in space over all cases, and ranges over all axes of them."""
+def over_stated(cases, filtered, word, constant=False):
+    """Return the error in space of a filter over the one that it states, at the end of a window: (cases,).
+
+    With constant, the constant error of the day is added to it, in squares.
+    """
+    ratios = []
+    for name, each in filtered.items():
+        judged = getattr(each, word)
+        made = in_space(judged, "error")
+        if constant:
+            made = np.hypot(made, np.linalg.norm(cases[name].offset))
+        ratios.append(made / in_space(judged, "stated"))
+    return np.array(ratios)
+
+
+def judgements(cases, filtered):
+    """Return a row for each of three filters: error over stated in space, with the day's constant, and within 2σ (%).
+
+    The share within 2σ is the median over all axes of all cases, and from where to where it goes.
+    """
     rows = []
     for word in FILTERS:
-        cases = [getattr(each, word) for each in filtered.values()]
-        judged = [axis for case in cases for axis in case]
+        within = [100 * axis.within for each in filtered.values() for axis in getattr(each, word)]
+        both = (spread(over_stated(cases, filtered, word, constant), "{:.1f}") for constant in (False, True))
+        rows.append([word, *both, median_of(within)])
+    return rows
+
+
+def median_of(values):
+    """Return the median and the range of some numbers as a text.
+
+    >>> median_of([1, 50, 80])
+    '50 (1 to 80)'
+    """
+    return f"{np.median(values):.0f} ({spread(values, '{:.0f}')})"
+
+
+def of_axes(filtered):
+    """Return a row for each of three filters, each with ranges over all axes of all cases.
+
+    They are the error over the stated σ at the end of a window, and NEES and NIS from the 21st fix of a window on.
+    """
+    rows = []
+    for word in FILTERS:
+        judged = [axis for each in filtered.values() for axis in getattr(each, word)]
         rows.append([
             word,
-            spread([in_space(each, "error") / in_space(each, "stated") for each in cases], "{:.1f}"),
             spread([axis.error[-1] / axis.stated[-1] for axis in judged], "{:.1f}"),
-            spread([100 * axis.within for axis in judged], "{:.0f}"),
             spread([axis.nees for axis in judged], "{:.2g}"),
             spread([axis.nis for axis in judged]),
         ])  # fmt: skip
     return rows
 
 
-def statements(cases, filtered):
-    """Return a row for each case: true and fitted size of what lasts, its duration, and how right each filter is."""
-    rows = []
-    for name, each in filtered.items():
-        true = cases[name].lasting
-        rows.append([
+def constants(cases, filtered):
+    """Return a row for each case: the size of what lasts by the carrier phase, and r, sigma, tau, floor of the fit.
+
+    Each has three numbers, for east, north and up.
+    """
+    return [
+        [
             name,
-            "-" if true is None else three(np.nanstd(true, axis=0)),
+            "-" if cases[name].lasting is None else three(np.nanstd(cases[name].lasting, axis=0)),
             three(each.fit.sigma),
+            three(np.sqrt(each.fit.r)),
             three(each.fit.tau / 60, "{:.0f}"),
-            three((judged.nees for judged in each.white), "{:.0f}"),
-            three((judged.nees for judged in each.tuned), "{:.0f}"),
-            three((judged.nees for judged in each.aware), "{:.1f}"),
-            three((100 * judged.within for judged in each.aware), "{:.0f}"),
-        ])  # fmt: skip
-    return rows
+            three(each.fit.floor),
+        ]
+        for name, each in filtered.items()
+    ]
 
 
 def exchanged(cases, filtered):
-    """Judge the error state by constants that were fitted to the other stations, for ranges of the same kind.
+    """Judge three filters by constants that were fitted to the other stations, for ranges of the same kind.
 
-    Returns {"NEES", "percent within 2σ", "... with a floor", "NEES of the white filter": (axes of all pairs,)}. The
-    white filter takes the variance of the other station's fixes; the floor is that of the other station's log, and a
-    filter states the larger. With one station there is nothing to exchange: {}.
+    Returns {"NEES", "white", "tuned", "aware", "aware, with its floor"}: for all axes of all pairs the NEES of the
+    aware filter, and of each filter the percent within 2σ. The floor is that of the other station's log, and a filter
+    states the larger. With one station there is nothing to exchange: {}.
     """
-    found = {"NEES": [], "percent within 2σ": [], "the same with its floor": [], "NEES of the white filter": []}
+    found = {name: [] for name in ("NEES", *FILTERS, "aware, with its floor")}
     for name, other in permutations(cases, 2):
         case = cases[name]
-        if case.kind == cases[other].kind:
-            filters = recorded.aware_filters(case.step, filtered[other].fit)
-            known = zip(filters, filtered[other].fit.floor, cases[other].errors.T, case.errors.T, strict=True)
-            for filter, floor, elsewhere, errors in known:
-                tracks = recorded.windows(errors)
-                aware = recorded.judged(filter, tracks)
-                found["NEES"].append(aware.nees)
-                found["percent within 2σ"].append(100 * aware.within)
-                found["the same with its floor"].append(100 * within_floor(filter, tracks, floor))
-                white = recorded.white(case.step, np.nanvar(elsewhere))
-                found["NEES of the white filter"].append(recorded.judged(white, tracks).nees)
+        if case.kind != cases[other].kind:
+            continue
+        for j, errors in enumerate(case.errors.T):
+            tracks = recorded.windows(errors)
+            judged = {word: recorded.judged(filtered[other].filters[word][j], tracks) for word in FILTERS}
+            for word, each in judged.items():
+                found[word].append(100 * each.within)
+            found["NEES"].append(judged["aware"].nees)
+            aware, floor = filtered[other].filters["aware"][j], filtered[other].fit.floor[j]
+            found["aware, with its floor"].append(100 * within_floor(aware, tracks, floor))
     return found if found["NEES"] else {}
 
 
 def other_half(cases, filtered):
-    """Judge the error state on each half of a day by constants of the other half: {"percent within 2σ": (axes,), ...}.
+    """Judge filters on each half of a day by constants of the other half: the percent within 2σ of all axes.
 
-    With the floor a filter states at least what lasts in the half that gave the constants.
+    Returns {"white", "aware", "aware, with its floor"}. With the floor a filter states at least what lasts in the half
+    that gave the constants.
     """
-    found = {"percent within 2σ": [], "the same with its floor": []}
+    found = {"white": [], "aware": [], "aware, with its floor": []}
     for name, case in cases.items():
         halves = np.array_split(case.errors, 2)
         for j, constants in enumerate(filtered[name].fit.halves):
             for (r, sigma, tau), own, errors in zip(constants, halves[j].T, halves[1 - j].T, strict=True):
                 filter, tracks = recorded.with_lasting(case.step, r, sigma, tau), recorded.windows(errors)
-                found["percent within 2σ"].append(100 * recorded.judged(filter, tracks).within)
+                independent = recorded.white(case.step, np.nanvar(own))
+                found["white"].append(100 * recorded.judged(independent, tracks).within)
+                found["aware"].append(100 * recorded.judged(filter, tracks).within)
                 floor = np.sqrt(max(np.nanmean(np.square(own)) - r, 0))
-                found["the same with its floor"].append(100 * within_floor(filter, tracks, floor))
+                found["aware, with its floor"].append(100 * within_floor(filter, tracks, floor))
     return found
 
 
 def carried(cases, filtered):
-    """Return a row for constants of the other half-day and of another station: percent within 2σ, and with a floor."""
-    found = {"the other half of the day": other_half(cases, filtered), "another station": exchanged(cases, filtered)}
-    names = ("percent within 2σ", "the same with its floor")
-    return [[what, *(spread(each[name], "{:.0f}") for name in names)] for what, each in found.items() if each]
+    """Return a row for each filter: percent within 2σ by constants of the other half of the day, of another station."""
+    both = other_half(cases, filtered), exchanged(cases, filtered)
+    names = [*FILTERS, "aware, with its floor"]
+    return [[name, *(median_of(each[name]) if name in each else "-" for each in both)] for name in names]
 
 
 def within_floor(filter, tracks, floor):

@@ -219,7 +219,10 @@ def _without(m, count):
     """Return masks (m,) of all sets without so many of m satellites; none where there are more than `MOST_SETS`."""
     if comb(m, count) > MOST_SETS:
         return []
-    return [~np.isin(np.arange(m), left_out) for left_out in combinations(range(m), count)]
+    masks = np.ones((comb(m, count), m), dtype=bool)
+    for mask, left_out in zip(masks, combinations(range(m), count), strict=True):
+        mask[list(left_out)] = False
+    return list(masks)
 
 
 def _agree(one, other, false_alarm):

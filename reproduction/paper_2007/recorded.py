@@ -466,7 +466,32 @@ def white(step, r):
 
 def tracker(step, q, r):
     """Return the filter that takes errors for independent, but wanders: constant velocity, process noise q (m²/s³)."""
-    return KalmanFilter(constant_velocity(dt=step, q=q, r=r, P0=UNKNOWN))
+    return _Tracker(constant_velocity(dt=step, q=q, r=r, P0=UNKNOWN))
+
+
+class _Tracker(KalmanFilter):
+    """The Kalman filter of one axis, whose innovations of one track need no matrices: a fit runs it 70 times."""
+
+    def innovations_of(self, z):
+        """Return the innovations of z (N, 1, M), NaN where z has NaN, and their variances (N, 1, 1, M)."""
+        if z.shape[2] > 1:
+            return super().innovations_of(z)
+        (_, dt), _ = self.model.F.tolist()
+        (q_p, q_b), (_, q_v) = self.model.Q.tolist()
+        (p, b), (_, v) = self.model.P0.tolist()  # variances of position and velocity, and their covariance b
+        r, (position, velocity) = self.model.R.item(), self.model.x0.tolist()
+        found = []
+        for z_k in z[:, 0, 0].tolist():
+            position += dt * velocity
+            p, b, v = p + 2 * dt * b + dt * dt * v + q_p, b + dt * v + q_b, v + q_v
+            new, S = z_k - position, p + r
+            found.append((new, S))
+            if new == new:  # not NaN
+                K_p, K_v = p / S, b / S
+                position, velocity = position + K_p * new, velocity + K_v * new
+                p, b, v = K_p * r, K_v * r, v - K_v * b
+        values, S = np.array(found).T
+        return values[:, None, None], S[:, None, None, None]
 
 
 def with_lasting(step, r, sigma, tau):
@@ -514,12 +539,13 @@ class Filtered(NamedTuple):
     """Three axes of a case: the constants of `fit_lasting`, and three filters `judged` over windows.
 
     The white filter takes the variance of the fixes for that of independent errors, the tuned one has the constants of
-    `fit_tracker`, the aware one those of `fit_lasting`. step is the time between fixes in seconds. favour has the
-    log-likelihood of the day by the aware filter less that by the tuned one.
+    `fit_tracker`, the aware one those of `fit_lasting`. filters has all nine, three by each name. step is the time
+    between fixes in seconds. favour has the log-likelihood of the day by the aware filter less that by the tuned one.
     """
 
     step: float
     fit: LastingFit
+    filters: dict
     white: tuple
     tuned: tuple
     aware: tuple
@@ -533,19 +559,26 @@ def aware_filters(step, found):
 
 def filtered(case):
     """Return the `Filtered` of a `Case`."""
-    found = fit_lasting((case.seconds, case.errors))
-    tracks = [windows(errors) for errors in case.errors.T]
+    return _kept_filtered(case.step, case.errors.shape, case.errors.tobytes())
+
+
+@lru_cache(maxsize=16)
+def _kept_filtered(step, shape, stored):
+    """Return the `Filtered` of errors that are stored as bytes, once in a process: both parts of the notebook ask."""
+    errors = np.frombuffer(stored).reshape(shape)
+    found = fit_lasting((step * np.arange(len(errors)), errors))
     filters = {
-        "white": [white(case.step, np.nanvar(errors)) for errors in case.errors.T],
-        "tuned": [fit_tracker(case.step, errors).filter for errors in case.errors.T],
-        "aware": aware_filters(case.step, found),
+        "white": [white(step, np.nanvar(axis)) for axis in errors.T],
+        "tuned": [fit_tracker(step, axis).filter for axis in errors.T],
+        "aware": aware_filters(step, found),
     }
     likely = {
-        word: [log_likelihood(*pair) for pair in zip(each, case.errors.T[..., None], strict=True)]
+        word: [log_likelihood(*pair) for pair in zip(each, errors.T[..., None], strict=True)]
         for word, each in filters.items()
     }
     favour = tuple(np.subtract(likely["aware"], likely["tuned"]).tolist())
-    return Filtered(case.step, found, *(tuple(map(judged, each, tracks)) for each in filters.values()), favour)
+    tracks = [windows(axis) for axis in errors.T]
+    return Filtered(step, found, filters, *(tuple(map(judged, each, tracks)) for each in filters.values()), favour)
 
 
 def half_days(case):
