@@ -54,6 +54,9 @@ APART = 3600.0
 BLOCK, FEWEST_BLOCKS = 300.0, 10
 # log(r / q) is searched between these, in units of the usual step cubed, and found to this.
 RATIOS, NEAR = (math.log(1e-8), math.log(1e6)), 0.02
+# A step is one of a grid if it is a multiple of it, but for this part of it. Of two numbers that lie on no grid the
+# difference is at most this part of a usual step, if it is to be their rounding.
+ON_GRID, HUNDREDTH = 0.05, 0.01
 # A first guess takes the squares that a tenth of all exceed: 2.71 of a normal distribution's variance.
 TENTH, OF_TENTH = 0.9, 2.7055
 # The band is judged at a horizon that a third of the fixes have another fix at.
@@ -159,10 +162,23 @@ def begins(t: Array, fixes: NDArray[np.bool_], segment: ArrayLike | None, pause:
     return [int(rows[0]), *rows[1:][after].tolist()]
 
 
-def grid_of(values: Array) -> float:
-    """Return the least difference between two values: the grid that numbers of few digits lie on."""
-    known = np.unique(values[np.isfinite(values)])
-    return float(np.diff(known).min()) if len(known) > 1 else 0.0
+def grid_of(values: Array, grids: tuple[float, ...]) -> float:
+    """Return the grid that numbers of few digits lie on: the coarsest of some that three quarters of their steps fit.
+
+    The steps count, and not the values: a track that was moved has left the grid as a whole, and a fault for two steps.
+    Numbers that lie on no grid have the least difference between two of them, as far as it can be one.
+    """
+    known = values[np.isfinite(values)]
+    steps = np.abs(np.diff(known))
+    steps = steps[steps > 0]
+    if not len(steps):
+        return 0.0
+    for grid in sorted(grids, reverse=True):
+        long = steps[steps > ON_GRID * grid] / grid  # shorter ones are none, but for the last digit
+        fits = np.abs(long - np.maximum(np.round(long), 1)) < ON_GRID
+        if len(long) > 0.1 * len(steps) and np.mean(fits) > 0.75:
+            return grid
+    return float(min(np.diff(np.unique(known)).min(), HUNDREDTH * np.median(steps)))
 
 
 def least_distance(z: Array) -> float:
@@ -172,7 +188,7 @@ def least_distance(z: Array) -> float:
     """
     moved = np.linalg.norm(np.diff(z[np.isfinite(z).all(axis=1)], axis=0), axis=1)
     moved = moved[moved > 0]
-    return float(min(moved.min(), 0.01 * np.median(moved)))
+    return float(min(moved.min(), HUNDREDTH * np.median(moved)))
 
 
 def usual(t: Array, z: Array, rounding: float) -> Usual:

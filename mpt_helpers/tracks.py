@@ -32,6 +32,10 @@ MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 # Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
 ONE_PLANE = 500e3
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
+# Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
+DECIMALS = tuple(10.0**-k for k in range(10))
+GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
+GRIDS_OF_METRES = DECIMALS
 A_WHILE = 3600.0  # s between segments that overlap in time
 # A usual recording has neither: a fighter's speed, a snail's.
 VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
@@ -260,10 +264,10 @@ def track(
     t, said = t - t[0], [*recording.said]
     if recording.metres is None:
         origins, plane, z = _in_planes(recording, rows)
-        grids = grid_of(recording.lat[rows]) * METRES_OF_A_DEGREE, grid_of(recording.lon[rows]) * METRES_OF_A_DEGREE
+        grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
     else:
         origins, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
-        grids = tuple(grid_of(column) for column in z.T)
+        grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
     said += unusual(t, z)

@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 
 import mpt_helpers as mpt
-from mpt_helpers import recordings, report, tracks
+from mpt_helpers import cleaning, recordings, report, tracks
 from mpt_helpers.__main__ import main
 
 RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
@@ -324,3 +324,27 @@ def test_the_track_of_the_guide_as_a_whole_process(tmp_path):
 def test_the_moved_commands_are_still_named(capsys):
     assert main(["reproduce"]) == 2
     assert "python -m reproduction reproduce" in capsys.readouterr().err
+
+
+def walked(seed=5, N=2000):
+    """Latitudes of a mobile that is driven north at 2.6 m/s, so that no two of them are alike."""
+    return 57 + (2.6 * np.arange(N) + 0.02 * np.random.default_rng(seed).standard_normal(N)) / 111e3
+
+
+@pytest.mark.parametrize(
+    "grid", [1e-5, 1e-6, 1e-7, 1 / 60e3, 1 / 60e4, 1 / 36e3, 180 / 2**31], ids=lambda grid: f"{grid:.3g}"
+)
+def test_the_grid_of_a_file_is_found_beside_faults_and_where_the_track_was_moved(grid):
+    rng = np.random.default_rng(1)
+    lat = 57 + grid * np.round(np.cumsum(rng.uniform(-1, 2, 2000)) * 1e-5 / grid)
+    assert cleaning.grid_of(lat, tracks.GRIDS) == pytest.approx(grid)
+    lat[rng.choice(2000, 40)] += rng.standard_normal(40) * 1e-3  # they are written with more digits
+    lat[900:] += 0.00123456
+    assert cleaning.grid_of(lat.round(9), tracks.GRIDS) == pytest.approx(grid)
+
+
+def test_the_step_of_a_straight_way_is_not_the_grid():
+    assert cleaning.grid_of(walked().round(7), tracks.GRIDS) == pytest.approx(1e-7)
+    assert cleaning.grid_of(walked(), tracks.GRIDS) < 1e-6  # on none
+    assert cleaning.grid_of(np.array([57.0, 57.0, np.nan]), tracks.GRIDS) == 0
+    assert cleaning.grid_of(np.cumsum([0.0, 1.2, 0.1, 2.4] * 9), tracks.GRIDS_OF_METRES) == pytest.approx(0.1)
