@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT, dense_model
 
 import mpt_helpers as mpt
-from mpt_helpers import gate
+from mpt_helpers import cleaning, gate
 
 
 def model(q=0.04, r=4.0, dt=1.0):
@@ -258,3 +258,40 @@ def test_recorded_tracks_with_faults_are_smoothed_as_without(name, fault):
     assert len(good) < 0.01 * len(t)
     assert len(c.starts) <= len(clean.starts) + (fault is shift)
     assert abs(c.band.held - 0.95) < 0.02
+
+
+def thinned(t, z, seed):
+    """A fix every 4 to 13 s."""
+    rng, rows = np.random.default_rng(seed), [0]
+    while (row := int(np.searchsorted(t, t[rows[-1]] + rng.uniform(4, 13)))) < len(t):
+        rows.append(row)
+    return t[rows], z[rows]
+
+
+def test_on_sparse_tracks_half_of_the_outliers_of_20_to_40_metres_are_caught_and_no_good_fix_is_lost(monkeypatch):
+    """Rides at 7 m/s, where a fix without its own measurement is known to 5 m: see the guide for the rest."""
+    ride = mpt.tracks.gpx(ROOT / "docs" / "tracks" / "ride.gpx")[0]
+    caught = {"calm": [], "one limit": []}
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t, z = thinned(ride.t, ride.z, seed)
+        spoilt = z.copy()
+        rows = rng.choice(np.arange(5, len(z) - 5, 20), 8, replace=False)
+        angle = rng.uniform(0, 2 * np.pi, 8)
+        spoilt[rows] += rng.uniform(20, 40, 8)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        for limits, sparse in (("calm", cleaning.SPARSE), ("one limit", np.inf)):
+            monkeypatch.setattr(cleaning, "SPARSE", sparse)
+            assert len(mpt.tracks.clean(t, z, rounding=1e-5).refused) <= 0.004 * len(t)
+            refused = mpt.tracks.clean(t, spoilt, rounding=1e-5).refused
+            assert len(np.setdiff1d(refused, rows)) <= 0.004 * len(t)
+            caught[limits] += np.isin(rows, refused).tolist()
+            monkeypatch.undo()
+    assert np.mean(caught["calm"]) >= 0.5
+    assert np.mean(caught["one limit"]) < 0.4
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 40])
+def test_limits_follow_the_fixes_around(count):
+    assert (cleaning._limits_of_calm(np.full(count, 100.0)) == cleaning.FROM_BOTH_SIDES).all()
+    assert (cleaning._limits_of_calm(np.full(count, 0.1)) == cleaning.CALM).all()
+    np.testing.assert_allclose(cleaning._limits_of_calm(np.full(count, 1.0)), 60 / 1.39)
