@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import checks, geodesy
-from .checks import Array
+from .checks import Array, Seconds
 from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
 from .recordings import EPOCH, NO_TIME, Recording, read, read_gpx
 
@@ -60,16 +60,16 @@ def gpx(
     path: str | PathLike[str],
     up: bool = False,
     skip: bool = False,
-    pause: float | None = None,
+    pause: Seconds | None = None,
     origin: tuple[float, ...] | None = None,
 ) -> list[Track]:
     """Return the track segments of a GPX file as a list of Tracks; segments without a fix are left out.
 
     Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
     together: filter each for itself. With `pause`, a segment is also cut wherever its next fix comes more than so many
-    seconds later. Each segment lies in the plane through its own first fix, where z is 0, since segments may be far
-    apart; `origin`, a latitude, a longitude and, if wanted, a height (m), puts all of them into one plane. With up=True
-    a third column has the heights.
+    seconds later (a number, or a timedelta). Each segment lies in the plane through its own first fix, where z is 0,
+    since segments may be far apart; `origin`, a latitude, a longitude and, if wanted, a height (m), puts all of them
+    into one plane. With up=True a third column has the heights.
 
     Every fix needs a time, later than that of the one before in its segment: an equal time is almost always one fix
     written twice or the rounding of times, and would count as two independent measurements. skip=True leaves out as few
@@ -80,7 +80,7 @@ def gpx(
     origin that is none.
     """
     if pause is not None:
-        pause = checks.positive("pause", pause)
+        pause = checks.positive("pause", checks.as_seconds(pause))
     if origin is not None:
         origin = _origin(origin)
     recording = read_gpx(path)
@@ -242,9 +242,9 @@ def track(
     path: str | PathLike[str],
     *,
     columns: dict[str, str] | None = None,
-    seconds: float = 10.0,
+    seconds: Seconds = 10.0,
     limit: float = 100.0,
-    pause: float | None = None,
+    pause: Seconds | None = None,
     show: Callable[[str], None] = lambda _: None,
 ) -> Cleaned:
     """Return the track of a GPX or CSV file without its faults, smoothed and with a band, as a Cleaned.

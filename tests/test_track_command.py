@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from datetime import timedelta
 
 import numpy as np
 import pytest
@@ -65,12 +66,14 @@ def test_the_report_needs_no_vocabulary_and_names_all_that_was_done(spoilt, caps
     assert (code, err) == (0, "")
     assert "giro.gpx: 299 fixes in 0:04:59, every 1 s" in out
     assert "not used: 1 with no time" in out
-    assert "refused as faults: 1 fix (0.33%), at 0:00:50 from the start" in out
-    assert "jumps that stay: 1, at 0:03:20" in out
-    assert re.search(r"10 s ahead the position is known to ± \d+", out)
+    assert "refused as faults: 1 fix (0.33%), 0:00:50 after the start" in out
+    assert "jumps that stay: 1, 0:03:20 after the start" in out
+    assert re.search(r"10 s ahead the position can be told to ± \d+", out)
     assert "giro_smooth.gpx" in out
     assert "giro.png" in out
     assert "NIS" not in out
+    assert "\u00a0" not in out
+    assert "in 2 parts (pauses, or segments of the file)" in out
     assert (spoilt.parent / "giro.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -126,7 +129,7 @@ def test_out_names_the_folder(spoilt, tmp_path, capsys):
     folder = tmp_path / "there"
     code, _, err = said(capsys, spoilt, "--out", folder)
     assert code == 1
-    assert "there: needs a folder that exists" in err
+    assert f"there: needs a folder that exists, to write to; make it: mkdir -p {folder}" in err
     folder.mkdir()
     assert said(capsys, spoilt, "--out", folder)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == ["giro.png", "giro_smooth.gpx"]
@@ -308,7 +311,7 @@ def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
     assert c.rounding
     assert c.r == pytest.approx((111e3 * 8.4e-8) ** 2 / 12, rel=0.05)  # half a circle over 2^31
     assert np.isinf(c.log_errors["r"])
-    assert "the recorder has smoothed them already" in in_one_line(c.report())
+    assert "the recorder had smoothed them already" in in_one_line(c.report())
     assert c.summary()["log_errors"]["r"] is None
 
 
@@ -348,3 +351,45 @@ def test_the_step_of_a_straight_way_is_not_the_grid():
     assert cleaning.grid_of(walked(), tracks.GRIDS) < 1e-6  # on none
     assert cleaning.grid_of(np.array([57.0, 57.0, np.nan]), tracks.GRIDS) == 0
     assert cleaning.grid_of(np.cumsum([0.0, 1.2, 0.1, 2.4] * 9), tracks.GRIDS_OF_METRES) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (0.084, "known to 8%"),
+        (0.31, "known to a factor of 1.4"),
+        (1.7, "known to a factor of 5.5"),
+        (2.4, "hardly known"),
+    ],
+)
+def test_an_error_of_a_logarithm_is_said_in_words(error, words):
+    assert report._known(error) == words
+
+
+def test_the_picture_shows_jumps_and_the_end_and_counts_hours_of_long_tracks():
+    z, _, _ = positions()
+    z[200:] += 1000
+    c = tracks.clean(40 * np.arange(300.0), z)
+    above, below = c.plot().axes
+    labels = [line.get_label() for line in above.get_lines()]
+    assert {"smoothed", "jumps", "start", "end"} <= set(labels)
+    jump = above.get_lines()[labels.index("jumps")].get_xydata()
+    np.testing.assert_allclose(jump, c.x[[199, 200]][:, ::2] / 1000)
+    assert below.get_xlabel() == "time (h)"
+    assert tracks.clean(np.arange(300.0), z).plot().axes[1].get_xlabel() == "time (min)"
+
+
+def test_lengths_of_time_are_taken_for_what_they_are(tmp_path):
+    z, lat, lon = positions()
+    t = np.arange(300.0)
+    t[150:] += 100
+    kinds = (90.0, timedelta(minutes=1.5), np.timedelta64(90, "s"))
+    for pause in kinds:
+        c = tracks.clean(t, z, pause=pause, seconds=timedelta(seconds=20))
+        assert (c.stretches, c.band.seconds) == (2, 20.0)
+    path = tmp_path / "pause.gpx"
+    path.write_text(gpx_of([fix(*place, int(k)) for *place, k in zip(lat, lon, t, strict=True)]), encoding="utf-8")
+    assert [[len(each.t) for each in tracks.gpx(path, pause=pause)] for pause in kinds] == [[150, 150]] * 3
+    axis = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0)
+    models = [mpt.lasting_error(axis, sigma=1.0, tau=tau) for tau in kinds]
+    assert models[0].F[2, 2] == models[1].F[2, 2] == models[2].F[2, 2]
