@@ -67,7 +67,7 @@ CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  #
 
 
 # Pages whose blocks of Python can be downloaded as a notebook, and those that stand below the guide, where they are.
-GUIDES = ("guide", "by_hand", "small_processor", "lasting")
+GUIDES = ("guide", "by_hand")
 BELOW_GUIDE = {
     "by_hand": "Every step by hand",
     "small_processor": "A small processor",

@@ -179,7 +179,7 @@ def grid_of(values: Array, grids: tuple[float, ...]) -> float:
         return 0.0
     for grid in sorted(grids, reverse=True):
         long = steps[steps > ON_GRID * grid] / grid  # shorter ones are none, but for the last digit
-        fits = np.abs(long - np.maximum(np.round(long), 1)) < ON_GRID
+        fits = np.abs(long - np.round(long)) < ON_GRID
         if len(long) > 0.1 * len(steps) and np.mean(fits) > 0.75:
             return grid
     return float(min(np.diff(np.unique(known)).min(), HUNDREDTH * np.median(steps)))

@@ -72,7 +72,6 @@ def test_the_report_needs_no_vocabulary_and_names_all_that_was_done(spoilt, caps
     assert "giro_smooth.gpx" in out
     assert "giro.png" in out
     assert "NIS" not in out
-    assert "\u00a0" not in out
     assert "in 2 parts (pauses, or segments of the file)" in out
     assert (spoilt.parent / "giro.png").read_bytes().startswith(b"\x89PNG")
 
@@ -312,6 +311,7 @@ def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
     assert c.r == pytest.approx((111e3 * 8.4e-8) ** 2 / 12, rel=0.05)  # half a circle over 2^31
     assert np.isinf(c.log_errors["r"])
     assert "the recorder had smoothed them already" in in_one_line(c.report())
+    assert "(r = 7.2e-06 m²)" in c.report()  # with blanks as a terminal knows them
     assert c.summary()["log_errors"]["r"] is None
 
 
@@ -344,6 +344,17 @@ def test_the_grid_of_a_file_is_found_beside_faults_and_where_the_track_was_moved
     lat[rng.choice(2000, 40)] += rng.standard_normal(40) * 1e-3  # they are written with more digits
     lat[900:] += 0.00123456
     assert cleaning.grid_of(lat.round(9), tracks.GRIDS) == pytest.approx(grid)
+
+
+def test_one_fix_of_more_digits_does_not_change_the_rounding_of_a_file(tmp_path):
+    text = RIDE.read_text(encoding="utf-8")
+    for name in ("lat", "lon"):  # a number that stands there twice, so that the least difference becomes another
+        degrees = re.findall(rf'{name}="([^"]*)"', text)
+        twice = next(each for k, each in enumerate(degrees) if each in degrees[:k])
+        text = text.replace(f'{name}="{twice}"', f'{name}="{float(twice) + 3e-9:.10f}"', 1)
+    path = tmp_path / "ride.gpx"
+    path.write_text(text, encoding="utf-8")
+    assert mpt.track(path).r == pytest.approx(mpt.track(RIDE).r)
 
 
 def test_the_step_of_a_straight_way_is_not_the_grid():
