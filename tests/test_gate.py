@@ -200,7 +200,7 @@ HELD_BACK = {
     "glider_nz_3s": slice(2500),
     "run_stoplight_1hz": slice(None),
     "phone_ride_stoplight_1s": slice(None),
-    "boat_plaka_2s": slice(None),
+    "boat_plaka_2s": slice(1500),
     "hike_korita_11s": slice(None),
 }
 
