@@ -69,7 +69,13 @@ CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  #
 
 # Pages whose blocks of Python can be downloaded as a notebook, and those that stand below the guide, where they are.
 GUIDES = ("guide", "by_hand")
-BELOW_GUIDE = {"by_hand": "Every step by hand", "rinex": "From RINEX files"}
+BELOW_GUIDE = {
+    "by_hand": "Every step by hand",
+    "small_processor": "A small processor",
+    "lasting": "Errors that last",
+    "other_packages": "From another package",
+    "rinex": "From RINEX files",
+}
 
 
 class Group(NamedTuple):

@@ -18,7 +18,7 @@ from reproduction import figures
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "guide"
-PAGES = ("guide.md", "by_hand.md")
+PAGES = ("guide.md", "by_hand.md", "small_processor.md", "lasting.md")
 BLOCK = r"^```python\n(?P<code>.*?)^```$(?:\n\n```text\n(?P<said>.*?)^```$)?"
 PART = re.compile(rf"(?ms){BLOCK}|^!?\[[^\]]*\]\(guide/(?P<name>\w+)\.png\)")
 

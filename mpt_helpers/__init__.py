@@ -23,7 +23,7 @@ __version__ = "0.4.0"
 from . import bands, lasting, metrics, riccati, tracks
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
-from .fitting import fit
+from .fitting import fit, rescaled
 from .gate import gated
 from .lasting import fit_lasting, lasting_error
 from .model import (
@@ -66,6 +66,7 @@ __all__ = [
     "lasting_error",
     "mean_track",
     "metrics",
+    "rescaled",
     "riccati",
     "simulate",
     "six_filters",

@@ -23,7 +23,9 @@ UNKNOWN = 0.5  # a standard error of log tau: from there on its span of 95 % cov
 LEAST_FIXES = 100  # a log of fewer says nothing of three unknowns
 
 
-def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: Seconds | None = None) -> LinearModel:
+def lasting_error(
+    model: LinearModel, sigma: ArrayLike, tau: ArrayLike | Seconds, dt: Seconds | None = None
+) -> LinearModel:
     """Return `model` with one more state for each measurement: an error that fades slowly (Gauss-Markov, first order).
 
         e(k+1) = a e(k) + w(k),   a = exp(-dt / tau),   w ~ N(0, sigma² (1 - a²)),   e(0) ~ N(0, sigma²)
@@ -31,8 +33,9 @@ def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: Seco
 
     The new states follow those of the model, one for each row of H, and R stays the noise of one measurement. sigma is
     the standard deviation of the lasting error, in the units of the measurement, tau the time in seconds after which
-    its correlation has fallen to 1/e; both are a number, or one for each measurement. dt is the time step in seconds,
-    of a model that does not say it itself. All steps share it: a filter that is given times refuses such a model.
+    its correlation has fallen to 1/e; both are a number, or one for each measurement, and tau may be a timedelta. dt is
+    the time step in seconds, of a model that does not say it itself. All steps share it: a filter that is given times
+    refuses such a model.
 
     A filter of this model cannot take the lasting error off a position that it knows from the same measurements. What
     changes is what it states: the error of the position does not fall below what lasts.
@@ -50,7 +53,7 @@ def lasting_error(model: LinearModel, sigma: ArrayLike, tau: ArrayLike, dt: Seco
     """
     checks.instance("model", model, LinearModel)
     variance = _of_each("sigma", sigma, model.m, checks.not_negative) ** 2
-    a = np.exp(-_step_of(model, dt) / _of_each("tau", tau, model.m, checks.positive))
+    a = np.exp(-_step_of(model, dt) / _of_each("tau", checks.as_seconds(tau), model.m, checks.positive))
     return LinearModel(
         F=block_diag(model.F, np.diag(a)),
         H=np.hstack([model.H, np.eye(model.m)]),

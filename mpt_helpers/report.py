@@ -23,10 +23,12 @@ Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
 KM_H = 3.6
 COLUMNS = 100  # of a terminal
-VAGUE = math.log(10)
+TOGETHER = "\u00a0"  # a blank at which no line is broken
+A_FEW, VAGUE = 0.3, math.log(10)  # errors of a logarithm: below the first one they are a percentage
 LISTED = 5  # times of faults
+LONG = 3 * 3600.0  # s, from where on the picture counts hours
 # The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
-WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 4.6, 2.9
+WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
 LONGEST_LINE = 5_000  # points that are drawn of a curve
 
 
@@ -35,7 +37,8 @@ def text(c: Cleaned) -> str:
     lines = [_heading(c), *_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
     if c.source is not None:
         lines += [f"note: {each}" for each in c.source.said]
-    return "\n".join(fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
+    filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
+    return "\n".join(filled).replace(TOGETHER, " ")
 
 
 def summary(c: Cleaned) -> dict[str, Any]:
@@ -88,7 +91,7 @@ def _heading(c):
     every = f"every {usual:g} s" if np.mean(steps == usual) > 0.99 else f"mostly every {usual:g} s"
     parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(c.t[-1] - c.t[0])}, {every}"]
     if len(c.recordings) > 1:
-        parts.append(f"{_count(len(c.recordings) - 1, 'pause')} in it or new segments")
+        parts.append(f"in {len(c.recordings)} parts (pauses, or segments of the file)")
     return "; ".join(parts)
 
 
@@ -98,19 +101,20 @@ def _faults(c):
         why = ", ".join(f"{count:,} with {reason}" for reason, count in c.source.left_out.items())
         lines.append(f"not used: {why}")
     if len(c.refused):
-        when = ", ".join(_clock(c.t[row] - c.t[0]) for row in _first_of_runs(c.refused)[:LISTED])
-        more = ", ..." if len(_first_of_runs(c.refused)) > LISTED else ""
         share = len(c.refused) / max(np.isfinite(c.z).any(axis=1).sum(), 1)
-        lines.append(
-            f"refused as faults: {_count(len(c.refused), 'fix', 'fixes')} ({share:.2%}), at {when}{more} from the start"
-        )
+        fixes = _count(len(c.refused), "fix", "fixes")
+        lines.append(f"refused as faults: {fixes} ({share:.2%}), {_moments(c, _first_of_runs(c.refused))}")
     else:
         lines.append("refused as faults: none")
     if len(c.starts):
-        when = ", ".join(_clock(c.t[row] - c.t[0]) for row in c.starts[:LISTED])
-        more = ", ..." if len(c.starts) > LISTED else ""
-        lines.append(f"jumps that stay: {len(c.starts)}, at {when}{more}; the line begins anew there")
+        lines.append(f"jumps that stay: {len(c.starts)}, {_moments(c, c.starts)}; the smoothed line begins anew there")
     return lines
+
+
+def _moments(c, rows):
+    """Say when the first few of some rows were recorded."""
+    when = ", ".join(_clock(c.t[row] - c.t[0]) for row in rows[:LISTED])
+    return f"{when}{', ...' if len(rows) > LISTED else ''} after the start"
 
 
 def _first_of_runs(rows):
@@ -120,23 +124,32 @@ def _first_of_runs(rows):
 def _motion(c):
     change = math.sqrt(c.q)
     return (
-        f"motion: within a second the speed changes by some ± {_digits(change)} m/s on each axis "
-        f"(q = {_digits(c.q)} m²/s³, {_known(c.log_errors['q'])})"
+        f"motion: from one second to the next the speed changes by about {_digits(change)} m/s, east and north each "
+        f"({_symbol('q', c.q, 'm²/s³')}, {_known(c.log_errors['q'])})"
     )
 
 
 def _precision(c):
     if c.rounding:
         return (
-            "fixes: the recorder has smoothed them already, so their noise does not show; beside each other they are "
-            f"taken as ± {_digits(math.sqrt(c.r))} m, the rounding of the numbers (r = {_digits(c.r)} m²)"
+            "fixes: the recorder had smoothed them already, so how far they are from the true way does not show; they "
+            f"count as exact to {_digits(math.sqrt(c.r))} m, the last digit of the numbers ({_symbol('r', c.r, 'm²')})"
         )
     known = _known(c.log_errors["r"])
-    return f"fixes: each scatters by ± {_digits(math.sqrt(c.r))} m around the line (r = {_digits(c.r)} m², {known})"
+    return (
+        f"fixes: each scatters around the line by about {_digits(math.sqrt(c.r))} m, east and north each "
+        f"({_symbol('r', c.r, 'm²')}, {known})"
+    )
+
+
+def _symbol(name, value, unit):
+    return TOGETHER.join([name, "=", _digits(value), unit])
 
 
 def _known(log_error):
-    return f"known to a factor of {math.exp(log_error):.2f}" if log_error < VAGUE else "hardly known"
+    if log_error < A_FEW:
+        return f"known to {log_error:.0%}"
+    return f"known to a factor of {math.exp(log_error):.1f}" if log_error < VAGUE else "hardly known"
 
 
 def _prediction(c):
@@ -145,9 +158,10 @@ def _prediction(c):
         return "prediction: the track is too short, or its fixes too far apart, to test one"
     few = "" if b.independent >= 30 else f" (only {b.independent} of them apart in time: too few to rely on)"
     parts = [
-        f"prediction: {b.seconds:g} s ahead the position is known to ± {_digits(b.half_width)} m, east and north.",
-        f"Tested on the second half, from which nothing was learnt beforehand: {b.held:.0%} of {b.checked:,} fixes",
-        f"lay within, {b.asked:.0%} was the aim{few}. What the filter states by itself held {b.own:.0%}.",
+        f"prediction: {b.seconds:g} s ahead the position can be told to ± {_digits(b.half_width)} m, east and north",
+        f"each. Tested on the second half of the track, from which nothing was learnt beforehand: {b.held:.0%} of",
+        f"{b.checked:,} fixes lay within, {b.asked:.0%} was the aim{few}. The band that the filter states by itself,",
+        f"without a test, would have held {b.own:.0%}.",
     ]
     return " ".join(parts)
 
@@ -180,8 +194,8 @@ def _numbers_of_the_way(c):
 def _way(c):
     kilometres, moving, speed, fastest, error = _numbers_of_the_way(c)
     return (
-        f"way: {kilometres:.2f} km, in motion for {_clock(moving)}; speed in motion {speed:.1f} km/h at the median, at "
-        f"most {fastest:.1f} (but for one second in a thousand), each ± {_digits(error)}"
+        f"way: {kilometres:.2f} km, in motion for {_clock(moving)}. Speed in motion: {speed:.1f} km/h at the median, "
+        f"{fastest:.1f} at most, but for one fix in a thousand; standard error {_digits(error)} km/h"
     )
 
 
@@ -295,6 +309,8 @@ def figure(c: Cleaned) -> Figure:
         axes = fig.subplots(2, 1, height_ratios=[MAP_HEIGHT, SPEED_HEIGHT])
         _draw_map(axes[0], c)
         _draw_speed(axes[1], c)
+        handles, labels = (a + b for a, b in zip(*(ax.get_legend_handles_labels() for ax in axes), strict=True))
+        fig.legend(handles, labels, loc="outside lower center", ncols=3)
     return fig
 
 
@@ -323,6 +339,10 @@ def _draw_map(ax, c):
         rows = _thinned(np.flatnonzero(number == k))
         ax.plot(*position[rows].T, color="#0060A0", linewidth=1.4, label="smoothed" if k == 0 else None)
     inside = np.isfinite(position[:, 0])
+    for k, row in enumerate(c.starts):
+        before = np.flatnonzero(inside[:row])[-1]
+        label = "jumps" if k == 0 else None
+        ax.plot(*position[[before, row]].T, ":", color="0.4", linewidth=1.4, label=label)
     low, high = position[inside].min(axis=0), position[inside].max(axis=0)
     margin = 0.08 * max((high - low).max(), 0.01)
     if len(c.refused):
@@ -331,36 +351,39 @@ def _draw_map(ax, c):
         off = f", {np.sum(~near)} off the map" if not near.all() else ""
         label = f"refused: {len(c.refused)}{off}"
         ax.plot(*recorded[near].T, "x", color="#D55E00", markersize=6, linestyle="none", label=label)
-    first = np.flatnonzero(inside)[0]
-    ax.plot(*position[first], "o", color="#008060", markersize=7, label="start")
+    first, last = np.flatnonzero(inside)[[0, -1]]
+    ax.plot(*position[first], "o", color="#008060", markersize=7, linestyle="none", label="start")
+    ax.plot(*position[last], "s", color="0.2", markersize=6, linestyle="none", label="end")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("east (km)")
     ax.set_title(_title(c), loc="left")
     ax.set_ylabel("north (km)")
-    ax.legend(loc="best", frameon=True, framealpha=0.8, edgecolor="none")
 
 
 def _title(c):
     name = "track" if c.source is None else c.source.path.name
-    return name if len(name) <= 34 else f"{name[:31]}..."
+    name = name if len(name) <= 26 else f"{name[:23]}..."
+    return f"{name}: {_numbers_of_the_way(c)[0]:.1f} km"
 
 
 def _draw_speed(ax, c):
     speed = np.hypot(c.x[:, 1], c.x[:, 3]) if c.x.shape[1] >= 4 else np.abs(c.x[:, 1])
     sigma = np.sqrt(c.P[:, 1, 1])
-    minutes = (c.t - c.t[0]) / 60
+    unit, seconds = ("h", 3600) if c.t[-1] - c.t[0] > LONG else ("min", 60)
+    time = (c.t - c.t[0]) / seconds
     number = _stretch_of_rows(c)
     for k in range(c.stretches):
         rows = _thinned(np.flatnonzero(number == k))
         low, high = (np.maximum(speed[rows] + sign * 1.96 * sigma[rows], 0) * KM_H for sign in (-1, 1))
         ax.fill_between(
-            minutes[rows], low, high, color="#CC79A7", alpha=0.4, linewidth=0, label="95 %" if k == 0 else None
+            time[rows], low, high, color="#CC79A7", alpha=0.6, linewidth=0, label="95 % band" if k == 0 else None
         )
-        ax.plot(minutes[rows], speed[rows] * KM_H, color="#0060A0", linewidth=0.9)
+        ax.plot(time[rows], speed[rows] * KM_H, color="#0060A0", linewidth=0.9)
     known = speed[np.isfinite(speed)]
     top = 1.25 * max(float(np.quantile(known, 0.999)), 0.1) * KM_H
     ax.set_ylim(0, top)
     if len(c.refused):
-        ax.plot(minutes[c.refused], np.full(len(c.refused), 0.02 * top), "|", color="#D55E00", markersize=9)
-    ax.set_xlabel("time (min)")
-    ax.set_title("speed (km/h), with its 95 % band", loc="left")
+        bottom = np.full(len(c.refused), 0.02 * top)
+        ax.plot(time[c.refused], bottom, "|", color="#D55E00", markersize=9)
+    ax.set_xlabel(f"time ({unit})")
+    ax.set_title("speed (km/h)", loc="left")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -65,7 +66,9 @@ def _run(options):
     if not path.is_file():
         raise TrackError(f"{path}: there is no such file")
     if not folder.is_dir():
-        raise TrackError(f"{folder}: needs a folder that exists, to write to")
+        raise TrackError(
+            f"{folder}: needs a folder that exists, to write to; make it: mkdir -p {shlex.quote(str(folder))}"
+        )
     columns = {what: getattr(options, f"column_{what}") for what in recordings.NAMES}
     show = _Progress(path)
     try:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import checks, geodesy
-from .checks import Array
+from .checks import Array, Seconds
 from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
 from .recordings import EPOCH, NO_TIME, Recording, read, read_gpx
 
@@ -32,6 +32,10 @@ MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 # Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
 ONE_PLANE = 500e3
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
+# Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
+DECIMALS = tuple(10.0**-k for k in range(10))
+GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
+GRIDS_OF_METRES = DECIMALS
 A_WHILE = 3600.0  # s between segments that overlap in time
 # A usual recording has neither: a fighter's speed, a snail's.
 VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
@@ -56,16 +60,16 @@ def gpx(
     path: str | PathLike[str],
     up: bool = False,
     skip: bool = False,
-    pause: float | None = None,
+    pause: Seconds | None = None,
     origin: tuple[float, ...] | None = None,
 ) -> list[Track]:
     """Return the track segments of a GPX file as a list of Tracks; segments without a fix are left out.
 
     Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
     together: filter each for itself. With `pause`, a segment is also cut wherever its next fix comes more than so many
-    seconds later. Each segment lies in the plane through its own first fix, where z is 0, since segments may be far
-    apart; `origin`, a latitude, a longitude and, if wanted, a height (m), puts all of them into one plane. With up=True
-    a third column has the heights.
+    seconds later (a number, or a timedelta). Each segment lies in the plane through its own first fix, where z is 0,
+    since segments may be far apart; `origin`, a latitude, a longitude and, if wanted, a height (m), puts all of them
+    into one plane. With up=True a third column has the heights.
 
     Every fix needs a time, later than that of the one before in its segment: an equal time is almost always one fix
     written twice or the rounding of times, and would count as two independent measurements. skip=True leaves out as few
@@ -76,7 +80,7 @@ def gpx(
     origin that is none.
     """
     if pause is not None:
-        pause = checks.positive("pause", pause)
+        pause = checks.positive("pause", checks.as_seconds(pause))
     if origin is not None:
         origin = _origin(origin)
     recording = read_gpx(path)
@@ -238,9 +242,9 @@ def track(
     path: str | PathLike[str],
     *,
     columns: dict[str, str] | None = None,
-    seconds: float = 10.0,
+    seconds: Seconds = 10.0,
     limit: float = 100.0,
-    pause: float | None = None,
+    pause: Seconds | None = None,
     show: Callable[[str], None] = lambda _: None,
 ) -> Cleaned:
     """Return the track of a GPX or CSV file without its faults, smoothed and with a band, as a Cleaned.
@@ -260,10 +264,10 @@ def track(
     t, said = t - t[0], [*recording.said]
     if recording.metres is None:
         origins, plane, z = _in_planes(recording, rows)
-        grids = grid_of(recording.lat[rows]) * METRES_OF_A_DEGREE, grid_of(recording.lon[rows]) * METRES_OF_A_DEGREE
+        grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
     else:
         origins, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
-        grids = tuple(grid_of(column) for column in z.T)
+        grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
     said += unusual(t, z)

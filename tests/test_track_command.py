@@ -4,13 +4,14 @@ import json
 import re
 import subprocess
 import sys
+from datetime import timedelta
 
 import numpy as np
 import pytest
 from conftest import ROOT
 
 import mpt_helpers as mpt
-from mpt_helpers import recordings, report, tracks
+from mpt_helpers import cleaning, recordings, report, tracks
 from mpt_helpers.__main__ import main
 
 RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
@@ -65,12 +66,13 @@ def test_the_report_needs_no_vocabulary_and_names_all_that_was_done(spoilt, caps
     assert (code, err) == (0, "")
     assert "giro.gpx: 299 fixes in 0:04:59, every 1 s" in out
     assert "not used: 1 with no time" in out
-    assert "refused as faults: 1 fix (0.33%), at 0:00:50 from the start" in out
-    assert "jumps that stay: 1, at 0:03:20" in out
-    assert re.search(r"10 s ahead the position is known to ± \d+", out)
+    assert "refused as faults: 1 fix (0.33%), 0:00:50 after the start" in out
+    assert "jumps that stay: 1, 0:03:20 after the start" in out
+    assert re.search(r"10 s ahead the position can be told to ± \d+", out)
     assert "giro_smooth.gpx" in out
     assert "giro.png" in out
     assert "NIS" not in out
+    assert "in 2 parts (pauses, or segments of the file)" in out
     assert (spoilt.parent / "giro.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -126,7 +128,7 @@ def test_out_names_the_folder(spoilt, tmp_path, capsys):
     folder = tmp_path / "there"
     code, _, err = said(capsys, spoilt, "--out", folder)
     assert code == 1
-    assert "there: needs a folder that exists" in err
+    assert f"there: needs a folder that exists, to write to; make it: mkdir -p {folder}" in err
     folder.mkdir()
     assert said(capsys, spoilt, "--out", folder)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == ["giro.png", "giro_smooth.gpx"]
@@ -308,7 +310,8 @@ def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
     assert c.rounding
     assert c.r == pytest.approx((111e3 * 8.4e-8) ** 2 / 12, rel=0.05)  # half a circle over 2^31
     assert np.isinf(c.log_errors["r"])
-    assert "the recorder has smoothed them already" in in_one_line(c.report())
+    assert "the recorder had smoothed them already" in in_one_line(c.report())
+    assert "(r = 7.2e-06 m²)" in c.report()  # with blanks as a terminal knows them
     assert c.summary()["log_errors"]["r"] is None
 
 
@@ -324,3 +327,80 @@ def test_the_track_of_the_guide_as_a_whole_process(tmp_path):
 def test_the_moved_commands_are_still_named(capsys):
     assert main(["reproduce"]) == 2
     assert "python -m reproduction reproduce" in capsys.readouterr().err
+
+
+def walked(seed=5, N=2000):
+    """Latitudes of a mobile that is driven north at 2.6 m/s, so that no two of them are alike."""
+    return 57 + (2.6 * np.arange(N) + 0.02 * np.random.default_rng(seed).standard_normal(N)) / 111e3
+
+
+@pytest.mark.parametrize(
+    "grid", [1e-5, 1e-6, 1e-7, 1 / 60e3, 1 / 60e4, 1 / 36e3, 180 / 2**31], ids=lambda grid: f"{grid:.3g}"
+)
+def test_the_grid_of_a_file_is_found_beside_faults_and_where_the_track_was_moved(grid):
+    rng = np.random.default_rng(1)
+    lat = 57 + grid * np.round(np.cumsum(rng.uniform(-1, 2, 2000)) * 1e-5 / grid)
+    assert cleaning.grid_of(lat, tracks.GRIDS) == pytest.approx(grid)
+    lat[rng.choice(2000, 40)] += rng.standard_normal(40) * 1e-3  # they are written with more digits
+    lat[900:] += 0.00123456
+    assert cleaning.grid_of(lat.round(9), tracks.GRIDS) == pytest.approx(grid)
+
+
+def test_one_fix_of_more_digits_does_not_change_the_rounding_of_a_file(tmp_path):
+    text = RIDE.read_text(encoding="utf-8")
+    for name in ("lat", "lon"):  # a number that stands there twice, so that the least difference becomes another
+        degrees = re.findall(rf'{name}="([^"]*)"', text)
+        twice = next(each for k, each in enumerate(degrees) if each in degrees[:k])
+        text = text.replace(f'{name}="{twice}"', f'{name}="{float(twice) + 3e-9:.10f}"', 1)
+    path = tmp_path / "ride.gpx"
+    path.write_text(text, encoding="utf-8")
+    assert mpt.track(path).r == pytest.approx(mpt.track(RIDE).r)
+
+
+def test_the_step_of_a_straight_way_is_not_the_grid():
+    assert cleaning.grid_of(walked().round(7), tracks.GRIDS) == pytest.approx(1e-7)
+    assert cleaning.grid_of(walked(), tracks.GRIDS) < 1e-6  # on none
+    assert cleaning.grid_of(np.array([57.0, 57.0, np.nan]), tracks.GRIDS) == 0
+    assert cleaning.grid_of(np.cumsum([0.0, 1.2, 0.1, 2.4] * 9), tracks.GRIDS_OF_METRES) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (0.084, "known to 8%"),
+        (0.31, "known to a factor of 1.4"),
+        (1.7, "known to a factor of 5.5"),
+        (2.4, "hardly known"),
+    ],
+)
+def test_an_error_of_a_logarithm_is_said_in_words(error, words):
+    assert report._known(error) == words
+
+
+def test_the_picture_shows_jumps_and_the_end_and_counts_hours_of_long_tracks():
+    z, _, _ = positions()
+    z[200:] += 1000
+    c = tracks.clean(40 * np.arange(300.0), z)
+    above, below = c.plot().axes
+    labels = [line.get_label() for line in above.get_lines()]
+    assert {"smoothed", "jumps", "start", "end"} <= set(labels)
+    jump = above.get_lines()[labels.index("jumps")].get_xydata()
+    np.testing.assert_allclose(jump, c.x[[199, 200]][:, ::2] / 1000)
+    assert below.get_xlabel() == "time (h)"
+    assert tracks.clean(np.arange(300.0), z).plot().axes[1].get_xlabel() == "time (min)"
+
+
+def test_lengths_of_time_are_taken_for_what_they_are(tmp_path):
+    z, lat, lon = positions()
+    t = np.arange(300.0)
+    t[150:] += 100
+    kinds = (90.0, timedelta(minutes=1.5), np.timedelta64(90, "s"))
+    for pause in kinds:
+        c = tracks.clean(t, z, pause=pause, seconds=timedelta(seconds=20))
+        assert (c.stretches, c.band.seconds) == (2, 20.0)
+    path = tmp_path / "pause.gpx"
+    path.write_text(gpx_of([fix(*place, int(k)) for *place, k in zip(lat, lon, t, strict=True)]), encoding="utf-8")
+    assert [[len(each.t) for each in tracks.gpx(path, pause=pause)] for pause in kinds] == [[150, 150]] * 3
+    axis = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0)
+    models = [mpt.lasting_error(axis, sigma=1.0, tau=tau) for tau in kinds]
+    assert models[0].F[2, 2] == models[1].F[2, 2] == models[2].F[2, 2]
