@@ -184,10 +184,12 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(
     runs = f"{listens} import sys; from reproduction.__main__ import main; sys.exit(main(['reproduce']))"
     command = [sys.executable, "-c", runs]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        expected = min(len(keys), os.cpu_count())
         # A sign is written when its text is there.
-        while len(kernels := [text for path in signs.iterdir() if (text := path.read_text())]) < min(len(keys), os.cpu_count()):
+        while len([text for path in signs.iterdir() if (text := path.read_text())]) < expected:
             assert running.poll() is None, running.communicate()
             time.sleep(0.05)
+        kernels = [path.read_text() for path in signs.iterdir()]
         running.send_signal(getattr(signal, end))
         _, err = running.communicate(timeout=60)
     assert (running.returncode, err) == (code, f"error: {said}\n")
