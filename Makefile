@@ -4,9 +4,9 @@ VENV := .venv
 PY := $(VENV)/bin/python
 BENCH := .venv-bench
 # What to do where pip cannot install, in one line after its own.
-NOT_INSTALLED := error: pip could not install environment.lock. No connection, or versions: none? Set HTTPS_PROXY or \
-	PIP_INDEX_URL. No matching distribution among others? Python 3.11 to 3.13 were tried: make PYTHON=python3.13. \
-	Hashes that do not match? The index has other files than PyPI: take another
+NOT_INSTALLED := error: pip could not install environment.lock. If it could not connect (it says Retrying, or versions: none), \
+	set HTTPS_PROXY or PIP_INDEX_URL. If it found other versions only, take a Python of 3.11 to 3.13, which were tried: \
+	make PYTHON=python3.13. If hashes do not match, the index has other files than PyPI: set PIP_INDEX_URL to another
 NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 
 .PHONY: reproduce test nbval site site-test build extras bench clock mutants seeds test-all workflows lock

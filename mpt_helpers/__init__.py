@@ -20,7 +20,10 @@ To see how the filters work, read in this order:
 
 __version__ = "0.4.0"
 
-from . import bands, lasting, metrics, riccati, tracks
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from . import bands, lasting, metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
 from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit, rescaled
@@ -40,7 +43,10 @@ from .model import (
 from .monte_carlo import study
 from .predictor import Predictor, SteadyStatePredictor
 from .steady import FIRFilter, SteadyStateFilter, fir_order
-from .tracks import track
+
+if TYPE_CHECKING:
+    from . import tracks
+    from .tracks import track
 
 __all__ = [
     "FIRFilter",
@@ -75,3 +81,16 @@ __all__ = [
     "track",
     "tracks",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import `tracks` when it or `track` is first asked for: its readers of files would slow every import down."""
+    if name not in ("track", "tracks"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    tracks = import_module(".tracks", __name__)
+    globals().update(tracks=tracks, track=tracks.track)  # from now on both are found without this function
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), "track", "tracks"})

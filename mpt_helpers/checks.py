@@ -280,7 +280,8 @@ def times(name: str, value: object) -> Array:
         refuse(name, need, f"shape {values.shape}")
     kind = values.dtype
     values = array(name, values, values.shape)
-    steps = np.diff(values, axis=0)
+    with np.errstate(over="ignore"):  # such times are refused below
+        steps = np.diff(values, axis=0)
     if (steps < 0).any():
         k = np.argwhere(steps < 0)[0][0]
         refuse(name, need, f"{values[k + 1].max():.15g} after {values[k].max():.15g}, in row {k + 1}")

@@ -119,7 +119,8 @@ class Separate(Filter):
     """One filter for each axis: the papers' model B (2014 Section 5, Eqs. 17-18).
 
     The states of the filters follow one another, as in `stack`, and each filter takes its own rows of z. Raises
-    TypeError for anything but filters, and ValueError for none and where one predicts further ahead than another.
+    TypeError for anything but filters, and ValueError for none, where one predicts further ahead than another, and
+    where the dt of their models differ: the rows of z are of one time.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> kf = KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1))
@@ -136,6 +137,11 @@ class Separate(Filter):
         for i, each in enumerate(filters):
             checks.instance(f"filters[{i}]", each, Filter)
             _require_equally_far_ahead(f"filters[{i}]", filters[0], each)
+        known = [each.model.dt for each in filters if each.model.dt is not None]
+        for dt in known:
+            if dt != known[0]:
+                need = "models of one dt, as the measurements of a row of z are of one time"
+                checks.refuse("filters", need, f"{known[0]:g} and {dt:g} s")
         object.__setattr__(self, "filters", filters)
 
     def __reduce__(self):

@@ -151,11 +151,34 @@ class KalmanFilter(RecursiveFilter):
 
     @cached_property
     def _lengths(self):
-        """The lengths of the steps (N, 1 or M) before each epoch in units of dt, the first 1, or None."""
+        """The lengths of the steps (N, 1 or M) before each epoch in units of dt, the first 1, or None.
+
+        Raises ValueError where a step is so long that `step` refuses it.
+        """
         if self.t is None:
             return None
         t = self.t.reshape(len(self.t), -1)
-        return np.concatenate([np.ones((1, t.shape[1])), np.diff(t, axis=0) / self.model.dt])
+        lengths = np.concatenate([np.ones((1, t.shape[1])), np.diff(t, axis=0) / self.model.dt])
+        self._require_steps_that_doubles_hold(lengths.max())
+        return lengths
+
+    def _require_steps_that_doubles_hold(self, longest):
+        """Raise a ValueError where the process noise of the longest step alone is too large beside R for doubles.
+
+        What was not known before the step comes on top of it. So no step is refused here that `step` would take.
+        """
+        R = self.model.R
+        if self.r is not None:
+            known = np.where(self.r > 0, self.r, np.inf)  # NaN stands for those that are missing
+            least = known.min(axis=(0, *range(2, self.r.ndim)))
+            R = np.diag(np.where(np.isfinite(least), least, 1))
+        with np.errstate(over="ignore", invalid="ignore"):  # an infinite or undefined S is refused too
+            H_1, _ = unit_measurements(self.model.H, R)
+            S = H_1 @ self.model.over(longest)[1] @ H_1.T
+            held = S.max() < LARGEST
+        if not held:
+            need = "steps after which doubles hold the variances of the measurements beside that of the prediction"
+            checks.refuse("t", need, f"one of {longest * self.model.dt:.6g} s")
 
     @property
     def _variances(self):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -158,15 +158,25 @@ class Blocks(NamedTuple):
 
 @dataclass(frozen=True)
 class Surprise:
-    """-log L of measurements z as a function of a point, the natural logarithms of the parameters of `make`."""
+    """-log L of measurements z as a function of a point, the natural logarithms of the parameters of `make`.
+
+    What was computed is kept: a search comes back to its points.
+    """
 
     make: Callable[..., LinearModel | Filter]
     names: list[str]
     z: Array
     bar: tqdm
+    computed: dict[bytes, float] = field(default_factory=dict)
 
     def __call__(self, point: Array) -> float:
         """Return -log L, infinite where the model cannot be computed."""
+        key = point.tobytes()
+        if key not in self.computed:
+            self.computed[key] = self._at(point)
+        return self.computed[key]
+
+    def _at(self, point):
         try:
             self.bar.update()
             return -float(np.sum(metrics.log_likelihood(self.filter_at(point), self.z)))

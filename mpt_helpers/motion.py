@@ -207,9 +207,10 @@ class Powers(Immutable, Motion):
         if (np.diag(F) != 1).any() or F[(differences == 0) & ~np.eye(len(F), dtype=bool)].any():
             return False
         half, noise = F * 0.5**differences, Q * 0.5**sums
-        size = np.abs(half) @ np.abs(Q) @ np.abs(half.T) + np.abs(Q)
-        same_F = np.abs(half @ half - F) <= MISSED_BY_POWERS * np.abs(half) @ np.abs(half)
-        same_Q = np.abs(half @ noise @ half.T + noise - Q) <= MISSED_BY_POWERS * size
+        with np.errstate(over="ignore"):  # beside the largest doubles the size is infinite
+            size = np.abs(half) @ np.abs(Q) @ np.abs(half.T) + np.abs(Q)
+            same_F = np.abs(half @ half - F) <= MISSED_BY_POWERS * np.abs(half) @ np.abs(half)
+            same_Q = np.abs(half @ noise @ half.T + noise - Q) <= MISSED_BY_POWERS * size
         return bool(same_F.all() and same_Q.all())
 
     def with_noises(self, R: Array) -> Motion:

@@ -17,7 +17,8 @@ TESTS = Path(__file__).parent
 NOT_SEEN = ("execution_count", "prompt_number", "traceback")  # the count is tested where nothing runs
 DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
 STARTUP = "startup.py"  # in this folder: what a kernel runs before its first cell
-TOGETHER = (".ipynb", "test_fifth_paper.py")  # ends of files whose tests need one kernel, or share a slow fixture
+# Ends of files whose tests need one kernel, or share what takes seconds to make: then one processor makes it, once.
+TOGETHER = (".ipynb", "test_exact.py", "test_fifth_paper.py", "test_guide.py", "test_recorded_2007.py", "test_types.py")
 
 
 def pytest_configure(config):

@@ -20,7 +20,8 @@ PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 KEY = re.search(r"The key is .*, here `(\w+)`", PAGE)[1]
 KERNEL = json.loads(re.search(r"has the metadata `(\{.*?\})`", PAGE)[1])
 FOLDED = json.loads(re.search(r"folded by the metadata `(\{.*?\})`", PAGE)[1])
-IGNORED = shutil.ignore_patterns(".*", "__pycache__", "_build", "dist", "*.egg-info")
+# Not what Python has compiled: that it need not do again.
+IGNORED = shutil.ignore_patterns(".*", "_build", "dist", "*.egg-info")
 # What `make site` makes before Sphinx runs.
 SITE = """\
 import sys

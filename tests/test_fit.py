@@ -242,23 +242,22 @@ def test_many_tracks_are_the_blocks_and_few_fixes_are_none():
     assert quiet_fit(axis, np.repeat(z[..., None], 4, axis=2), q=0.1, r=1.0).errors_from == "8 blocks of 6 fixes"
 
 
-def simulated(N, degrees, seed, runs):
-    """Yield the Fit of tracks with noise that is normal, or Student's of so many degrees of freedom."""
-    rng = np.random.default_rng(seed)
-    for _ in range(runs):
-        x, z = mpt.simulate(axis(0.04, 0.5), N, rng)
-        if degrees:
-            z = x[:, :1] + np.sqrt(0.5 * (degrees - 2) / degrees) * rng.standard_t(degrees, size=z.shape)
-        yield quiet_fit(axis, z, q=0.1, r=1.0)
+def test_two_errors_hold_95_percent_of_fits_where_the_noise_is_not_normal():
+    """One fix in twenty is 4.4 times as noisy as the others. (Normal noise is in test_engine.)
 
-
-@pytest.mark.parametrize("degrees", [None, 5])
-def test_two_errors_hold_95_percent_of_simulated_fits(degrees):
-    """Of 40 tracks 38 are due, and fewer than 34 once in 70 times. By the curvature it was 79 % where degrees are 5."""
-    fits = list(simulated(300, degrees, 7, 40))
-    for name, true in {"q": 0.04, "r": 0.5}.items():
-        off = [np.log(each.values[name] / true) / each.log_errors[name] for each in fits]
-        assert np.mean(np.abs(off) < 2) >= 34 / 40, name
+    Of 16 tracks 15 are due, and fewer than 13 once in 140 times. By the curvature it is 10 or 11 for r.
+    """
+    rng, offs = np.random.default_rng(7), {"q": [], "r": []}
+    for _ in range(16):
+        x, z = mpt.simulate(axis(0.04, 0.5), 300, rng)
+        rough = rng.random(z.shape) < 1 / 20
+        variance = 0.5 * np.where(rough, 10.0, 10 / 19)  # 0.5 on average
+        z = x[:, :1] + np.sqrt(variance) * rng.standard_normal(z.shape)
+        found = quiet_fit(axis, z, q=0.1, r=1.0)
+        for name, true in {"q": 0.04, "r": 0.5}.items():
+            offs[name].append(np.log(found.values[name] / true) / found.log_errors[name])
+    for name, off in offs.items():
+        assert np.sum(np.abs(off) < 2) >= 13, name
 
 
 @pytest.mark.parametrize("name", ["paraglider_napret_1hz", "ride_edge810_1hz", "run_fenix2_1hz"])

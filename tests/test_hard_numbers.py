@@ -182,7 +182,7 @@ def measured_over_gaps(name):
     model, gap = LONG_GAPS[name]
     z = with_a_gap(model, gap, seen=60, seed=3)
     x, _, _, P, *_ = precise.kalman(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
-    s = deviations(P)
+    s, x, P = deviations(P), precise.two_doubles(x), precise.two_doubles(P)
     kf, lf = mpt.KalmanFilter(model), mpt.LainiotisFilter(model)
     result = []
     for each in (kf, lf, mpt.JoinFilter(kf, lf)):

@@ -80,22 +80,6 @@ def test_reproduce_executes_in_place_stores_the_verdicts_and_again_changes_no_by
     assert capfd.readouterr().out.splitlines()[-1] == same
 
 
-def test_in_a_checkout_the_last_line_says_what_is_not_as_committed(project, capsys):
-    def git(*arguments):
-        subprocess.run(["git", "-c", "user.name=me", "-c", "user.email=@", *arguments], check=True, capture_output=True)
-
-    write_notebook(project / SMALL, VERDICTS)
-    main(["reproduce"])
-    for arguments in (["init"], ["add", "."], ["commit", "-m", "all"]):
-        git(*arguments)
-    capsys.readouterr()
-    assert main(["reproduce"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1].endswith("are as committed, byte for byte")
-    write_notebook(project / SMALL, VERDICTS, "1 + 1")
-    assert main(["reproduce"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == f"the notebooks ran; not as committed: {SMALL}"
-
-
 def test_notebooks_run_side_by_side_and_a_terminal_tells_the_time_left(project, tmp_path_factory, monkeypatch, capsys):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
@@ -130,9 +114,8 @@ def test_without_nbformat_too(project, monkeypatch, capsys, command):
 @pytest.fixture
 def copied(tmp_path, monkeypatch):
     """A project with a copy of the package, whose notebook says which package it runs."""
-    ignored = shutil.ignore_patterns("__pycache__")
     for half in ("mpt_helpers", "reproduction"):
-        shutil.copytree(ROOT / half, tmp_path / half, ignore=ignored)
+        shutil.copytree(ROOT / half, tmp_path / half)  # with what Python has compiled, which takes it seconds
     (tmp_path / "notebooks").mkdir()
     write_notebook(tmp_path / "notebooks/own.ipynb", "import mpt_helpers; print(mpt_helpers.__file__)")
     return tmp_path
@@ -179,12 +162,18 @@ def test_a_kernel_that_dies_is_named_and_leaves_everything_as_it_was(project, ca
 
 
 @pytest.mark.parametrize(
-    ("end", "said", "code"),
-    [("SIGINT", "interrupted", 130), ("SIGTERM", "terminated", 143), ("SIGHUP", "terminated", 143)],
+    ("end", "said", "code", "keys"),
+    [
+        ("SIGINT", "interrupted", 130, ["small", "other"]),
+        ("SIGTERM", "terminated", 143, ["small"]),
+        ("SIGHUP", "terminated", 143, ["small"]),
+    ],
 )
-def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, tmp_path_factory, end, said, code):
+def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(
+    project, tmp_path_factory, end, said, code, keys
+):
     signs = tmp_path_factory.mktemp("signs")
-    for key in ("small", "other"):
+    for key in keys:
         sleeps = SLEEPS.format(sign=str(signs / key))
         write_notebook(project / f"notebooks/{key}.ipynb", MAKES_FIGURE, sleeps)
     shutil.rmtree(project / "reproduction")  # which is not the package that the command runs
@@ -195,10 +184,12 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, 
     runs = f"{listens} import sys; from reproduction.__main__ import main; sys.exit(main(['reproduce']))"
     command = [sys.executable, "-c", runs]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        expected = min(len(keys), os.cpu_count())
         # A sign is written when its text is there.
-        while len(kernels := [text for path in signs.iterdir() if (text := path.read_text())]) < min(2, os.cpu_count()):
+        while len([text for path in signs.iterdir() if (text := path.read_text())]) < expected:
             assert running.poll() is None, running.communicate()
             time.sleep(0.05)
+        kernels = [path.read_text() for path in signs.iterdir()]
         running.send_signal(getattr(signal, end))
         _, err = running.communicate(timeout=60)
     assert (running.returncode, err) == (code, f"error: {said}\n")
@@ -231,6 +222,23 @@ def finished(project, monkeypatch):
 
     monkeypatch.setattr(runner._Processes, "execute", execute)
     return project
+
+
+def test_in_a_checkout_the_last_line_says_what_is_not_as_committed(finished, capsys):
+    def git(*arguments):
+        subprocess.run(["git", "-c", "user.name=me", "-c", "user.email=@", *arguments], check=True, capture_output=True)
+
+    git("init")
+    said = []
+    for committed in NEW, NEW | {"figures/b.png": b"another"}:
+        for name, content in committed.items():
+            (finished / name).write_bytes(content)
+        git("add", ".")
+        git("commit", "-m", "all")
+        assert main(["reproduce"]) == 0
+        said.append(capsys.readouterr().out.splitlines()[-1])
+    assert said[0].endswith("are as committed, byte for byte")
+    assert said[1] == "the notebooks ran; not as committed: figures/b.png"
 
 
 def test_what_a_notebook_makes_is_moved_into_place(finished):
@@ -497,7 +505,14 @@ def test_verdicts_into_head_end_silently():
 def test_after_jupyter_execute_tidy_leaves_outputs_only(project):
     (project / SMALL).unlink()
     write_notebook(project / "notebooks/plain.ipynb", "1 + 1")
-    main(["reproduce"])
+    path = project / "notebooks/plain.ipynb"
+    notebook = json.loads(path.read_text())
+    notebook["cells"][0] |= {
+        "execution_count": 1,
+        "outputs": [new_output("execute_result", {"text/plain": "2"}, execution_count=1)],
+    }
+    path.write_text(json.dumps(notebook))
+    assert main(["tidy"]) == 0
     before = files(project)
     command = [sys.executable, "-m", "jupyter", "execute", "--inplace", "notebooks/plain.ipynb"]
     subprocess.run(command, check=True, capture_output=True)

@@ -1,6 +1,8 @@
 """Times are taken for what they are: dates, lengths of time, numbers of seconds. What cannot be seconds is refused."""
 
 import itertools
+from contextlib import nullcontext, suppress
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
@@ -139,3 +141,55 @@ def test_times_that_may_be_seconds_are_taken(t):
 def test_a_date_is_no_length_of_time(dt):
     with pytest.raises((TypeError, ValueError), match="dt: needs a number"):
         mpt.KalmanFilter(MODEL).step(MODEL.x0, MODEL.P0, [1.0], dt=dt)
+
+
+@pytest.mark.parametrize("own_variances", [False, True], ids=["R", "own variances"])
+@pytest.mark.parametrize(
+    "model", [mpt.constant_velocity(1.0, 0.01, 0.1), mpt.constant_acceleration(1.0, 0.01, 0.1)], ids=["cv", "ca"]
+)
+def test_a_step_that_is_refused_to_one_filter_by_its_dt_is_refused_to_the_other_by_its_times(model, own_variances):
+    """By times, the estimates after 1e8 s with an acceleration were wrong by 1e4 sigma, and no word was said."""
+    for q, r in ((1.0, 1.0), (1e6, 1e-6)):
+        made = replace(model, Q=q * model.Q, R=model.R if own_variances else r * model.R)
+        variances = np.full((3, 1), 0.1 * r) if own_variances else None
+        # At rest before the gap, so that the process noise is nearly all that is not known after it.
+        edge = (1e29 * 0.1 * r / (q * model.Q[0, 0])) ** (1 / (2 * model.powers[0]))
+        for gap, refused in ((edge / 3, False), (3 * edge, True)):
+            gap = min(gap, 9e10)
+            if refused and gap < edge:  # beyond all times
+                continue
+            kf = mpt.KalmanFilter(made, t=[0.0, gap, gap + 1.0], r=variances)
+            with pytest.raises(ValueError, match="t: needs steps after") if refused else nullcontext():
+                kf.filter(np.zeros((3, 1)))
+            r_k = None if variances is None else variances[0]
+            with pytest.raises(ValueError, match="dt: needs a time after") if refused else nullcontext():
+                mpt.KalmanFilter(made).step(np.zeros(made.n), 0 * made.Q, [0.0], dt=gap, r=r_k)
+
+
+def test_variances_that_are_missing_refuse_no_step():
+    r = np.array([[np.nan, 0.1], [0.1, np.nan], [np.nan, 0.1]])
+    two = replace(mpt.constant_velocity(1.0, 0.01, 0.1), H=[[1, 0], [1, 0]], R=0.1 * np.eye(2))
+    z = np.where(np.isnan(r), np.nan, 1.0)
+    assert np.isfinite(mpt.KalmanFilter(two, t=[0.0, 1e5, 2e5], r=r).filter(z)).all()
+
+
+def test_separate_filters_of_two_dt_are_refused_when_they_are_made():
+    one, two = (mpt.KalmanFilter(mpt.constant_velocity(dt, 0.01, 0.1)) for dt in (1.0, 2.0))
+    with pytest.raises(ValueError, match=r"filters: needs models of one dt, .*, got 1 and 2 s"):
+        mpt.Separate(one, one, two)
+    of_any_dt = mpt.KalmanFilter(mpt.gsm_axis(1.0, 0.01, 0.1))
+    assert mpt.Separate(of_any_dt, one).filter(np.zeros((2, 2))).shape == (2, 4)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: mpt.constant_velocity(1, 1e308, 1),
+        lambda: mpt.KalmanFilter(mpt.constant_velocity(1, 0.01, 0.1), t=[-1.7e308, 1.7e308]),
+        lambda: mpt.KalmanFilter(mpt.constant_velocity(1, 0.01, 0.1), t=[1, 1e110]),
+    ],
+    ids=["q", "t", "t 1e110"],
+)
+def test_the_largest_doubles_are_taken_or_refused_without_a_warning(call):
+    with suppress(ValueError):
+        call()  # a warning is an error in these tests
