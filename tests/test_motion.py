@@ -394,3 +394,9 @@ def test_a_row_that_is_refused_counts_as_missing():
     np.testing.assert_allclose([x[: model.n, 0] for x, _, _ in run], e.x, **SAME)
     np.testing.assert_allclose([P[: model.n, : model.n] for _, P, _ in run], e.P, **SAME)
     assert np.square(run[10][2][..., 1]).sum() > 1e4  # the innovations are those of the row that was refused
+
+
+def test_a_motion_of_no_lengths_has_no_matrices():
+    """As of columns that all begin later: an array of size zero does not tell its shape."""
+    F, Q = forgetful().over(np.ones(0))
+    assert F.shape == Q.shape == (0, 2, 2)

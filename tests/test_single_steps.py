@@ -155,3 +155,11 @@ def test_what_is_kept_may_be_gone_at_any_time(name):
     z = np.array([[1.0], [np.nan], [2.0]])
     np.testing.assert_array_equal(lf.filter(z), LF.filter(z))
     np.testing.assert_array_equal(lf.filter(np.ones((5, 1))), LF.filter(np.ones((5, 1))))
+
+
+@pytest.mark.parametrize("infinite", [np.inf, -np.inf])
+def test_an_infinite_measurement_of_a_step_is_refused_by_name_also_beside_a_missing_one(infinite):
+    kf = mpt.KalmanFilter(mpt.stack(AXIS, AXIS))
+    for z_k in ([0.0, infinite], [np.nan, infinite]):
+        with pytest.raises(ValueError, match="z_k: needs finite numbers, or NaN"):
+            kf.step(kf.model.x0, kf.model.P0, z_k)
