@@ -119,8 +119,8 @@ def lost(given):
 
 
 def questions(given, asked):
-    """Return what is unknown, [(question, verdict)]: what was asked of failing items, and what the paper leaves out."""
+    """Return what is unknown, [(question, verdict)]: what is asked of items, and what the paper leaves open."""
     by_id = {each.id: each for each in given}
-    failing = [(text, by_id[id]) for id, text in asked.items() if id in by_id and by_id[id].verdict in FAILS]
-    lacking = [each for each in given if each.verdict == CANNOT_BE_CHECKED and not each.cause]
-    return failing + [(f"{each.printed}: what the paper leaves out is {each.reason}.", each) for each in lacking]
+    open_questions = [(text, by_id[id]) for id, text in asked.items()]
+    lacking = [each for each in given if each.verdict == CANNOT_BE_CHECKED and not each.cause and each.id not in asked]
+    return open_questions + [(f"{each.printed}. Left open: {each.reason}.", each) for each in lacking]

@@ -1012,7 +1012,7 @@ def test_a_page_of_corrections_strikes_only_what_is_printed_and_tells_claims_in_
         if row["kind"] == "number":
             assert re.search(rf"{re.escape(row['printed'])}\s+{re.escape(row['computed'][:3])}", text)
     beyond = [row for row in records if row["paper"] == key and row["beyond"]]
-    assert ("Beyond the paper’s setting" in text) is bool(beyond)
+    assert ("Remarks, not corrections" in text) is bool(beyond)
     page.emulate_media(media="print")
     sheets = len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4")))
     assert 1 <= sheets <= 2 + len(beyond) / 8  # a list of what lies beyond may need more
