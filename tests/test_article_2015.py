@@ -415,6 +415,8 @@ def test_the_gain_settles_when_the_article_says(settled):
             P = P - np.outer(K[-1], P[0])
         slow.append(2 + int(np.flatnonzero(np.abs(np.array(K) / K[-1] - 1).max(axis=1) > 0.01).max()))
     assert max(slow) == 26
+    of = article.measured_with(3.0)
+    assert slow == [article.rests(article.gains(P0, 300, of)) for P0 in (np.zeros((2, 2)), np.diag([1e6, 4.0]))]
     assert re.search(rf"(?m)^3\.00 +{slow[0]} +{slow[1]} ", printed_by("rests"))
     assert re.search(r"(?m)^0\.32 +9 ", printed_by("rests"))
 
@@ -502,6 +504,7 @@ def test_an_axis_may_share_P_again_after_eight_measurements(taught):
                 off.append(np.abs(np.sqrt(np.diag(P_silent) / rest) - 1).max())
             needed.append(2 + max(i for i, each in enumerate(off) if each > 0.01))
         assert max(needed) == expected
+        assert article.rests_after_silence(10_000, article.measured_with(np.sqrt(r))) == expected
         assert re.search(rf"(?m)^{np.sqrt(r):.2f} .* {expected}$", printed_by("rests"))
     before, after = re.findall(r"\[ ?([\d. ]+)\]", printed_by("step-gaps"))
     assert before.split() == ["0.23", "0.23", "10.48"]
