@@ -127,31 +127,58 @@ def draw_fig1(kf, sskf, sigma, shown=15):
     return fig
 
 
-def started(P0):
-    """Return AXIS with a start of covariance P0 (2, 2)."""
-    return LinearModel(F=AXIS.F, H=AXIS.H, Q=AXIS.Q, R=AXIS.R, P0=P0)
+def started(P0, of=AXIS):
+    """Return a model, AXIS if no other, with a start of covariance P0 (2, 2)."""
+    return LinearModel(F=of.F, H=of.H, Q=of.Q, R=of.R, P0=P0)
 
 
-def gains(P0, steps):
+def measured_with(sigma):
+    """Return AXIS with a sensor of this sigma, in metres."""
+    return LinearModel(F=AXIS.F, H=AXIS.H, Q=AXIS.Q, R=[[sigma**2]])
+
+
+def gains(P0, steps, of=AXIS):
     """Return the gain K of each step from a start of covariance P0, (steps, 2): for the position and the velocity.
 
     >>> gains(np.zeros((2, 2)), 60)[-1].round(3)
     array([0.546, 0.213])
     """
-    P = KalmanFilter(started(P0)).covariances(steps)
-    return P[:, :, 0] / AXIS.R[0, 0]  # K = P Hᵀ / r with the corrected P
+    P = KalmanFilter(started(P0, of)).covariances(steps)
+    return P[:, :, 0] / of.R[0, 0]  # K = P Hᵀ / r with the corrected P
 
 
-def sigma_of_both(P0, steps):
+def rests(values):
+    """Return the first step, counted from 1, from which values (steps, n) stay within 1 % of the last ones.
+
+    >>> rests(np.array([[3.0], [2.0], [2.01], [2.0]]))
+    2
+    """
+    off = np.abs(values / values[-1] - 1).max(axis=1)
+    return 2 + int(np.flatnonzero(off > 0.01).max(initial=-1))
+
+
+def rests_after_silence(seconds, of=AXIS):
+    """Return after how many measurements both sigmas are those of the settled axis again, to 1 %.
+
+    >>> rests_after_silence(30)
+    7
+    """
+    measured = np.zeros((500 + seconds + 300, 1))  # both settle; P does not depend on what is measured
+    measured[500 : 500 + seconds] = np.nan
+    P = KalmanFilter(of).covariances(measured)[500 + seconds :]
+    return rests(np.sqrt(np.diagonal(P, axis1=1, axis2=2)))
+
+
+def sigma_of_both(P0, steps, of=AXIS):
     """Return sigma of the position (steps,) with the gain that varies, and with the settled gain from the first step.
 
     >>> best, constant = sigma_of_both(np.zeros((2, 2)), 60)
     >>> print(f"{best[0]:.3f} {constant[0]:.3f} {best[-1]:.3f} {constant[-1]:.3f}")
     0.049 0.174 0.234 0.234
     """
-    model = started(P0)
+    model = started(P0, of)
     best = KalmanFilter(model).covariances(steps)
-    constant = metrics.error_moments(SteadyStateFilter.from_kalman(AXIS), model, steps).covariance
+    constant = metrics.error_moments(SteadyStateFilter.from_kalman(of), model, steps).covariance
     return np.sqrt(best[:, 0, 0]), np.sqrt(constant[:, 0, 0])
 
 
@@ -181,18 +208,51 @@ def correlated(axes, c):
     return c + (1 - c) * np.eye(axes)
 
 
-def silent_in_company(c, seconds=30):
-    """Return sigma of z after so many seconds of its silence, where random changes of all axes have the correlation c.
+def turned(axes, c):
+    """Return `correlated` with the last axis turned round: its correlations have the other sign."""
+    signs = np.append(np.ones(axes - 1), -1)
+    return correlated(axes, c) * np.outer(signs, signs)
 
-    >>> round(silent_in_company(0.0), 1)
-    10.5
+
+def diagonal_apart(c):
+    """Return sigma of the position along the diagonal of three axes, where measurement errors have the correlation c.
+
+    The axes are kept apart. First what their filters imply, as they state nothing between the axes, then what is true.
+
+    >>> implied, true = diagonal_apart(0.0)
+    >>> print(f"{implied:.3f} {true:.3f}")
+    0.234 0.234
     """
-    axes = correlated(3, c)
-    F, H, R = (np.kron(np.eye(3), each) for each in (AXIS.F, AXIS.H, AXIS.R))
-    measured = np.zeros((60 + seconds, 3))  # sixty steps settle the filter; P does not depend on what is measured
-    measured[60:, 2] = np.nan
-    P = KalmanFilter(LinearModel(F=F, H=H, Q=np.kron(axes, AXIS.Q), R=R)).covariances(measured)
-    return float(np.sqrt(P[-1, 4, 4]))
+    F, H, Q, R = (np.kron(np.eye(3), each) for each in (AXIS.F, AXIS.H, AXIS.Q, AXIS.R))
+    apart = SteadyStateFilter.from_kalman(LinearModel(F=F, H=H, Q=Q, R=R))
+    linked = LinearModel(F=F, H=H, Q=Q, R=AXIS.R[0, 0] * correlated(3, c))
+    true = metrics.error_moments(apart, linked, 500).covariance[-1]
+    along = np.kron(np.ones(3), [1, 0]) / np.sqrt(3)
+    return float(np.sqrt(along @ apart.P @ along)), float(np.sqrt(along @ true @ along))
+
+
+def silent_in_company(changes, true_changes=None, errors=None, seconds=30):
+    """Return sigma of z after so many seconds of its silence, with one filter for all three axes: stated, and true.
+
+    The filter assumes correlations (3, 3) of the random changes, and of the measurement errors (none if not given).
+    What it states is true unless the true correlations of the changes are others.
+
+    >>> stated, true = silent_in_company(correlated(3, 0.0))
+    >>> print(f"{stated:.1f} {true:.1f}")
+    10.5 10.5
+    """
+    F, H, identity = (np.kron(np.eye(3), each) for each in (AXIS.F, AXIS.H, np.eye(2)))
+    R = AXIS.R[0, 0] * (np.eye(3) if errors is None else errors)
+    Q, true_Q = (np.kron(each, AXIS.Q) for each in (changes, changes if true_changes is None else true_changes))
+    P, true = np.zeros((6, 6)), np.zeros((6, 6))
+    for k in range(60 + seconds):  # sixty steps settle the filter
+        seen = [0, 1, 2] if k < 60 else [0, 1]
+        P, true = F @ P @ F.T + Q, F @ true @ F.T + true_Q
+        H_seen, R_seen = H[seen], R[np.ix_(seen, seen)]
+        K = P @ H_seen.T @ np.linalg.inv(H_seen @ P @ H_seen.T + R_seen)
+        left = identity - K @ H_seen
+        P, true = left @ P, left @ true @ left.T + K @ R_seen @ K.T
+    return float(np.sqrt(P[4, 4])), float(np.sqrt(true[4, 4]))
 
 
 def first_after(missed):
