@@ -250,9 +250,7 @@ def test_a_far_origin_is_subtracted_first(taught):
     says(f"10 km from the origin, row 21 is still {far} m off")
     (near,) = re.findall(r"within ([\d.]+) m of the Kalman filter", output_of("one-call"))
     assert float(near) < 0.1 * np.sqrt(settled(NOW)[2][0, 0])
-    says(
-        "`in_pieces` starts at 0, give or take 10 m: subtract the first measurement that is not missing, and add it back"
-    )
+    says("`in_pieces` starts at 0, give or take 10 m: subtract the first measurement that is not missing")
     assert code_of("pieces").count("100 * np.eye(2)") == 1
     _, z = article_2014.walk()
     moved = taught["in_pieces"](z - z[0], 30, NOW)[:, 0] + z[0]
@@ -354,6 +352,12 @@ def test_pieces_give_the_estimates_of_the_package_with_gaps_and_of_any_length(ta
     expected = mpt.KalmanFilter(model).filter(z)
     np.testing.assert_allclose(taught["in_pieces"](z[:, 0], L, H), expected, rtol=0, atol=1e-9)
     np.testing.assert_allclose(taught["one_by_one"](z[:, 0], H), expected, rtol=0, atol=1e-9)
+
+
+def test_pieces_refuse_two_axes(taught):
+    says("It takes one axis: call it once for each")
+    with pytest.raises(AssertionError, match="one axis at a time"):
+        taught["in_pieces"](np.zeros((40, 2)), 10, NOW)
 
 
 def test_pieces_bear_a_very_uncertain_start(taught):
