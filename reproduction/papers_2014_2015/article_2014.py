@@ -183,14 +183,17 @@ def draw_late():
     band = np.sqrt(P)
     found = slice(2, None)  # the first two steps only find the start
     fig, ax = plots.panels([["error"], ["innovations"]], height=2.3)
-    ax["error"].fill_between(k[found], -band[found], band[found], color=GREY, lw=0)
+    right = KalmanFilter(from_unknown(RIGHT)).filter(z)[:, 0]
+    ax["error"].fill_between(k[found], -2 * band[found], 2 * band[found], color=GREY, lw=0)
     ax["error"].axhline(0, color="0.4", lw=1)
     (line,) = ax["error"].plot(k[found], (states[:, 0] - estimate)[found], color=COLOUR_OF["kalman"])
     ax["error"].annotate(
-        "the filter states an error of this size (σ)", (k[-1], -0.28), ha="right", va="top", color="0.3"
+        "grey: ± 2 of the σ that the paper's filter states", (k[-1], -0.6), ha="right", va="top", color="0.3"
     )
-    plots.label_line(line, "so far is the phone ahead", at=k[-1], xytext=(0, 16), ha="right")
-    ax["error"].set_ylim(-1.1, 2.9)
+    (good,) = ax["error"].plot(k[found], (states[:, 0] - right)[found], "--", lw=1, color=COLOUR_OF["kalman"])
+    plots.label_line(line, "of the paper's filter", at=k[-1], xytext=(0, 16), ha="right")
+    plots.label_line(good, "of the right filter", at=10, xytext=(0, 17))
+    ax["error"].set_ylim(-1.3, 2.9)
     ax["innovations"].axhspan(-2, 2, color=GREY, lw=0)
     ax["innovations"].plot(
         k[found], (new.values[:, 0] / np.sqrt(new.S[:, 0, 0]))[found], ".-", lw=0.8, color=COLOUR_OF["kalman"]
@@ -198,12 +201,17 @@ def draw_late():
     ax["innovations"].set_ylim(-3.5, 3.5)
     plots.finish(ax["error"], "", "true minus reported position (m)")
     plots.finish(ax["innovations"], "second", "surprises, each over its σ; grey: ± 2")
-    fig.suptitle("The error is nine times what the filter\nstates. Its own test sees nothing.", weight="bold")
+    fig.suptitle(
+        "The error is nine times what the filter states.\nOver 60 seconds its own test sees nothing.", weight="bold"
+    )
     return fig
 
 
-def draw_pieces(pieces=4, L=30):
-    """Return a figure of a track cut into pieces: each from a pretended start, the runner, each from its real start."""
+def draw_pieces(in_pieces, pieces=4, L=30):
+    """Return a figure of a track cut into pieces: each from a pretended start, the runner, and both ways' difference.
+
+    in_pieces(z, L, H) is the article's: estimates (N, 2) of measurements (N,), from 0 and P = 100 I.
+    """
     states, measured = walk(pieces * L)
     pretended = KalmanFilter(RIGHT).filter(measured.reshape(pieces, L).T[:, None])[:, 0]  # from 0 exactly
     whole = KalmanFilter(from_unknown(RIGHT)).filter(measured[:, None])[:, 0]
@@ -212,10 +220,12 @@ def draw_pieces(pieces=4, L=30):
     at_junctions = np.concatenate([[0.0], whole[L - 1 :: L][: pieces - 1]])
     fig, ax = plots.panels([["1"], ["2"], ["3"]], height=1.75)
     for name in ax:
-        ax[name].plot(k.ravel(), states[:, 0], color="0.8", lw=4)
         for at in junctions[1:]:
-            ax[name].axvline(at + 0.5, color="0.6", lw=0.8, ls=":")
-        ax[name].set(xlim=(-6, pieces * L + 6), ylim=(-12, 1.1 * states[:, 0].max()))
+            ax[name].axvline(at, color="0.6", lw=0.8, ls=":")
+        ax[name].set(xlim=(-6, pieces * L + 6))
+    for name in "12":
+        ax[name].plot(k.ravel(), states[:, 0], color="0.8", lw=4)
+        ax[name].set(ylim=(-12, 1.1 * states[:, 0].max()))
     blue = COLOUR_OF["lainiotis"]
     for of_piece, estimates in zip(k, pretended.T, strict=True):
         ax["1"].plot(np.append(of_piece[0] - 1, of_piece), np.append(0, estimates), color=blue)
@@ -226,18 +236,22 @@ def draw_pieces(pieces=4, L=30):
     for i in range(pieces):
         arrow = {"arrowstyle": "->", "color": blue, "lw": 1.6, "shrinkA": 4, "shrinkB": 4}
         ax["2"].annotate("", (ends[i + 1], at_ends[i + 1]), (ends[i], at_ends[i]), arrowprops=arrow)
+    tenth = 10 * np.sqrt(SteadyStateFilter.from_kalman(RIGHT).P[0, 0])  # of sigma, in cm
+    ax["3"].axhspan(-tenth, tenth, color=GREY, lw=0)
+    gap = np.round(in_pieces(measured, L, RIGHT.H)[:, 0] - whole, 9) + 0  # to a nanometre; no -0
     for of_piece in k:
-        ax["3"].plot(of_piece, whole[of_piece - 1], color=blue)
+        ax["3"].plot(of_piece, 100 * gap[of_piece - 1], color=blue)
+    ax["3"].set(ylim=(-4.5, 4.5))
     said = {
         "1": "each pretends to start at 0",
         "2": "the runner: one step for each piece",
-        "3": "each from its real start",
+        "3": "each from its real start: no seam",
     }
     for name, text in said.items():
-        ax[name].annotate(text, (1, 0.85 * states[:, 0].max()), color=blue)
+        ax[name].annotate(text, (1, 3 if name == "3" else 0.85 * states[:, 0].max()), color=blue)
     plots.finish(ax["1"], "", "1  all pieces at once (m)")
-    plots.finish(ax["2"], "", "2  one piece after the other")
-    plots.finish(ax["3"], "second", "3  all pieces at once")
+    plots.finish(ax["2"], "", "2  one piece after the other (m)")
+    plots.finish(ax["3"], "second", "3  pieces minus one long run (cm); grey: ± σ/10")
     fig.suptitle("Pieces run all at once, the runner visits them,\nand they run all at once again", weight="bold")
     return fig
 
