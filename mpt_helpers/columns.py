@@ -93,8 +93,8 @@ def _coordinates(F, Q, H, variances, P0):
             i = int(np.argmax(np.abs(weights) * sigma))
             change = np.eye(n)
             change[i] = weights
-            # The other coordinates stay what they were. The new one is known to its measurement's variance, if it was
-            # not known better.
+            # The other coordinates stay what they were. The new one is h x. Before the measurement its sigma is at
+            # most the sum of what each coordinate gives; after it, at most that of the measurement's noise.
             sigma[i] = min(np.sqrt(variances[j]), np.abs(weights) @ sigma)
             T = change @ T
             changes.append((LinearMap(change), j, i))
@@ -129,7 +129,10 @@ def _decorrelated(model, rows):
 def _with_noises_as_states(model, rows):
     """Return what `kalman_on_columns` does, for any rows.
 
-    The noises v become states, z = [H I] [x; v], and what is measured has no other noise.
+    The noises v become states, z = [H I] [x; v], and what is measured has no other noise: variances of zero.
+
+    `corrected` divides by S = pᵢ + 0, which is the variance of H x + v. It is positive: v is new in each row, and R is
+    definite, so that no component of v is known from the others.
     """
     n, m = model.n, model.m
     P0 = np.zeros((n + m, n + m))
@@ -168,8 +171,10 @@ class SteppedColumns:
     """Any filter on columns, by its `next_steps`: columns that see the same measurements take their step together.
 
     The innovations are those of the model's step, for a filter whose gain follows its covariance (`optimal`). Others
-    return none: then nothing tells where the pieces of a long track start but that they fit together, to the part of a
-    sigma that `partition` allows.
+    return none, so that `partition` cannot correct the starts of its pieces by measurements. Whether they are right
+    shows where a piece ends: at the start of the next one, or the track is not cut.
+
+    Lengths and variances of rows are not looked at: only a KalmanFilter takes any, and it has `KalmanColumns`.
     """
 
     def __init__(self, estimator):

@@ -3,7 +3,7 @@
 A track goes one of two ways:
 
 1. *Tracks without gaps, at steps and with variances of the model.* They share A_k, B_k and P, which are made once
-   (`steps.shared_steps`), and `steps.run` takes all of them through several steps in one product.
+   (`steps.make_shared_steps`), and `steps.run` takes all of them through several steps in one product.
 2. *All others.* They have conditions of their own, and are columns (`columns`): one row is taken after the other
    (`in_sequence`), or, where a few long tracks would leave the processor idle, pieces run side by side (`partition`).
 
@@ -56,9 +56,10 @@ def estimates(estimator, epochs, x, covariances):
     if shared is None:
         return _by_columns(estimator, epochs, x, covariances)
     run(shared.products, estimator.model.x0[:, None], epochs.z, x)
-    if covariances:
+    if covariances:  # no track has a gap here: those that have went by columns above
         return _finite(np.array([step.P for step in shared.steps])[..., None])
-    # NaN spreads to all that follows: tracks that have some in the end had gaps, and are columns.
+    # Without covariances some may. A gap is NaN, which spreads to all that follows: tracks whose last state is NaN had
+    # one, and run again as columns.
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.all():
         return _by_columns(estimator, epochs, x, covariances)
@@ -72,8 +73,10 @@ def estimates(estimator, epochs, x, covariances):
 def _columns_will_do_all(epochs, covariances):
     """Tell whether no track can be taken by the shared steps: then they are not made.
 
-    With covariances that is so as soon as one track has a gap, as P is an array for all tracks. Without, all need one;
-    many tracks are not searched for that, since their last states show it for nothing.
+    With covariances it is so as soon as one track has a gap: P is one array for all, and then each needs its own.
+
+    Without covariances it is so if all tracks have a gap. Few tracks are searched for that. A search of many costs more
+    than it saves: `estimates` runs them by the shared steps first, and sees which have gaps in their last states.
     """
     if covariances:
         return bool(epochs.missing.any())
@@ -85,9 +88,10 @@ def _columns_will_do_all(epochs, covariances):
 def _by_columns(estimator, epochs, x, covariances):
     """Do what `estimates` does by the second way, so many columns at a time."""
     (N, n, M), layout = x.shape, epochs.layout
-    P = np.empty((N, n, n, layout.columns(M))) if covariances else None
+    P = np.empty((N, n, n, layout.count_of_columns(M))) if covariances else None
     for part in tiles(M, TILE if layout.one_column else TILE_OF_COVARIANCES):
         on_columns = start_on_columns(estimator, layout.rows(epochs.of(part)))
+        # Views of x and P, which `through` writes to.
         written = layout.as_columns(x[..., part]), None if P is None else layout.of_tracks(P, part)
         last, least = through(*on_columns, *written)
         if least < 0:
@@ -139,9 +143,10 @@ def _keeping_what_is_known(motion, advance, row, x, P):
     """Advance, and let a state that is predicted exactly, by a variance of zero, be known exactly afterwards."""
     x, P_next, innovations = advance(row, x, P)
     n = len(motion.one_step[0])
-    known = np.zeros(P_next.shape[1:], bool)
+    known = np.zeros(P_next.shape[1:], bool)  # (d, M)
     known[:n] = np.einsum("jjm->jm", motion.covariance(P[:n, :n], row.lengths)) == 0
-    return x, np.where(known[:, None] | known, 0.0, P_next), innovations
+    row_or_column_is_known = known[:, None] | known  # (d, 1, M) and (d, M) make (d, d, M)
+    return x, np.where(row_or_column_is_known, 0.0, P_next), innovations
 
 
 def in_sequence(advance, rows, x, P, takes=None):
@@ -237,7 +242,8 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
 def innovations(estimator, epochs):
     """Return the innovations z(k) - H x(k/k-1) (N, m, M), NaN where z has NaN, and their covariances S (N, m, m, M).
 
-    S is (N, m, m, 1) where all tracks share it.
+    S is (N, m, m, 1) where all tracks share it. These innovations are in the units of z. An `advance` returns them at
+    unit covariance.
     """
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
     x = np.empty((N, n, M))

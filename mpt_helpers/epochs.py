@@ -5,7 +5,25 @@ A filter makes `Epochs` of what it is given; what runs it afterwards knows nothi
 
 Tracks lie in columns. Where all tracks share their conditions they share their covariances too, and lie in one column;
 otherwise each is a column of its own. `Epochs.layout` decides that, and nobody else; all arrays are laid out by the
-`Layout`.
+`Layout`. Here the second of two tracks misses its second measurement, so that each track is a column:
+
+>>> z = np.array([[1.0, 5.0], [2.0, np.nan], [3.0, 7.0]])[:, None]  # (N, m, M): 3 epochs, 1 measurement, 2 tracks
+>>> epochs = Epochs(z)
+>>> epochs.layout
+Layout(one_column=False)
+>>> _, second, _ = epochs.layout.rows(epochs)
+>>> second.z, second.seen  # (m, c, columns) and (m, columns): one track in each of two columns
+(array([[[2., 0.]]]), array([[ True, False]]))
+
+With the same gaps they lie in one column, and are seen or missing together:
+
+>>> epochs = Epochs(z[:1])
+>>> epochs.layout
+Layout(one_column=True)
+>>> (first,) = epochs.layout.rows(epochs)
+>>> first.z, first.seen  # two tracks in one column
+(array([[[1.],
+        [5.]]]), array([[ True]]))
 """
 
 from dataclasses import dataclass
@@ -100,6 +118,7 @@ class Epochs:
         """Return the covariances of the measurements (N, m, m, M or 1), or (m, m, 1) where all are the model's R."""
         if self.variances is None:
             return R[..., None]
+        # The variances (N, m, 1, M or 1) times the identity (m, m, 1): each stands on the diagonal of its matrix.
         return known_variances(self.variances, R)[:, :, None] * np.eye(len(R))[..., None]
 
 
@@ -108,16 +127,16 @@ class Layout(NamedTuple):
 
     one_column: bool
 
-    def columns(self, tracks):
-        """Return K, the number of columns of so many tracks."""
+    def count_of_columns(self, tracks):
+        """Return how many columns so many tracks have."""
         return 1 if self.one_column else tracks
 
     def as_columns(self, array):
-        """Return a view (..., c, K) of an array (..., M) of all tracks: c tracks in each of K columns."""
+        """Return a view of an array (..., M) of all tracks: (..., M, 1) in one column, else (..., 1, M)."""
         return array[..., None] if self.one_column else array[..., None, :]
 
     def of_tracks(self, P, tracks):
-        """Return a view of the covariances of some tracks, a slice, from those of all columns (..., K)."""
+        """Return a view of the covariances of some tracks, a slice, from those of all columns (..., 1 or M)."""
         return P if self.one_column else P[..., tracks]
 
     def rows(self, epochs):

@@ -26,8 +26,9 @@ from .model import LinearModel
 from .recursive import RecursiveFilter
 from .steps import Step
 
-# How many times as large as the variance of a measurement that of its prediction may be: filterpy's P rounds to some
-# 1e-31 of it, so that here a hundredth of the variance after the measurement is wrong.
+# How many times as large as the variance of a measurement that of its prediction may be. filterpy's P after the
+# measurement is wrong by some 1e-31 of the variance of the prediction. At this limit that is 1e-31 * 1e29 = 1 % of the
+# variance of the measurement, which P is then about.
 LARGEST = 1e29
 # Patterns of missing measurements whose constants a Lainiotis filter keeps.
 MOST_PATTERNS = 64
@@ -64,8 +65,7 @@ class KalmanFilter(RecursiveFilter):
     def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
         if t is not None and model.dt is None:
-            need = "a model that says what a step of another length is (constant_velocity, or a motion of your own)"
-            checks.refuse("t", need, "one whose F and Q are for one length only")
+            _refuse_lengths_of("t")
         object.__setattr__(self, "t", None if t is None else checks.times("t", t))
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
         if r is not None and model.m > 1 and self.r.shape[2:] == (model.m,) and _are_covariances(self.r):
@@ -90,7 +90,8 @@ class KalmanFilter(RecursiveFilter):
 
         length is that of the step in units of the model's dt, r (m,) the variances; the model's where None.
         """
-        # predict and update give the object new attributes, so each step takes a copy of it; copy.copy is slower.
+        # A copy, as predict and update set attributes, and other threads may take a step by the same object. It is made
+        # by hand, without the constructor, which is slow; copy.copy is slower too.
         kf = object.__new__(filterpy.kalman.KalmanFilter)
         vars(kf).update(vars(self._filterpy))
         kf.P = P
@@ -191,8 +192,7 @@ class KalmanFilter(RecursiveFilter):
 
     def _length_of(self, dt):
         if self.model.dt is None:
-            need = "a model that says what a step of another length is (constant_velocity, or a motion of your own)"
-            checks.refuse("dt", need, "one whose F and Q are for one length only")
+            _refuse_lengths_of("dt")
         return dt / self.model.dt
 
     @cached_property
@@ -214,8 +214,17 @@ class KalmanFilter(RecursiveFilter):
         return kf
 
 
+def _refuse_lengths_of(name):
+    need = "a model that says what a step of another length is (constant_velocity, or a motion of your own)"
+    checks.refuse(name, need, "one whose F and Q are for one length only")
+
+
 def _are_covariances(r):
-    """Say whether arrays (N, m, m) look like covariances in all epochs, where they could be variances of m tracks."""
+    """Say whether arrays (N, m, m) look like covariances in all epochs, where they could be variances of m tracks.
+
+    A user with the covariances of a receiver would hand them in, and the shape alone does not tell: taken for variances
+    of m tracks they would make wrong estimates without a word.
+    """
     known = r[np.isfinite(r).all(axis=(1, 2))]
     if not len(known) or (known != known.swapaxes(1, 2)).any():
         return False

@@ -15,7 +15,7 @@ from . import checks
 from .checks import Array, Seconds
 from .equations import square_root
 from .immutable import Immutable
-from .motion import Motion, OneLength, Powers, checked, side_by_side
+from .motion import Motion, OneLength, Powers, checked, joined, refuse_other_lengths
 from .steps import Step, products_for, run
 
 # The longest time step (s): its fifth power, in the Q of constant acceleration, is a double.
@@ -38,7 +38,8 @@ class LinearModel(Immutable):
     Two steps of dt / 2 must be one of dt. A model of F and Q alone knows steps of one length: then dt is None.
 
     `replace` keeps the motion where the new F and Q are a step of its kind (Q may become zero, and of powers any that
-    they fit). Else the model knows one length.
+    they fit). Else the model knows one length, and its dt is None. So for a motion of your own with twice the noise,
+    give the model a new motion: what a new Q would be over other lengths cannot be known from that of one.
 
     Two models are equal, and have the same hash, when all their numbers are equal. So are two filters: a model or a
     filter can be the key of a dictionary.
@@ -104,8 +105,7 @@ class LinearModel(Immutable):
                [0., 1.]])
         """
         if self.dt is None:
-            need = "powers that say what a step of another length is, or a motion that does"
-            checks.refuse("model", need, "an F and a Q of one length only")
+            refuse_other_lengths()
         return self.motion.over(length)
 
     @property
@@ -120,15 +120,29 @@ class LinearModel(Immutable):
 
 
 def _motion(F, Q, dt, powers, motion):
-    """Return the Motion of a model with these F and Q, from what was given of it: dt and powers, or a motion.
+    """Return the Motion of a model with these F and Q, from what was given of it.
 
-    `replace` and copies give all of these; then F and Q may be other ones than those of the motion.
+    A user gives what stands in the first five lines, where a misfit is an error. `replace` and copies give back what
+    the model has, its motion too, with other F, Q, dt or powers among it. There F and Q that do not fit make a model of
+    one length.
+
+        dt    powers   motion                      the motion returned
+        -     -        -                           OneLength
+        -     given    -                           error: without dt, powers say nothing
+        given -        -                           error: what is a step of another length?
+        given given    -                           Powers; error where they do not fit
+        given any      any other kind              its `with_matrices` of F and Q, or OneLength
+
+        -     any      any (`replace` of dt)       OneLength
+        given -        OneLength or Powers         error: what is a step of another length?
+        given given    OneLength or Powers         Powers of what was given; OneLength where they do not fit
     """
     if dt is None:
         if powers is not None and motion is None:
             checks.refuse("powers", "a dt, the length of the step (s) for which F and Q are", "none")
         return OneLength(F, Q)
-    if motion is None or isinstance(motion, OneLength | Powers):  # which F, Q, dt and powers say anew
+    # OneLength and Powers hold nothing but F, Q, dt and powers, which were given too, and may be newer there.
+    if motion is None or isinstance(motion, OneLength | Powers):
         if powers is None:
             checks.refuse(
                 "dt", "powers, or a motion in place of F and Q, that say what a step of another length is", dt
@@ -272,7 +286,7 @@ def stack(*models: LinearModel) -> LinearModel:
             checks.refuse(
                 f"models[{i}].dt", f"a model that says the same dt as models[{first}], {dt_0:g} s", f"{dt:g} s"
             )
-    motion = side_by_side([model.motion for model in models])
+    motion = joined([model.motion for model in models])
     F, Q = motion.one_step
     H, R, P0 = (block_diag(*[getattr(model, name) for model in models]) for name in ("H", "R", "P0"))
     x0 = np.concatenate([model.x0 for model in models])

@@ -111,7 +111,7 @@ class Motion:
     def with_matrices(self, F: Array, Q: Array) -> Motion | None:
         """Return the motion of this kind whose step of one dt has this F and Q, or None where there is none.
 
-        Of most kinds there is one without noise, Q = 0, besides the motion itself.
+        `dataclasses.replace` of a model asks this. The F must be that of this motion, and the Q its own or zero.
         """
         own_F, own_Q = self.one_step
         if not np.array_equal(F, own_F):
@@ -155,6 +155,12 @@ def matrices(rows: ArrayLike) -> Array:
     return np.stack(entries, axis=-1).reshape(*entries[0].shape, len(rows), len(rows[0]))
 
 
+def refuse_other_lengths() -> None:
+    """Raise the ValueError of a model that knows steps of one length only."""
+    need = "powers that say what a step of another length is, or a motion that does"
+    checks.refuse("model", need, "an F and a Q of one length only")
+
+
 @dataclass(frozen=True, eq=False)
 class OneLength(Immutable, Motion):
     """F and Q (n, n) of a step of one length, which need not be known: there are no others."""
@@ -167,8 +173,7 @@ class OneLength(Immutable, Motion):
     def over(self, length: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q. Raises ValueError for another length than one."""
         if np.any(np.asarray(length) != 1):
-            need = "powers that say what a step of another length is, or a motion that does"
-            checks.refuse("model", need, "an F and a Q of one length only")
+            refuse_other_lengths()
         return self.F, self.Q
 
     def with_noises(self, R: Array) -> Motion:
@@ -200,12 +205,16 @@ class Powers(Immutable, Motion):
         """Tell whether two steps of dt / 2 are one of dt, and whether a step of length zero changes nothing."""
         e, F, Q = self.powers, self.F, self.Q
         differences, sums = e[:, None] - e, e[:, None] + e
+        # Whole powers, which `_made` has as products of the lengths.
         if (differences[F != 0] % 1).any() or (sums[Q != 0] % 1).any():
             return False
+        # Over a step of length zero no entry is infinite (0 ** -1), and Q is zero (0 ** 0 is 1).
         if (differences[F != 0] < 0).any() or (sums[Q != 0] <= 0).any():
             return False
+        # Entries of power zero are the same over every step, and so those of the identity.
         if (np.diag(F) != 1).any() or F[(differences == 0) & ~np.eye(len(F), dtype=bool)].any():
             return False
+        # F = F½ F½ and Q = F½ Q½ F½ᵀ + Q½, with F½ and Q½ of half a step, to the rounding of these products.
         half, noise = F * 0.5**differences, Q * 0.5**sums
         with np.errstate(over="ignore"):  # beside the largest doubles the size is infinite
             size = np.abs(half) @ np.abs(Q) @ np.abs(half.T) + np.abs(Q)
@@ -223,10 +232,11 @@ class Powers(Immutable, Motion):
 
     @cached_property
     def _terms(self):
-        """The (i, j, F_ij, power) outside of the diagonal that are not zero.
+        """The (i, j, F_ij, power) outside of the diagonal that are not zero, in the order in which they are added.
 
-        State i moves by states j of lower powers, as these were before the step. So the states of the highest powers
-        come first: then each term reads a row that has not been written yet.
+        `_state` adds F_ij s^power x_j to x_i in place, and must add x_j as it was before the step. j has a lower power
+        than i, so the states of the highest powers come first. Constant acceleration has the powers 5/2, 3/2 and 1/2:
+        the position takes the old velocity and acceleration, and only then the velocity takes the acceleration.
         """
         n, e = len(self.F), self.powers
         highest_first = sorted(range(n), key=lambda i: -e[i])
@@ -278,13 +288,17 @@ class Powers(Immutable, Motion):
 
 @dataclass(frozen=True, eq=False)
 class Noises(Immutable, Motion):
-    """States that are new in each epoch, however long the step: F is zero and Q is R."""
+    """States that are new in each epoch, however long the step: F is zero and Q is R.
+
+    So it breaks what `Motion.over` says of a step of length zero: two epochs at one time have two noises. Only
+    `with_noises` makes it.
+    """
 
     R: Array
     dt: float
 
     def over(self, length: ArrayLike) -> tuple[Array, Array]:
-        """Return F and Q as `Motion.over`; here a step of length zero makes new states too."""
+        """Return F and Q as `Motion.over`, but those of a step of length zero, which are zero and R too."""
         shape = (*np.shape(length), *self.R.shape)
         return np.zeros(shape), np.broadcast_to(self.R, shape)
 
@@ -323,7 +337,7 @@ class SideBySide(Immutable, Motion):
         return _blocks(F), _blocks(Q)
 
     def with_matrices(self, F: Array, Q: Array) -> Motion | None:
-        """Return as `Motion.with_matrices`, with the noise of each motion its own or zero."""
+        """Return as `Motion.with_matrices`: some of the motions may lose their noise, and others keep it."""
         made, start = [], 0
         for motion in self.motions:
             here = slice(start, start + len(motion.one_step[0]))
@@ -336,7 +350,7 @@ class SideBySide(Immutable, Motion):
 
 
 def _blocks(parts):
-    """Return matrices (..., n, n) with parts (..., n_i, n_i) on their diagonal."""
+    """Return matrices (..., n, n) with parts (..., n_i, n_i) on their diagonal; `block_diag` takes no axes before."""
     n = sum(part.shape[-1] for part in parts)
     whole, start = np.zeros((*parts[0].shape[:-2], n, n)), 0
     for part in parts:
@@ -346,7 +360,7 @@ def _blocks(parts):
     return whole
 
 
-def side_by_side(motions: list[Motion]) -> Motion:
+def joined(motions: list[Motion]) -> Motion:
     """Return the motion of states that follow one another, of one length only where one of them is.
 
     Raises ValueError where two know steps of any length, and their dt differ.

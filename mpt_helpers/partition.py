@@ -93,6 +93,10 @@ def starts(advance, pieces, count, x0, P0):
     e - L x, and these are white and of unit variance, so that e = L x + noise measures x. Each start takes one
     Lainiotis step: it is corrected by what the piece measures of it, and moves on by T. A filter of constant gain
     returns no innovations, and nothing corrects its starts.
+
+    For example, a state that stays where it is, F = 1 and Q = 0, is measured twice, H = 1 and R = 1. Known to be at
+    zero, it stays there: x_piece = 0, with innovations e = [z1, z2]. Known to be at 1, where both measurements are
+    zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, M = x0.shape
     # All pieces run from a start of zero that is known exactly. Beside the c tracks of a column run n more, which have
@@ -123,8 +127,9 @@ def starts(advance, pieces, count, x0, P0):
 def _compressed(L, y):
     """Return L (..., p, n) and y (..., p, c) of p <= n rows that tell as much of x: y = L x + noise of unit variance.
 
-    Those given have a row for each innovation of a piece. An orthogonal factor joins them, which leaves the noise white
-    and keeps the digits that sums of squares lose.
+    Those given have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise. Q has orthonormal
+    columns, so that the noise stays white. What Qᵀ drops of y is orthogonal to L x: it is noise alone, and independent
+    of the noise that is kept. Lᵀ L and Lᵀ y would tell the same, but sums of squares lose digits that R keeps.
     """
     Q, R = np.linalg.qr(L)
     return R, Q.swapaxes(-1, -2) @ y
@@ -134,7 +139,13 @@ def agree(x, P, x_next, P_next):
     """Say whether pieces start at x (n, c, M) and P (n, n, M) where the ones before them end, at x_next and P_next.
 
     They are compared along the axes of P_next, each in its own sigma: after a gap a sum of states can be known far
-    better than any state, and is what counts at the next measurement.
+    better than any state, and is what counts at the next measurement. With U diag(d) Uᵀ = P_next, the components of
+    these must be small:
+
+        d^-½ Uᵀ (x - x_next),   d^-½ Uᵀ (P - P_next) U d^-½
+
+    of which the first has the squared norm (x - x_next)ᵀ P_next⁻¹ (x - x_next). Here each state is taken in its own
+    sigma first, so that states of any units may stand side by side.
     """
     if not (np.isfinite(x_next).all() and np.isfinite(P_next).all()):
         return False

@@ -8,15 +8,27 @@ separate filters, predictors) asks less, of measurements z (N, m, M) that are ch
 - `innovations_of(z)`: the innovations and their covariances;
 - `parts`: the filters that it is made of.
 
-Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them. How a `RecursiveFilter` runs stands in
-`engine`. A subclass says one step, `next_step`; `in_columns` may say the same for many columns at once.
+Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them. A subclass of `RecursiveFilter` says
+one step, `next_step`; `in_columns` may say the same for many columns at once. Who calls whom, in a RecursiveFilter:
+
+    filter, estimates_of  ->  run             ->  engine.estimates
+    estimates             ->  estimates_of
+    covariances           ->  estimates
+    smooth                ->  _smoothed       ->  engine.estimates, smoothing.smoothed
+    innovations_of        ->  engine.innovations  ->  engine.estimates
+
+    engine.estimates      ->  shared_steps    ->  next_step                      tracks without gaps
+                          ->  in_columns      ->  advance (of next_steps, or its own)    all others
+
+`_as_given` gives users their tracks back as they came, one or many; `_in_tiles` takes some tracks at a time, so that
+the covariances of all do not have to be in memory at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -155,13 +167,14 @@ class Filter(Immutable):
 class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else works.
 
-    Where its gain does not follow from its covariance and the model, as in a Kalman filter, it says `optimal = False`:
-    then it has no smoother.
+    Its gain is taken for the Kalman filter's for its P, so that P is all that is known. A subclass of another gain must
+    say `optimal = False`, and then has no smoother. If it forgets that, `smooth` goes by a P that is not that of the
+    best estimate, and nothing tells that it is wrong.
     """
 
     model: LinearModel
 
-    optimal = True
+    optimal = True  # other than in Filter, where it is False
 
     def __post_init__(self):
         checks.instance("model", self.model, LinearModel)
@@ -234,22 +247,21 @@ class RecursiveFilter(Filter):
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
         """Return the innovations and their covariances, as in Filter."""
-        return self._in_tiles(self._innovations, self.epochs_of(z), self.model.m)
+        return self._in_tiles(partial(engine.innovations, self), self.epochs_of(z), self.model.m)
 
     def shared_steps(self, N: int, tracks: int) -> SharedSteps | None:
         """Return the steps of tracks without gaps, None where too many differ; the last are kept for the next call."""
+        # Read once and returned from here: another thread may write to `_kept` meanwhile.
         kept_for, kept = self._kept.get("last", (None, None))
         if kept_for != (N, tracks):
-            kept = steps.shared_steps(self.next_step, self.P0, self.model.m, N, tracks)
+            kept = steps.make_shared_steps(self.next_step, self.P0, self.model.m, N, tracks)
             self._kept["last"] = (N, tracks), kept
         return kept
 
     @cached_property
     def _kept(self):
+        """The memory of `shared_steps`, empty at first: a frozen filter takes no new value, but its dict does."""
         return {}
-
-    def _innovations(self, epochs):
-        return engine.innovations(self, epochs)
 
     def _smoothed(self, epochs):
         N, _, M = epochs.z.shape

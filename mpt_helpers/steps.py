@@ -8,7 +8,7 @@ but for rounding: L steps in a row are one matrix product, and that product is t
 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
 
-`shared_steps` makes the steps of a filter, as long as few of them differ.
+`make_shared_steps` makes the steps of a filter, as long as few of them differ.
 """
 
 from itertools import pairwise
@@ -80,13 +80,13 @@ def product_of_steps(A, B):
 
 
 class SharedSteps(NamedTuple):
-    """The Steps of tracks without gaps, and the products of several of them that `run` takes."""
+    """The Step of each epoch (N of them) of tracks without gaps, and the products of several that `run` takes."""
 
     steps: list
     products: list
 
 
-def shared_steps(next_step, P0, m, N, tracks):
+def make_shared_steps(next_step, P0, m, N, tracks):
     """Return the SharedSteps of N epochs without gaps, or None where too many of them differ.
 
     next_step(P, seen) is that of a filter, P0 its P(0/0), m the number of its measurements.
@@ -94,14 +94,15 @@ def shared_steps(next_step, P0, m, N, tracks):
     most = MOST_STEPS if tracks > FEW_TRACKS else MOST_STEPS_OF_FEW
     steps = list(steps_without_gaps(next_step, P0, m, min(N, most)))
     if most < N:
-        if steps[-1] is not steps[-2]:  # not converged: a filter that has repeats one object
+        # `steps_without_gaps` repeats one object as soon as a filter has converged. Two objects: this one has not.
+        if steps[-1] is not steps[-2]:
             return None
         steps += steps[-1:] * (N - most)
     return SharedSteps(steps, products_for(steps, tracks))
 
 
 def steps_without_gaps(next_step, P0, m, N):
-    """Yield the Steps of N epochs without gaps. A filter that has converged repeats one object."""
+    """Yield the Steps of N epochs without gaps. Once a filter has converged, all are one and the same object."""
     P, converged, seen = P0, False, np.ones(m, bool)
     for _ in range(N):
         if not converged:
