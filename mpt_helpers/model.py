@@ -75,7 +75,7 @@ class LinearModel(Immutable):
     ):
         if motion is not None and F is None and Q is None:
             F, Q = checked(motion)
-            dt = motion.dt
+            dt, powers = motion.dt, getattr(motion, "powers", None)  # those of `Powers`; others have none
         elif F is None or Q is None:
             got = "one of them" if (F is None) != (Q is None) else "neither"
             checks.refuse("model", "F and Q, or a motion in place of both", got, TypeError)

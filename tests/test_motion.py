@@ -400,3 +400,9 @@ def test_a_motion_of_no_lengths_has_no_matrices():
     """As of columns that all begin later: an array of size zero does not tell its shape."""
     F, Q = forgetful().over(np.ones(0))
     assert F.shape == Q.shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize("model", [mpt.constant_velocity(0.7, 0.04, 2.0), mpt.stack(forgetful(), forgetful())])
+def test_the_motion_of_a_model_makes_it_again(model):
+    again = mpt.LinearModel(motion=model.motion, H=model.H, R=model.R, x0=model.x0, P0=model.P0)
+    assert again == model
