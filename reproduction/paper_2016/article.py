@@ -10,7 +10,6 @@ from mpt_helpers.metrics import error_moments
 from mpt_helpers.model import constant_acceleration, constant_velocity
 from mpt_helpers.steady import SteadyStateFilter
 
-from .. import burden
 from . import readings, table1
 
 STEPS = 10_000  # of the averages of Table 1, read as percent
@@ -80,11 +79,11 @@ def settled_sigma(column, seconds, noise=0.0):
 
 
 def sigma_table():
-    """Return header and rows of the table to print instead of Table 1: σ in metres."""
-    header = ["σ of the position (m)", "now", "1 s ahead", "3 s ahead", "5 s ahead"]
+    """Return header and rows of the table to print instead of Table 1: the typical error (σ, rms) in metres."""
+    header = ["typical error of the position (m)", "now", "1 s ahead", "3 s ahead", "5 s ahead"]
     rows = []
     for key, column in table1.columns().items():
-        for noise, motion in ((0.0, "exact motion"), (1.0, "with process noise")):
+        for noise, motion in ((0.0, "exact motion"), (1.0, "pushed as Q says")):
             sigma = settled_sigma(column, [0, 1, 3, 5], noise)
             rows.append([f"{table1.NAMES[key]}, {motion}", *(f"{value:.3f}" for value in sigma)])
     return header, rows
@@ -156,22 +155,64 @@ def frozen_step(x, K, z, dt):
     return [each + gain * surprise for each, gain in zip(predicted, K, strict=True)]
 
 
+def varying_step(x, P, z, dt, Q, R):
+    """Return the next estimate [s v] and [P11 P12 P22] of a Kalman filter, written out; Q is [Q11 Q12 Q22].
+
+    >>> x, P = varying_step([0.0, 2.0], [1.0, 0.0, 1.0], z=4.0, dt=1.0, Q=[0.0, 0.0, 0.0], R=2.0)
+    >>> x, P
+    ([3.0, 2.5], [1.0, 0.5, 0.75])
+    """
+    a, b, c = P
+    grown = b + c * dt
+    a, b, c = a + (b + grown) * dt + Q[0], grown + Q[1], c + Q[2]
+    S = a + R
+    K = [a / S, b / S]
+    return frozen_step(x, K, z, dt), [K[0] * R, K[1] * R, c - K[1] * b]
+
+
+def predictor_step(x, B, z, dt, N):
+    """Return the next prediction N steps ahead by Eq. 19, [s v] or [s v a], from the one before; B is B_N.
+
+    It predicts by F, takes the prediction back by N steps to compare it with the measurement, and corrects.
+
+    >>> predictor_step([4.0, 2.0], [1.0, 0.25], z=4.0, dt=1.0, N=2)  # as `frozen_step`, and then two steps on
+    [8.0, 2.5]
+    """
+    back = N * dt
+    s, v, *rest = x
+    if rest:
+        (a,) = rest
+        s, v = s + v * dt + a * (dt**2 / 2), v + a * dt
+        surprise = z - (s + v * -back + a * (back**2 / 2))
+    else:
+        s = s + v * dt
+        surprise = z - (s + v * -back)
+    return [each + gain * surprise for each, gain in zip([s, v, *rest], B, strict=True)]
+
+
 def cost_table():
-    """Return header and rows of the table of operations per step."""
-    written_out = {2: 7, 3: 13}  # what `frozen_step` multiplies and adds
-    five = {2: 1 + 5, 3: 4 + 5 + 4}  # what `positions_ahead` multiplies and adds
-    rows = {}
-    for n in (2, 3):
-        counts = {
-            "Kalman filter, its gain varies": burden.total(burden.kalman(n, 1)),
-            "the paper's line, or one of its predictors": burden.total(burden.steady_state(n, 1)),
-            "the paper's line and five of its predictors": 6 * burden.total(burden.steady_state(n, 1)),
-            "the two frozen lines of track, written out": written_out[n],
-            "the same, and the next five positions": written_out[n] + five[n],
-        }
-        for what, count in counts.items():
-            rows.setdefault(what, []).append(count)
-    return ["operations per step", *table1.NAMES.values()], [[what, *each] for what, each in rows.items()]
+    """Return header and rows of the table of operations per step, written out without products with 0 and 1."""
+    rows = [
+        ["estimate, its gain varies (`varying_step`)", 22, "-"],
+        ["estimate, its gain frozen (`frozen_step`)", 7, 13],
+        ["estimate, and one position ahead", 7 + 2, 13 + 4],
+        ["predictor of the paper (`predictor_step`)", 9, 17],
+        ["estimate, and the next five positions (`positions_ahead`)", 7 + 6, 13 + 13],
+    ]
+    return ["additions and multiplications", *table1.NAMES.values()], rows
+
+
+def without_noise(column, steps=STEPS):
+    """Return the averages of Table 1 if neither the mobile nor the sensor has noise, (6,): the wrong start alone.
+
+    >>> (100 * without_noise(table1.columns()["cv"])).round(4)
+    array([0.0106, 0.0135, 0.0147, 0.0155, 0.016 , 0.0164])
+    """
+    each = []
+    for axis in (0, 1):
+        mean, _ = table1.mean_and_variance(column, axis, steps)
+        each.append((np.abs(mean) / column.positions(axis, steps)).mean(axis=1))
+    return np.mean(each, axis=0)
 
 
 def percent_of_position(column):
@@ -184,7 +225,7 @@ def percent_of_position(column):
 
 
 def draw_start(steps=25):
-    """Return a figure of the rms error of the estimate at constant velocity, x axis, of two starts."""
+    """Return a figure of the typical (rms) error of the estimate at constant velocity, x axis, of two starts."""
     fig, axes = plots.panels([["cv"]], height=3.4)
     ax = axes["cv"]
     column = table1.columns()["cv"]
@@ -200,15 +241,18 @@ def draw_start(steps=25):
     ax.set_yticks([0.1, 0.3, 1, 3, 10], ["0.1", "0.3", "1", "3", "10"])
     ax.minorticks_off()
     zero = rms["steady"][:10].argmin()
-    ax.annotate("its error passes\nthrough zero", (k[zero], rms["steady"][zero]), (2, 52), textcoords="offset points",
-                color=frozen.get_color(), arrowprops={"arrowstyle": "-", "color": "0.6", "relpos": (0, 0)})  # fmt: skip
+    crossing = "its mean error passes\nthrough zero"
+    ax.annotate(crossing, (k[zero], rms["steady"][zero]), (2, 52), textcoords="offset points", color=frozen.get_color(),
+                arrowprops={"arrowstyle": "-", "color": "0.6", "relpos": (0, 0)})  # fmt: skip
     plots.label_line(varying, f"the gain varies first: settles at {rms['kalman'][-1]:.2f} m", at=5, xytext=(0, -26))
     ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(table1.R)), (0, 5), textcoords="offset points", ha="right",
                 color=measured.get_color())  # fmt: skip
-    ax.set_ylabel("rms error (m)")
+    ax.set_ylabel("typical error (m)")
     faster, _ = table1.mean_and_variance(column, 1, steps, column.steady)
     slow, fast = rms["steady"].max(), np.abs(faster[0]).max()
-    plots.label_line(frozen, f"frozen at once: {slow:.0f} m off\n({fast:.0f} m at 30 m/s)", at=4, xytext=(8, -6))
+    plots.label_line(
+        frozen, f"frozen at once: up to {slow:.0f} m off\n(not drawn: {fast:.0f} m at 30 m/s)", at=4, xytext=(8, -6)
+    )
     plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {slow:.0f} to {fast:.0f} m off")
     ax.get_legend().remove()
     return fig
@@ -235,15 +279,15 @@ def draw_sum(single=10):
     ax.bar(np.arange(1, single + 1), added[:single], color=colour, label="each of the first ten steps")
     ax.bar(single + 2, others, color="0.45", label="all later steps together")
     for k in range(1, 5):
-        ax.annotate(f"{added[k - 1]:.0f} %", (k, added[k - 1]), (0, 2), textcoords="offset points", ha="center",
+        ax.annotate(f"{added[k - 1]:.0f}", (k, added[k - 1]), (0, 2), textcoords="offset points", ha="center",
                     color=colour)  # fmt: skip
-    ax.annotate(f"the other {STEPS - single:,} steps\ntogether: {others:.0f} %", (single + 2, others), (10, 6),
+    ax.annotate(f"the other {STEPS - single:,} steps\ntogether: {others:.0f}", (single + 2, others), (10, 6),
                 textcoords="offset points", ha="right", color="0.35")  # fmt: skip
     ax.set_xticks([*range(1, single + 1), single + 2], [*map(str, range(1, single + 1)), "later"])
     ax.set_ylim(0, 52)
     ax.set_ylabel("error / position (%)")
-    share = 100 * added[:single].sum() / added.sum()
-    plots.finish(ax, "step", f"Ten of {STEPS:,} steps make {share:.0f} % of Table 1's first number")
+    first, total = added[:single].sum(), added.sum()
+    plots.finish(ax, "step", f"If the run had {STEPS:,} steps: ten of them make {first:.0f} of {total:.0f} %")
     ax.get_legend().remove()
     return fig
 
@@ -263,8 +307,9 @@ def draw_time_step():
     ax.set_xlim(-0.2, SECONDS + 2.6)  # room for the labels
     ax.set_xticks(range(SECONDS + 1))
     ax.set_ylabel("σ of the position (m)")
-    ax.annotate("circles: one step ahead", (2, settled_sigma(table1.columns(dt=2.0)["cv"], [2])[0]), (14, -50),
-                textcoords="offset points", color=colour)  # fmt: skip
+    ax.annotate("circles: one step ahead", (2, settled_sigma(table1.columns(dt=2.0)["cv"], [2])[0]), (12, -34),
+                textcoords="offset points", color=colour,
+                arrowprops={"arrowstyle": "-", "color": "0.6"})  # fmt: skip
     plots.finish(ax, "seconds ahead", "Counted in seconds, the time step hardly matters")
     ax.get_legend().remove()
     return fig
