@@ -558,17 +558,43 @@ def test_the_filter_of_the_article_is_the_package_s(cells):
     np.testing.assert_allclose([P for _, P in made], theirs.P, atol=1e-8)
 
 
-def test_the_smoothing_of_the_article_begins_anew_after_a_slip_and_outlives_a_gap(cells):
-    (text,) = [source(cell) for cell in cells[0] if "a cycle slip" in source(cell)]
-    for missing in ("", "code[100:103] = np.nan\n", "phase[100:103] = np.nan\n"):
-        names = {"np": np}
-        exec(text.replace("smooth, count", f"{missing}smooth, count"), names)
-        wrong = (names["smooth"] - names["true"])[10:]
-        assert np.isfinite(wrong).sum() == len(wrong) - 3 * missing.startswith("phase")
-        assert np.nanmax(np.abs(wrong)) < 1.5  # at a start one code, 0.5 m: three of it
-        assert np.sqrt(np.nanmean(wrong**2)) < 0.13
-        code, phase, smooth = (names[name][350:355] for name in ("code", "phase", "smooth"))
-        assert smooth[-1] - phase[-1] == pytest.approx(np.mean(code - phase))  # a mean from the slip on
+@pytest.fixture
+def hatch(cells):
+    return function_of(cells, "hatch")
+
+
+def ranges_with_a_slip(slip, noise):
+    rng = np.random.default_rng(1)
+    true = 2.1e7 + 400.0 * np.arange(600)
+    return true, true + noise * rng.standard_normal(600), true + 12.3 + np.where(np.arange(600) >= 350, slip, 0.0)
+
+
+@pytest.mark.parametrize("slip", [8.0, 1.5, -1.5])
+@pytest.mark.parametrize("missing", ["", "code", "phase"])
+def test_the_smoothing_of_the_article_begins_anew_after_a_slip_and_after_what_is_missing(hatch, missing, slip):
+    """The slip is inside the gap: a filter that goes on through it is wrong by as much. A small one needs the gap."""
+    true, code, phase = ranges_with_a_slip(slip if missing else 8.0, 0.5)
+    gone = slice(345, 355) if missing else slice(0)
+    {"": code, "code": code, "phase": phase}[missing][gone] = np.nan
+    smooth = hatch(code, phase)
+    np.testing.assert_array_equal(np.isnan(smooth), np.isnan(code + phase))
+    wrong = smooth - true
+    assert np.nanmax(np.abs(wrong)) < 2.0  # at a start it is one code, of 0.5 m: four of it
+    assert np.sqrt(np.nanmean(wrong[10:] ** 2)) < 0.13
+    first = 355 if missing else 350
+    for k in (first, first + 4, first + 9):  # a mean from there on
+        assert smooth[k] - phase[k] == pytest.approx(np.mean((code - phase)[first : k + 1]))
+
+
+def test_a_small_slip_goes_unnoticed_and_fades(hatch, cells):
+    assert "nine tenths of it are in the distance at once, and still a tenth twenty fixes later" in prose(cells)
+    for slip in (1.5, 2.9):
+        true, code, phase = ranges_with_a_slip(slip, 0.0)
+        wrong = (hatch(code, phase) - true) / slip
+        np.testing.assert_allclose(wrong[[349, 350, 370]], [0, 0.9, 0.9**21], atol=1e-6)
+        assert 0.9**21 == pytest.approx(0.1, abs=0.01)
+    true, code, phase = ranges_with_a_slip(3.1, 0.0)
+    np.testing.assert_allclose(hatch(code, phase), true, atol=1e-6)
 
 
 def test_the_tracker_s_own_innovations_are_those_of_the_kalman_filter():
