@@ -452,8 +452,8 @@ def left_of_the_noise(cases):
 def test_every_number_of_the_article_is_printed_by_its_cells(cases, cells):
     """Those with decimals; whole percents stand in the tests below.
 
-    2.55 is what two frequencies make of a bias, 1.4, 0.1 and 0.15 stand in the test of the rule for q, 0.23 is what a mean whose old
-    fixes fade leaves of their noise.
+    2.55 is what two frequencies make of a bias; 1.4, 0.1 and 0.15 stand in the test of the rule for q; 0.23 is what a
+    mean whose old fixes fade leaves of their noise.
     """
     faded = np.sqrt(0.1 / (2 - 0.1))  # each fix counts a tenth: the variance of such a mean is g / (2 - g)
     computed = f"{recorded.AMPLIFIED:.2f} {faded:.2f} 1.4 0.1 0.15"
