@@ -81,8 +81,8 @@ def draw_biases(case, raw):
 def draw_recorded(cases):
     """Draw how far a line through n fixes reduces their error: as a whole, and of noise and lasting error apart."""
     plots.use_style()
-    fig, ax = plots.panels([["whole", "parts"]], height=3.0)
-    titled(fig, "A line works on the noise. The lasting error stays")
+    fig, ax = plots.panels([["whole", "parts"]], height=3.6)
+    titled(fig, "A line fit takes out the noise. The lasting error stays")
     independent = [line_sigma(n, n) for n in LENGTHS]
     colours = {"errors": "0.35", "noise": plots.COLOUR_OF["measured"], "lasting": plots.COLOURS[0]}
     for case in cases.values():
@@ -94,13 +94,15 @@ def draw_recorded(cases):
     for panel in ax.values():
         panel.plot(LENGTHS, independent, "k:")
         panel.set_ylim(0, 1.25)
-    ax["whole"].text(30, 1.1, "one frequency")
-    ax["whole"].text(27, 0.635, "two, dashed")
-    ax["whole"].text(35, 0.09, "if independent")
+    for case in cases.values():  # the name at the end of its curve
+        label = f"{case.station} {1 + recorded.KINDS.index(case.kind)}"
+        ax["whole"].text(103, recorded.newest_ratio(case.errors, LENGTHS[-1]), label, va="center", fontsize=10)
+    ax["whole"].set(xlim=(-3, 160), xticks=(0, 50, 100))
+    ax["whole"].text(45, 0.09, "if independent")
     ax["parts"].text(30, 1.14, "lasting error", color=colours["lasting"])
     ax["parts"].text(55, 0.42, "noise")
-    plots.finish(ax["whole"], "fixes n in the line", "error (one fix = 1)")
-    plots.finish(ax["parts"], "fixes n in the line", "its two parts")
+    plots.finish(ax["whole"], "fixes n fitted", "error (one fix = 1)")
+    plots.finish(ax["parts"], "fixes n fitted", "its two parts")
     return fig
 
 
@@ -121,8 +123,8 @@ def draw_stated(filtered):
             y = -j - 0.27 * i
             label = {"label": word} if j == 0 else {}
             panel.plot([stated, made], [y, y], "-", color=colour, lw=2, **label)
-            panel.plot(stated, y, "o", color=colour, mfc="white", ms=9)
-            panel.plot(made, y, "o", color=colour, ms=6)
+            panel.plot(stated, y, "o", color=colour, mfc="white", ms=11)
+            panel.plot(made, y, "o", color=colour, ms=5)
             panel.annotate(f"{made / stated:.1f} x", (max(made, stated), y), (6, -4), textcoords="offset points")
             right = max(right, made, stated)
         ticks.append(
@@ -131,7 +133,7 @@ def draw_stated(filtered):
     panel.set_yticks(*zip(*ticks, strict=True))
     panel.set_xlim(0, 1.18 * right)
     minutes = recorded.WINDOW * next(iter(filtered.values())).step / 60
-    plots.finish(panel, "m; ○ stated, ● made; beside: made over stated", f"error in space after {minutes:.0f} minutes")
+    plots.finish(panel, "○ stated, ● made; beside: made over stated", f"error in space (m) after {minutes:.0f} minutes")
     plots.legend_below(panel, 3)
     return fig
 
@@ -196,11 +198,11 @@ def of_95(errors):
 
 
 def memories(cases):
-    """Return a row for each case: how alike errors are a span apart, and what mean and line of the span leave."""
+    """Return a row for each case: what the mean and the newest point of a line leave, over one span."""
     rows = []
     for name, case in cases.items():
         found = memory((case.seconds, case.errors), recorded.WINDOW * case.step)
-        rows.append([name, *(f"{each:.2f}" for each in found)])
+        rows.append([name, *(f"{each:.2f}" for each in (found.mean, found.newest))])
     return rows
 
 
