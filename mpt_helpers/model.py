@@ -77,8 +77,8 @@ class LinearModel(Immutable):
             F, Q = checked(motion)
             dt, powers = motion.dt, getattr(motion, "powers", None)  # those of `Powers`; others have none
         elif F is None or Q is None:
-            got = "one of them" if (F is None) != (Q is None) else "neither"
-            checks.refuse("model", "F and Q, or a motion in place of both", got, TypeError)
+            lacking, other = ("F", "Q") if F is None else ("Q", "F")
+            checks.refuse(lacking, f"a matrix, as {other} does, or a motion in place of both", None, TypeError)
         n, m = checks.rows("F", F), checks.rows("H", H)
         given = {
             "F": checks.array("F", F, (n, n)),

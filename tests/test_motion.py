@@ -279,11 +279,15 @@ REFUSED = {
         ValueError,
         "lengths .K,.: see `matrices`, got of 3 lengths, the error",
     ),
-    "no Q": (lambda: mpt.LinearModel(F=[[1]], H=[[1]], R=[[1]]), TypeError, "F and Q, or a motion in place of both"),
+    "no Q": (
+        lambda: mpt.LinearModel(F=[[1]], H=[[1]], R=[[1]]),
+        TypeError,
+        "Q: needs a matrix, as F does, or a motion",
+    ),
     "no F": (
         lambda: mpt.LinearModel(H=[[1]], R=[[1]]),
         TypeError,
-        "model: needs F and Q, or a motion in place of both, got neither",
+        "F: needs a matrix, as Q does, or a motion in place of both, got None",
     ),
     "dt without powers": (lambda: given(dt=1.0), ValueError, "dt: needs powers, or a motion in place of F and Q"),
     "powers without dt": (lambda: given(powers=[0.5]), ValueError, "powers: needs a dt"),
