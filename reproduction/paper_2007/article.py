@@ -94,10 +94,12 @@ def draw_recorded(cases):
     for panel in ax.values():
         panel.plot(LENGTHS, independent, "k:")
         panel.set_ylim(0, 1.25)
-    for case in cases.values():  # the name at the end of its curve
-        label = f"{case.station} {1 + recorded.KINDS.index(case.kind)}"
-        ax["whole"].text(103, recorded.newest_ratio(case.errors, LENGTHS[-1]), label, va="center", fontsize=10)
-    ax["whole"].set(xlim=(-3, 160), xticks=(0, 50, 100))
+    names = {f"{each.station} {1 + recorded.KINDS.index(each.kind)}": each.errors for each in cases.values()}
+    at = 0.0
+    for ratio, name in sorted((recorded.newest_ratio(errors, LENGTHS[-1]), name) for name, errors in names.items()):
+        at = max(ratio, at + 0.08)  # at the end of its curve; where two end close together, above the other
+        ax["whole"].text(103, at, name, va="center")
+    ax["whole"].set(xlim=(-3, 165), xticks=(0, 50, 100))
     ax["whole"].text(45, 0.09, "if independent")
     ax["parts"].text(30, 1.14, "lasting error", color=colours["lasting"])
     ax["parts"].text(55, 0.42, "noise")
