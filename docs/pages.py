@@ -61,7 +61,8 @@ PART_2 = re.compile(r"(?m)^## Part II\b")
 # What the filter of the values calls all that did not come out as printed.
 NOT_REPRODUCED = "not reproduced"
 # What a reader of the values comes for, first.
-WORST_FIRST = (ERRATUM, DIFFERS, IN_PART, CANNOT_BE_CHECKED, WITHIN_BAND, REPRODUCED)
+FAILS = (ERRATUM, DIFFERS)
+WORST_FIRST = (*FAILS, IN_PART, CANNOT_BE_CHECKED, WITHIN_BAND, REPRODUCED)
 # What a page holds for the site, hidden where Markdown is shown as it is: a template.
 INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
 CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  # for readers of a checkout only
@@ -225,11 +226,14 @@ def svg_size(path):
 
 
 def texts(given):
-    """Return papers.toml with what it looks up in verdicts; raises KeyError for an item that is not there."""
+    """Return papers.toml with what it looks up or counts in verdicts; raises KeyError for an item that is not there."""
     by_id = {(each.paper, each.id): each for each in given}
     lookups = {
         "printed": lambda paper, id: by_id[paper, id].printed,
         "computed": lambda paper, id: by_id[paper, id].computed,
+        "failing": lambda paper, table: sum(
+            each.verdict in FAILS and each.id.startswith(f"{table}.") for each in given.of(paper)
+        ),
     }
     plain = Environment(undefined=StrictUndefined)
     said = plain.from_string((DOCS / "papers.toml").read_text(encoding="utf-8")).render(lookups)
@@ -570,7 +574,7 @@ def environment():
         "BASES": BASES,
         "CAUSE_KINDS": CAUSE_KINDS,
         "OF_CLAIMS": OF_CLAIMS,
-        "FAILS": (ERRATUM, DIFFERS),
+        "FAILS": FAILS,
         "grouped": grouped,
         "worst_first": worst_first,
         "claims": claims,
