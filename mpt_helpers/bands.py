@@ -378,7 +378,7 @@ def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
 
 
 def _repeats(z, before):
-    """Say which measurements z (..., m) are those before them, to the last bit."""
+    """Tell which measurements z (..., m) repeat the ones before them, to the last bit."""
     return ((z == before) | (np.isnan(z) & np.isnan(before))).all(axis=-1)
 
 
@@ -420,7 +420,7 @@ def _local(average):
 
 
 def _memory(fixes):
-    """Return over how many fixes the errors are remembered, from how many there are in one horizon."""
+    """Return the number of fixes over which errors are remembered, from the number of fixes in one horizon."""
     return max(SHORTEST_MEMORY, fixes)
 
 
@@ -457,7 +457,7 @@ def _follow(a, rows, log_f, level, band):
 
 
 def _move(error, half_width, fixes, level):
-    """Return by how much log f moves when a prediction comes due, checked so many fixes after it was made."""
+    """Return the change of log f when a prediction comes due, checked so many fixes after it was made."""
     return _gain(fixes) * ((error > half_width) - (1 - level))
 
 
@@ -481,7 +481,7 @@ def _each_track(a):
 
 
 def _independent(a, where):
-    """Return how many of some predictions begin when the one counted before has ended."""
+    """Return the number of predictions that do not overlap: each begins when the one counted before it has ended."""
     count, end, track = 0, -np.inf, -1
     for made, due, of_track in zip(a.made[where].tolist(), a.due[where].tolist(), a.track[where].tolist(), strict=True):
         if made >= end or of_track != track:
@@ -507,7 +507,7 @@ def _has_conditions(estimator):
 
 
 def _checked_band(name, a, band, where):
-    """Return the band, and by which errors it is judged, (K, m): those measured, as `where` says, of a half-width.
+    """Return the band, and a mask (K, m) of the errors that judge it: measured, where `where` says, with a half-width.
 
     `name` is that of the function that judges, for the warning of errors without a half-width.
     """

@@ -1,4 +1,4 @@
-"""What a model, measurements and counts must be: bad input is refused by name, before anything is computed.
+"""Checks of models, measurements and counts: bad input is refused by name, before anything is computed.
 
 The checks run where a user passes something in. Everything behind that point trusts what it gets.
 """

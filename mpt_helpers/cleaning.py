@@ -196,7 +196,7 @@ def least_distance(z: Array) -> float:
 
 
 def usual(t: Array, z: Array, rounding: float) -> Usual:
-    """Return what is Usual on a track, faults and all."""
+    """Return the Usual of a track, faults and all."""
     rows = np.flatnonzero(np.isfinite(z).all(axis=1))
     seconds, moved = np.diff(t[rows]), np.sqrt((np.diff(z[rows], axis=0) ** 2).sum(axis=1))
     later = seconds > 0
@@ -401,7 +401,7 @@ def _from_an_unknown_start(line, q, r, each, about=1.0):
 
 
 def band_of(line: Stretches, motion: Motion, each: Usual, seconds: float) -> Band | None:
-    """Return what predictions are worth on the second half of a line, or None where it has too few of them.
+    """Return the Band of the second half of a line, or None where it has too few predictions.
 
     q and r are fitted anew, on the first half.
     """
@@ -493,7 +493,7 @@ class Cleaned:
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """Which rows are fixes that are kept, (N,)."""
+        """The mask of the fixes that are kept, (N,)."""
         return self.pieces >= 0
 
     @property
@@ -503,11 +503,11 @@ class Cleaned:
 
     @property
     def stretches(self) -> int:
-        """How many stretches there are."""
+        """The number of stretches."""
         return int(self.pieces.max()) + 1
 
     def report(self) -> str:
-        """Return what was done to the track and found about it, in words."""
+        """Return a report, in words, of what was done to the track and what was found about it."""
         return report.text(self)
 
     def summary(self) -> dict[str, Any]:

@@ -41,10 +41,10 @@ class KalmanFilter(RecursiveFilter):
         A_k = (I - K_k H) F,   B_k = K_k
 
     t are the times of the epochs, (N,) for all tracks or (N, M) for each: numbers in s, or dates, as datetime64,
-    datetimes and a pandas index are. They do not decrease; x0 lies one step dt
-    of the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
-    `constant_acceleration` do. r are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R:
-    the accuracy that a receiver states of each fix. They are looked at only where there is a measurement.
+    datetimes and a pandas index are. They do not decrease; x0 lies one step dt of the model before t[0]. The model must
+    say what a step of another length is, as `constant_velocity`, `constant_acceleration` and motions of your own do. r
+    are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R: the accuracy that a receiver
+    states of each fix. They are looked at only where there is a measurement.
 
     Raises TypeError for anything but a model, and ValueError for times that a model does not take or that decrease, and
     for variances that are not positive.

@@ -1,4 +1,4 @@
-"""Which fixes of a recorded track are faults: one pass of a Kalman filter in sequence, which makes a mask.
+"""The faults among the fixes of a recorded track: one pass of a Kalman filter in sequence, which makes a mask.
 
 A receiver errs in two ways that no filter expects. Single fixes, or a few in a row, lie far off; and the whole track
 jumps, as when the signal comes back, and goes on from elsewhere. The gate tells one from the other:
@@ -183,13 +183,13 @@ class _Way:
         self._fast = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
 
     def too_fast(self, a, b, at_most=FASTER):
-        """Tell of each way from a row of a to a row of b whether it is so many times as fast as a track usually is."""
+        """Tell which ways, from rows of a to those of b, are over `at_most` times as fast as a track usually is."""
         a, b = np.array(a, dtype=int), np.array(b, dtype=int)
         seconds = np.maximum(self._times[b] - self._times[a], 1e-9)
         return (self._recording[a] == self._recording[b]) & (self._lengths(a, b) > at_most * self._fast * seconds)
 
     def distance(self, a, b):
-        """Return how far two fixes are apart, in what both of them have measured."""
+        """Return the distance between two fixes, along the axes that both of them have measured."""
         return float(self._lengths(a, b))
 
     def speed(self, a, b):

@@ -226,7 +226,7 @@ def _of_lasting(errors, r):
 
 
 class Memory(NamedTuple):
-    """How much of an error is left after a span: the result of `memory`.
+    """The part of an error that is left after a span: the result of `memory`.
 
     correlation is that of two errors a span apart. mean is the error of the mean of the fixes of a span, newest that of
     the newest point of a line through them, both over the error of one fix.
@@ -238,7 +238,7 @@ class Memory(NamedTuple):
 
 
 def memory(log: tuple[ArrayLike, ArrayLike], span: float) -> Memory:
-    """Return how much an average over `span` seconds leaves of the errors of a receiver that did not move.
+    """Return the part of the errors of a receiver at rest that an average over `span` seconds leaves, as a Memory.
 
     The log is a pair (t, z) as in `fit_lasting`; errors count from its mean, all axes together. A span of n fixes whose
     errors are independent has a correlation of 0, a mean of 1/√n and a newest point of nearly 2/√n. One whose errors

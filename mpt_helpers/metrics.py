@@ -1,4 +1,4 @@
-"""How far estimates lie from each other and from the truth, and how far they should."""
+"""The distances of estimates from each other and from the truth, and the sizes that they should have."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _squares(values, C):
 
 
 class Squares(NamedTuple):
-    """What each row tells of how probable it was, (N, M): νᵀ S⁻¹ ν, log det S, and how many numbers it holds."""
+    """The terms of the log likelihood of each row, (N, M): νᵀ S⁻¹ ν, log det S, and the count of its numbers."""
 
     squares: Array
     log_det: Array
@@ -158,7 +158,7 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
 
 
 def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
-    """Return what looks wrong with measurements, or with the filter for them: sentences by kind, none if all is well.
+    """Return warnings, by kind, of what looks wrong with measurements or with the filter for them; none if all is well.
 
     It knows nothing but the innovations and the times, and cannot tell metres from feet. The kinds are
 
@@ -203,7 +203,7 @@ def _said_of_units(ratio):
 
 
 def _said_of_the_farthest(ratios):
-    """Say which NIS (N, m, M), over the median one, stands out."""
+    """Name the largest NIS of `ratios` (N, m, M), over the median one, where it stands out."""
     worst = np.unravel_index(np.nanargmax(ratios), ratios.shape)
     if ratios[worst] <= STANDS_OUT:
         return ""

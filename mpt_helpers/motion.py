@@ -1,4 +1,4 @@
-"""What a step does to the state: F and Q, over one step of the model's dt or over steps of any length.
+"""Motions: F and Q, by which a step changes the state, over one dt of the model or over steps of any length.
 
     x <- F x,   P <- F P Fᵀ + Q
 
@@ -127,7 +127,7 @@ class Motion:
     # The three below are what `Powers` does in fewer operations.
 
     def _made(self, lengths):
-        """Return what `_state` and `_covariance` need of the lengths."""
+        """Return the matrices or numbers of the lengths that `_state` and `_covariance` need."""
         # F and Q may be dear, as those of a matrix exponential: those of equal lengths are made once.
         of_each, which = np.unique(lengths, return_inverse=True)
         which = which.reshape(np.shape(lengths))  # numpy 2.0 returned another shape than 1.26 and 2.1
@@ -337,7 +337,7 @@ class SideBySide(Immutable, Motion):
         return _blocks(F), _blocks(Q)
 
     def with_matrices(self, F: Array, Q: Array) -> Motion | None:
-        """Return as `Motion.with_matrices`: some of the motions may lose their noise, and others keep it."""
+        """Return the motion as `Motion.with_matrices`: some of its parts may lose their noise, and others keep it."""
         made, start = [], 0
         for motion in self.motions:
             here = slice(start, start + len(motion.one_step[0]))

@@ -1,4 +1,4 @@
-"""What every filter offers its users, and what the package asks of a filter: the base classes of all of them.
+"""The base classes of all filters: the methods for users, and those that the rest of the package calls.
 
 A user has `filter`, `estimates`, `covariances`, `smooth` and `step`. The rest of the package (metrics, bands, joint and
 separate filters, predictors) asks less, of measurements z (N, m, M) that are checked:
