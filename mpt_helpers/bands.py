@@ -493,8 +493,8 @@ def _model_of_any_step(estimator):
     if not isinstance(estimator, Filter):
         checks.refuse("estimator", "a filter", f"{estimator!r:.60}", TypeError)
     if estimator.model.dt is None:
-        need = "a model that knows steps of any length, such as constant_velocity or constant_acceleration"
-        checks.refuse("estimator", need, "one whose dt and powers are not known")
+        need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
+        checks.refuse("estimator", need, "one whose F and Q are for one length only")
     if any(map(_has_conditions, estimator.parts)):
         need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
         checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")

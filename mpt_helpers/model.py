@@ -15,7 +15,7 @@ from . import checks
 from .checks import Array, Seconds
 from .equations import square_root
 from .immutable import Immutable
-from .motion import Motion, OneLength, Powers, checked, joined, refuse_other_lengths
+from .motion import Motion, OneLength, Powers, checked, joined, powers_of, refuse_other_lengths
 from .steps import Step, products_for, run
 
 # The longest time step (s): its fifth power, in the Q of constant acceleration, is a double.
@@ -75,7 +75,7 @@ class LinearModel(Immutable):
     ):
         if motion is not None and F is None and Q is None:
             F, Q = checked(motion)
-            dt, powers = motion.dt, getattr(motion, "powers", None)  # those of `Powers`; others have none
+            dt, powers = motion.dt, powers_of(motion)
         elif F is None or Q is None:
             lacking, other = ("F", "Q") if F is None else ("Q", "F")
             checks.refuse(lacking, f"a matrix, as {other} does, or a motion in place of both", None, TypeError)
@@ -91,7 +91,7 @@ class LinearModel(Immutable):
         dt = None if dt is None else checks.positive("dt", checks.as_seconds(dt))
         powers = None if powers is None else checks.array("powers", powers, (n,))
         found = _motion(given["F"], given["Q"], dt, powers, motion)
-        given |= {"dt": found.dt, "powers": found.powers if isinstance(found, Powers) else None, "motion": found}
+        given |= {"dt": found.dt, "powers": powers_of(found), "motion": found}
         for name, value in given.items():
             object.__setattr__(self, name, value)
 
@@ -298,7 +298,7 @@ def stack(*models: LinearModel) -> LinearModel:
         x0=x0,
         P0=P0,
         dt=motion.dt,
-        powers=motion.powers if isinstance(motion, Powers) else None,
+        powers=powers_of(motion),
         motion=motion,
     )
 
