@@ -123,14 +123,13 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> Ahead:
     (array([0., 1.]), array([3., 3.]), array([-0.02,  0.04]), array([0.56, 0.53]), 2)
     """
     model = _model_of_any_step(estimator)
-    seconds = checks.positive("seconds", checks.as_seconds(seconds))
+    seconds = checks.duration("seconds", seconds)
     z = checks.measurements(z, model.m)
     x, P = estimator.estimates(z)
     if z.ndim == 2:
         z, x, P = z[..., None], x[..., None], P[..., None]
     N, m, M = z.shape
-    t = model.dt * np.arange(N) if estimator.t is None else estimator.t
-    t = np.broadcast_to(t.reshape(N, -1), (N, M))
+    t = np.broadcast_to(estimator.times_of(N).reshape(N, -1), (N, M))
     R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
     parts = []
     for c in range(M):
@@ -163,7 +162,7 @@ def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Arr
     array([1.96 , 1.95 , 2.145, 2.134])
     """
     checks.instance("a", a, Ahead)
-    level = _level(level)
+    level = checks.level(level)
     log_f = _start(a.seconds, a.errors.shape[1], before, level)
     band = np.empty_like(a.sigma)
     for rows in _each_track(a):
@@ -223,7 +222,7 @@ def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayL
     """
     band, judged = _checked_band("interval_score", a, band, where)
     missed_by = np.maximum(np.abs(a.errors) - band, 0)
-    return np.nanmean(np.where(judged, 2 * band + 2 / (1 - _level(level)) * missed_by, np.nan), axis=0)
+    return np.nanmean(np.where(judged, 2 * band + 2 / (1 - checks.level(level)) * missed_by, np.nan), axis=0)
 
 
 def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
@@ -268,8 +267,8 @@ class LiveBand:
 
     def __init__(self, estimator: Filter, seconds: Seconds, before: Ahead | None = None, level: float = 0.95):
         self.model = _model_of_any_step(estimator)
-        self.seconds = checks.positive("seconds", checks.as_seconds(seconds))
-        self.level = _level(level)
+        self.seconds = checks.duration("seconds", seconds)
+        self.level = checks.level(level)
         self.log_f = _start(self.seconds, self.model.m, before, self.level)
         self.average = 1.0  # a: the recent average of NIS / m
         self.last = None  # the estimate of the last call: time, x, P
@@ -532,7 +531,3 @@ def _checked_band(name, a, band, where):
             f"{name}: left out {unstated} of {measured.sum()} errors, whose band is NaN: nothing was stated of them"
         )
     return band, judged
-
-
-def _level(level):
-    return checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)
