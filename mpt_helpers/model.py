@@ -88,7 +88,7 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
         }
-        dt = None if dt is None else checks.positive("dt", checks.as_seconds(dt))
+        dt = None if dt is None else checks.duration("dt", dt)
         powers = None if powers is None else checks.array("powers", powers, (n,))
         found = _motion(given["F"], given["Q"], dt, powers, motion)
         given |= {"dt": found.dt, "powers": powers_of(found), "motion": found}
@@ -249,14 +249,14 @@ def gps_ins(
     if not isinstance(variances, list) or len(variances) not in (2, 3):
         checks.refuse("r", "two or three variances", f"{r!r:.60}")
     R = np.diag([checks.positive("r", variance) for variance in variances])
-    dt, q = checks.positive("dt", checks.as_seconds(dt)), checks.not_negative("q", q)
+    dt, q = checks.duration("dt", dt), checks.not_negative("q", q)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
     return LinearModel(F=F, H=H[: len(R)], Q=np.diag([0, q, 0]), R=R, x0=x0, P0=P0)
 
 
 def _checked(dt, q, r):
-    dt = checks.positive("dt", checks.as_seconds(dt))
+    dt = checks.duration("dt", dt)
     if dt > LONGEST:
         checks.refuse("dt", f"at most {LONGEST:g} s, whose powers are doubles", f"{dt:g} s")
     return dt, checks.not_negative("q", q), checks.positive("r", r)

@@ -7,7 +7,6 @@ the same with numbers. `gpx` only reads, and refuses a file whose times are not 
 from __future__ import annotations
 
 import bisect
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -80,7 +79,7 @@ def gpx(
     origin that is none.
     """
     if pause is not None:
-        pause = checks.positive("pause", checks.as_seconds(pause))
+        pause = checks.duration("pause", pause)
     if origin is not None:
         origin = _origin(origin)
     recording = read_gpx(path)
@@ -102,7 +101,7 @@ def gpx(
         if len(in_order):
             kept.append(rows[in_order])
     if left_out:
-        warnings.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase", stacklevel=2)
+        checks.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase")
     if pause is not None:
         kept = [part for rows in kept for part in np.split(rows, _pauses(recording.time[rows], pause))]
     start = kept[0][0]
