@@ -62,6 +62,8 @@ def execute(path):
 
     Returns nothing, or what is to be said of the cell that fails; then the file is left as it was.
     """
+    # Or jsonschema, which nbformat imports, takes 0.9 s to make a grammar of web addresses: notebooks need none.
+    sys.modules.setdefault("rfc3987_syntax", None)
     import nbformat
     from jupyter_client import AsyncKernelManager
     from nbclient import NotebookClient

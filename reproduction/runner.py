@@ -14,6 +14,7 @@ import threading
 import time
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -42,9 +43,9 @@ def reproduce(some):
     are kept in reproduced/, the others are written), ValueError for verdicts that do not cover the paper,
     ModuleNotFoundError without Jupyter.
     """
-    import nbclient  # noqa: F401  # said before anything is copied, as the next
-    import nbformat  # noqa: F401
-
+    for name in ("nbclient", "nbformat"):  # only the processes that run notebooks import them, which takes a second
+        if find_spec(name) is None:
+            raise ModuleNotFoundError(name=name)
     root = project()
     paths = chosen_notebooks(root, some)
     if root.joinpath(LEDGER).is_dir() and not root.joinpath(LEDGER).samefile(ledger.paper.FOLDER):
