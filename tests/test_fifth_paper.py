@@ -9,7 +9,7 @@ import sys
 
 import nbformat
 import pytest
-from conftest import NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT, cells_of
 
 from reproduction.__main__ import main
 from reproduction.ledger import keys, published, stored_verdicts
@@ -136,7 +136,7 @@ def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
 
 
 def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
-    cells = [cell for path in NOTEBOOKS for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]]
+    cells = [cell for path in NOTEBOOKS for cell in cells_of(path)]
     folded = [cell["metadata"] for cell in cells if "ledger" in cell["metadata"].get("tags", [])]
     assert [each for each in folded if each != FOLDED] == []
 

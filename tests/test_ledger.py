@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import NOTEBOOKS, PAPER, ROOT, parts, source
+from conftest import NOTEBOOKS, PAPER, ROOT, cells_of, parts, source
 
 import reproduction
 from reproduction.ledger import Item, Verdicts, keys, read_paper, shipped_verdicts, stored_verdicts
@@ -406,7 +406,7 @@ def test_every_item_has_a_verdict_and_the_package_ships_what_the_notebook_stores
 def test_the_notebook_counts_causes_with_their_cells_and_claims_apart(key):
     """In the cell that opens Part II, or in the text of a notebook that has one part."""
     shipped = shipped_verdicts(key)
-    article, evidence = parts(json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8"))["cells"])
+    article, evidence = parts(cells_of(ROOT / "notebooks" / f"{key}.ipynb"))
     places = evidence[:1] or [cell for cell in article if cell["cell_type"] == "markdown"]
     said = "\n\n".join(map(source, places)).replace("*", "")
     tally = shipped.tally()

@@ -1,11 +1,10 @@
 """Table 1 of 2016: expected and simulated averages, and the probability of the print."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import MODELS_2016, ROOT, parts, source
+from conftest import MODELS_2016, ROOT, cells_of, parts, source
 from scipy.stats import multivariate_normal
 
 import mpt_helpers as mpt
@@ -205,7 +204,7 @@ def test_the_odds_point_to_the_reading_that_made_a_table():
 
 def test_the_notebook_counts_what_the_verdicts_say():
     path = ROOT / "notebooks" / "2016_prediction.ipynb"
-    _, evidence = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
+    _, evidence = parts(cells_of(path))
     tally = ledger.stored_verdicts(path).tally()
     causes = ", ".join(tally.cause_text(kind) for kind in ("slip", "wording", "finding"))
     bar = dict(tally.claims_bar())
