@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import parts, source
+from counting import Counted
 from reading import Article
 from scipy.linalg import solve_discrete_are
 from scipy.stats import multivariate_normal, norm
@@ -334,28 +335,6 @@ def test_the_dashed_curve_falls_though_the_error_grows():
 
 
 # What predictions cost
-
-
-class Counted(float):
-    """A number that counts the additions and multiplications that it takes part in."""
-
-    done = 0
-
-    def _after(self, result):
-        Counted.done += 1
-        return Counted(result)
-
-    def __add__(self, other):
-        return self._after(float(self) + float(other))
-
-    def __sub__(self, other):
-        return self._after(float(self) - float(other))
-
-    def __mul__(self, other):
-        return self._after(float(self) * float(other))
-
-    def __truediv__(self, other):
-        return self._after(float(self) / float(other))
 
 
 @pytest.mark.parametrize(("key", "expected"), [("cv", 7), ("ca", 13)])

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from motions import TAU, Forgetful
 from oracles import plain_band, plain_loop, plain_smoother, van_loan
 from scipy.linalg import block_diag
-from test_motion import TAU, Forgetful
 
 import mpt_helpers as mpt
 from mpt_helpers import engine, metrics, recursive, steps

@@ -95,10 +95,6 @@ class Tally:
         agree = self.values[REPRODUCED] + self.values[WITHIN_BAND]
         return f"{agree} of {self.values.total()} numbers, formulas and figures agree"
 
-    def claims_bar(self) -> list[tuple[str, int]]:
-        """Return the claims by outcome, [("hold", 107), ...], without outcomes that no claim has."""
-        return [(words, self.claims[verdict]) for verdict, words in OF_CLAIMS.items() if self.claims[verdict]]
-
     def cause_text(self, kind: str) -> str:
         """Return the causes of one kind with their cells in brackets, as in "6 slips (85 cells)"."""
         cells = self.causes[kind]

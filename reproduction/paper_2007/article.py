@@ -16,7 +16,6 @@ LENGTHS = np.array([2, 3, 5, 10, 20, 35, 50, 75, 100])
 STYLES = ("-", "--")  # of the kinds of range
 # One colour for one filter, here and in Part II.
 FILTERS = {"white": plots.COLOURS[1], "tuned": plots.COLOURS[2], "aware": plots.COLOUR_OF["kalman"]}
-SPAN = 3000.0  # s, of the averages that are tabled: a hundred fixes 30 s apart, the paper's n
 ELLIPSE = 2.4477  # sigmas that hold 95 % in the plane: sqrt(-2 ln 0.05)
 
 
