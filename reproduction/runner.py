@@ -184,7 +184,7 @@ def remove_left_over(root):
 
 
 def _code_cells(key, source):
-    """Return how many code cells the notebook has that the bytes of a file hold; raises CommandError without one."""
+    """Return the number of code cells in the bytes of a notebook; raises CommandError for another file."""
     try:
         return sum(cell["cell_type"] == "code" for cell in json.loads(source.decode("utf-8"))["cells"])
     except (ValueError, LookupError, TypeError) as error:
@@ -192,7 +192,7 @@ def _code_cells(key, source):
 
 
 def _made(root, key, stage):
-    """Return what a notebook has made, {path from the root: bytes}: its figures, itself, the verdicts on a paper."""
+    """Return the files that a notebook has made, {path from the root: bytes}: figures, itself, its verdicts."""
     executed = stage / NOTEBOOKS / f"{key}.ipynb"
     made = {FIGURES / path.name: path.read_bytes() for path in stage.joinpath(FIGURES).iterdir()}
     made[NOTEBOOKS / executed.name] = executed.read_bytes()

@@ -28,6 +28,10 @@ import sys
 sys.path.insert(0, "docs")
 import pages
 pages.main()"""
+# What `make reproduce` does, for the new paper only: one process imports all that it needs.
+MAKES = f"""\
+from reproduction.__main__ import main
+assert main(["reproduce", "{KEY}"]) == main(["readme"]) == 0"""
 
 
 def blocks(kind):
@@ -62,8 +66,7 @@ def copy(tmp_path_factory):
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("\n\n**Everything again", f"\n{line}\n**Everything again", 1), encoding="utf-8")
     write_the_notebook(copy / "notebooks" / f"{KEY}.ipynb")
-    run(copy, "-m", "reproduction", "reproduce", KEY)
-    run(copy, "-m", "reproduction", "readme")
+    run(copy, "-c", MAKES)
     return copy
 
 
@@ -81,7 +84,7 @@ def write_the_notebook(path):
 
 @pytest.fixture
 def said(copy, monkeypatch, capsys):
-    """What the command line says of the copy's verdicts."""
+    """A function that returns the words of the command line on the copy's verdicts."""
 
     def said(*arguments):
         monkeypatch.setattr("reproduction.ledger.paper.FOLDER", copy / "reproduction" / "ledger")

@@ -15,7 +15,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 @pytest.fixture(scope="module")
 def names():
-    """What the README's code defines."""
+    """The names that the README's code defines."""
     names = {}
     exec(shipped.README_CODE, names)
     return names

@@ -103,11 +103,11 @@ class Tally:
         return f"{counted(len(cells), kind)} ({counted(cells.total(), 'cell')})"
 
     def wrong_text(self) -> str:
-        """Return what is wrong in the paper: the causes of each kind with their cells."""
+        """Return the errors of the paper: the causes of each kind with their cells."""
         return ", ".join(self.cause_text(kind) for kind in WRONG if self.causes[kind]) or "nothing wrong"
 
     def causes_text(self) -> str:
-        """Return what is wrong in the paper, and how many cells our copy of it lacks."""
+        """Return the errors of the paper, and the number of cells that our copy of it lacks."""
         text, lost = self.wrong_text(), self.causes["copy"].total()
         return f"{text}; {counted(lost, 'cell')} missing or illegible in our copy" if lost else text
 

@@ -222,7 +222,7 @@ def tested(day, ranges):
 
 
 def _agreeing(day, k, s, ranges, variance):
-    """Return which of the satellites s of epoch k agree about a position, (len(s),): none where nobody knows."""
+    """Return a mask (len(s),) of the satellites s of epoch k that agree about a position: none where nobody knows."""
     start = np.append(day.station, 0.0)
     try:
         fix = positioning.position(day.satellites[k, s], ranges, start, variance=variance, false_alarm=FALSE_ALARM)

@@ -62,11 +62,12 @@ def walks(kind, steps, tracks, rng):
 
 
 def lateness(model, positions, z, start=10):
-    """Return what a filter from an unknown start does with measured positions, after `start` rows that are left out.
+    """Return errors and lateness of a filter from an unknown start on measured positions, without the first rows.
 
-    positions (N,) are true, z (N, M) measured on M tracks. The result has, by name: "gap", the mean of measurement
-    minus reported position (m); "error", the rms error of the position (m); "late", the seconds late (M,) that a fit of
-    that gap to the reported velocity finds; "velocity", the rms of that velocity (M,); "nis", the mean NIS.
+    positions (N,) are true, z (N, M) measured on M tracks; `start` rows are left out. The result has, by name: "gap",
+    the mean of measurement minus reported position (m); "error", the rms error of the position (m); "late", the seconds
+    late (M,) that a fit of that gap to the reported velocity finds; "velocity", the rms of that velocity (M,); "nis",
+    the mean NIS.
 
     >>> positions, z = walks("goes straight on", 200, 50, np.random.default_rng(1))
     >>> found = lateness(AXIS, positions, z)

@@ -185,7 +185,7 @@ def sigma_of_both(P0, steps, of=AXIS):
 
 
 def losses_apart(sizes, errors=0.0, changes=0.0):
-    """Return what axes kept apart lose to one filter, in percent (axes, 2): sigma of position and velocity.
+    """Return the loss of axes kept apart to one filter, in percent (axes, 2): sigma of position and velocity.
 
     The measurement errors of all axes are sizes (axes,) times those of AXIS. They have the correlation `errors`, and
     the random changes of the velocity the correlation `changes`. Neither changes what an axis kept apart does.
