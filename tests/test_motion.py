@@ -6,43 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from motions import TAU, Forgetful, Singer
 from oracles import gaussian_conditioning_of_steps, plain_loop, van_loan
 
 import mpt_helpers as mpt
 from mpt_helpers import bands, engine, metrics
 from mpt_helpers.immutable import Immutable
 from mpt_helpers.motion import Motion, OneLength, Powers, SideBySide, matrices
-
-TAU = 4.0
-
-
-@dataclass(frozen=True)
-class Forgetful(Motion):
-    """A velocity that is forgotten within tau seconds (Ornstein-Uhlenbeck), as in the docstring of `motion`."""
-
-    dt: float
-    tau: float
-    q: float
-
-    def over(self, length):
-        T = np.asarray(length) * self.dt
-        a, b = np.exp(-T / self.tau), -np.expm1(-T / self.tau)
-        Q_sv = self.tau**2 * b**2 / 2
-        Q = [[self.tau**2 * (T - self.tau * (b + b**2 / 2)), Q_sv], [Q_sv, self.tau * b * (1 + a) / 2]]
-        return matrices([[1, self.tau * b], [0, a]]), self.q * matrices(Q)
-
-
-@dataclass(frozen=True)
-class Singer(Motion):
-    """An acceleration that is forgotten within tau seconds: F and Q by van Loan's exponential of one matrix."""
-
-    dt: float
-    tau: float
-    q: float
-
-    def over(self, length):
-        A = np.array([[0, 1, 0], [0, 0, 1], [0, 0, -1 / self.tau]])
-        return van_loan(A, [0, 0, self.q], np.asarray(length)[..., None, None] * self.dt)
 
 
 @dataclass(frozen=True, eq=False)
