@@ -16,7 +16,6 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -148,8 +147,7 @@ def checked(t, z, r):
         if r.shape != z.shape:
             checks.refuse("r", f"a variance of each fix, shape {t.shape} or {z.shape}", f"shape {r.shape}")
         there = r[np.isfinite(z)]
-        if not (np.isfinite(there) & (there > 0)).all():
-            checks.refuse("r", "a positive variance of every fix", "another")
+        checks.used_variances("r", there, of="fix")
         r = r / np.median(there)
     return t, z, r
 
@@ -196,7 +194,7 @@ def least_distance(z: Array) -> float:
 
 
 def usual(t: Array, z: Array, rounding: float) -> Usual:
-    """Return what is Usual on a track, faults and all."""
+    """Return the Usual of a track, faults and all."""
     rows = np.flatnonzero(np.isfinite(z).all(axis=1))
     seconds, moved = np.diff(t[rows]), np.sqrt((np.diff(z[rows], axis=0) ** 2).sum(axis=1))
     later = seconds > 0
@@ -401,7 +399,7 @@ def _from_an_unknown_start(line, q, r, each, about=1.0):
 
 
 def band_of(line: Stretches, motion: Motion, each: Usual, seconds: float) -> Band | None:
-    """Return what predictions are worth on the second half of a line, or None where it has too few of them.
+    """Return the Band of the second half of a line, or None where it has too few predictions.
 
     q and r are fitted anew, on the first half.
     """
@@ -410,8 +408,8 @@ def band_of(line: Stretches, motion: Motion, each: Usual, seconds: float) -> Ban
     kf = filter_of(first, each, line.t, line.relative, line.z.shape[1])
     fixes = np.isfinite(line.z).any(axis=1)
     t = line.t[fixes]
-    due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - 1e-6))] - t
-    if np.mean(due <= 1.5 * seconds) < CHECKED:
+    due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - bands.TIME_ROUNDING))] - t
+    if np.mean(due <= bands.LATEST * seconds) < CHECKED:
         seconds = float(np.quantile(np.diff(t), 0.5, method="higher"))
     try:
         a = metrics.ahead(kf, line.z, seconds)
@@ -493,7 +491,7 @@ class Cleaned:
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """Which rows are fixes that are kept, (N,)."""
+        """The mask of the fixes that are kept, (N,)."""
         return self.pieces >= 0
 
     @property
@@ -503,11 +501,11 @@ class Cleaned:
 
     @property
     def stretches(self) -> int:
-        """How many stretches there are."""
+        """The number of stretches."""
         return int(self.pieces.max()) + 1
 
     def report(self) -> str:
-        """Return what was done to the track and found about it, in words."""
+        """Return a report, in words, of what was done to the track and what was found about it."""
         return report.text(self)
 
     def summary(self) -> dict[str, Any]:
@@ -530,10 +528,9 @@ class Cleaned:
     @property
     def starts(self) -> NDArray[np.intp]:
         """The rows where a stretch begins after a jump, not after a pause."""
-        firsts = [int(np.flatnonzero(self.pieces == k)[0]) for k in range(self.pieces.max() + 1)]
+        firsts = np.array([np.flatnonzero(self.pieces == k)[0] for k in range(self.stretches)], dtype=np.intp)
         recording = np.searchsorted(self.recordings, firsts, side="right")
-        of_a_jump = [b for a, b in pairwise(range(len(firsts))) if recording[a] == recording[b]]
-        return np.array([firsts[b] for b in of_a_jump], dtype=np.intp)
+        return firsts[1:][recording[1:] == recording[:-1]]  # of the recording that the stretch before is of
 
 
 def clean(
@@ -571,9 +568,9 @@ def clean(
     ([100], [], 0.035, 4.03)
     """
     t, z, relative = checked(t, z, r)
-    seconds, limit = checks.positive("seconds", checks.as_seconds(seconds)), checks.positive("limit", limit)
+    seconds, limit = checks.duration("seconds", seconds), checks.positive("limit", limit)
     if pause is not None:
-        pause = checks.positive("pause", checks.as_seconds(pause))
+        pause = checks.duration("pause", pause)
     if rounding is None:
         rounding = least_distance(z) ** 2 / 12
     starts = begins(t, np.isfinite(z).any(axis=1), segment, pause)

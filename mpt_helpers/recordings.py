@@ -1,4 +1,4 @@
-"""Recorded tracks as files: GPX is read and written without other packages, and a CSV by the names of its columns."""
+"""Recorded tracks from files: GPX is read without other packages, and a CSV by the names of its columns."""
 
 from __future__ import annotations
 
@@ -312,7 +312,7 @@ def _times(texts, name, comma):
 
 
 def _unit(numbers, name):
-    """Return how many microseconds a number of a time column stands for, and what was taken for what."""
+    """Return the microseconds that one unit of a time column stands for, and a sentence that says so."""
     usual = float(np.median(np.abs(numbers)))
     for least, microseconds_each, unit in UNITS:
         if usual > least:

@@ -7,7 +7,6 @@ the same with numbers. `gpx` only reads, and refuses a file whose times are not 
 from __future__ import annotations
 
 import bisect
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -80,7 +79,7 @@ def gpx(
     origin that is none.
     """
     if pause is not None:
-        pause = checks.positive("pause", checks.as_seconds(pause))
+        pause = checks.duration("pause", pause)
     if origin is not None:
         origin = _origin(origin)
     recording = read_gpx(path)
@@ -102,7 +101,7 @@ def gpx(
         if len(in_order):
             kept.append(rows[in_order])
     if left_out:
-        warnings.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase", stacklevel=2)
+        checks.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase")
     if pause is not None:
         kept = [part for rows in kept for part in np.split(rows, _pauses(recording.time[rows], pause))]
     start = kept[0][0]
@@ -171,7 +170,7 @@ def longest_in_order(time: Array) -> Array:
 
 
 def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) -> str:
-    """Return why fix k of some rows was left out of those that are in order."""
+    """Return the reason why fix k of some rows was left out of those that are in order."""
     time = recording.time[rows]
     if time[k] == NO_TIME:
         unread = recording.unread.get(int(rows[k]))
@@ -190,7 +189,7 @@ def moment_of(time: int) -> datetime:
 
 
 def _no_degrees(lat, lon):
-    """Say what numbers are that are no degrees."""
+    """Say what stands in place of degrees."""
     if not len(lat):
         return "none"
     if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
@@ -376,7 +375,7 @@ def _precision(recording, rows):
 
 
 def unusual(t: Array, z: Array) -> list[str]:
-    """Return what is unusual for a recorded track, in words: it may be in other units."""
+    """Return warnings of a track that is too fast or too slow for a recorded one: it may be in other units."""
     seconds = np.diff(t)
     moved = np.linalg.norm(np.diff(z, axis=0), axis=1)[seconds > 0]
     speed = float(np.quantile(moved / seconds[seconds > 0], 0.99))
