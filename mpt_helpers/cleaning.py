@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -94,7 +94,7 @@ class Stretches:
 
     rows: the rows of the track, t (K,) their times, far apart between stretches, z (K, m) the positions, NaN where
     refused, each stretch beginning where the one before it ended; moved (K, m) is how far they were moved for that;
-    first (K,): the first two fixes of a stretch, which only tell where it begins
+    first (K,): the first two fixes of a stretch, which only tell where it begins; number (K,): the stretch of each row
     """
 
     rows: NDArray[np.intp]
@@ -102,12 +102,13 @@ class Stretches:
     z: Array
     moved: Array
     first: NDArray[np.bool_]
+    number: NDArray[np.intp]
     relative: Array | None
 
     def part(self, rows):
         """Return some of the rows."""
-        relative = None if self.relative is None else self.relative[rows]
-        return Stretches(self.rows[rows], self.t[rows], self.z[rows], self.moved[rows], self.first[rows], relative)
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Stretches(**{name: None if each is None else each[rows] for name, each in own.items()})
 
 
 class Motion(NamedTuple):
@@ -256,7 +257,8 @@ def on_one_line(t: Array, z: Array, relative: Array | None, number: NDArray[np.i
     rows, moved = np.concatenate(rows), np.concatenate(moved)
     z_line = np.where((number[rows] >= 0)[:, None], z[rows] + moved, np.nan)
     relative = None if relative is None else relative[rows]
-    return Stretches(rows, np.concatenate(times), z_line, moved, np.concatenate(first), relative)
+    stretch = np.repeat(np.arange(len(times)), [len(each) for each in times])
+    return Stretches(rows, np.concatenate(times), z_line, moved, np.concatenate(first), stretch, relative)
 
 
 def fitted(line: Stretches, guess: Motion, each: Usual) -> Motion:
@@ -332,8 +334,8 @@ def log_errors(line: Stretches, motion: Motion, each: Usual) -> dict[str, float]
     ratio, h = motion.r / motion.q, 0.05
     nis, log_S = _likelihoods(line, ratio, motion.q, each)
     nis = nis / motion.q
-    span = line.t[-1] - line.t[0] - APART
-    block = np.floor(line.t / max(1.0, min(BLOCK, span / FEWEST_BLOCKS)))
+    seconds = np.diff(line.t)[np.diff(line.number) == 0].sum()  # of all stretches, without what lies between two
+    block = np.floor(line.t / max(1.0, min(BLOCK, seconds / FEWEST_BLOCKS)))
     _, block = np.unique(block, return_inverse=True)
     scores = [0.5 * (nis - 1)]
     curvature = [[0.5 * np.nansum(nis)]]
