@@ -110,6 +110,11 @@ def microseconds(text: str) -> int:
     return (moment - EPOCH) // timedelta(microseconds=1) + leap * 1_000_000
 
 
+def moment_of(time: int) -> datetime:
+    """Return microseconds since 1970 as a datetime."""
+    return EPOCH + timedelta(microseconds=int(time))
+
+
 def read(path: str | PathLike[str], columns: dict[str, str] | None = None) -> Recording:
     """Return the Recording of a GPX or CSV file, which may be compressed (.gz). Raises ValueError for another file."""
     path = Path(path)

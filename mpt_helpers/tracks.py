@@ -9,7 +9,7 @@ from __future__ import annotations
 import bisect
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from . import checks, geodesy
 from .checks import Array, Seconds
 from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
-from .recordings import EPOCH, NO_TIME, Recording, read, read_gpx
+from .recordings import NO_TIME, Recording, moment_of, read, read_gpx
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
@@ -84,9 +84,8 @@ def gpx(
         origin = _origin(origin)
     recording = read_gpx(path)
     if (recording.time == NO_TIME).all():
-        unread = next(iter(recording.unread.values()), None)
-        times = "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
-        raise ValueError(f"{path}: needs a recorded track, got {recording.segments} track segments and {times}")
+        got = f"{recording.segments} track segments and {_no_times(recording)}"
+        raise ValueError(f"{path}: needs a recorded track, got {got}")
     kept, left_out = [], 0
     for number in range(1, recording.segments + 1):
         rows = np.flatnonzero(recording.segment == number)
@@ -123,7 +122,7 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
     if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
         checks.refuse("lat, lon", "as many latitudes as longitudes, in one dimension", f"{lat.shape} and {lon.shape}")
     (there,) = np.nonzero(~np.isnan(lat) & ~np.isnan(lon))
-    if not there.size or np.abs(lat[there]).max() > 90 or np.abs(lon[there]).max() > 360:
+    if not there.size or not _on_earth(lat[there], lon[there]).all():
         checks.refuse("lat, lon", "degrees of at most 90 and 360", _no_degrees(lat[there], lon[there]))
     origin = _origin((lat[there[0]], lon[there[0]]) if origin is None else origin)
     return geodesy.to_plane(lat, lon, origin)
@@ -183,9 +182,15 @@ def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) ->
     return f"{moment:%Y-%m-%d %H:%M:%S} {'again' if last == time[k] else 'after a later time'}"
 
 
-def moment_of(time: int) -> datetime:
-    """Return microseconds since 1970 as a datetime."""
-    return EPOCH + timedelta(microseconds=int(time))
+def _no_times(recording):
+    """Say what stands in place of times."""
+    unread = next(iter(recording.unread.values()), None)
+    return "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
+
+
+def _on_earth(lat, lon):
+    """Tell which latitudes and longitudes are degrees; NaN is none."""
+    return (np.abs(lat) <= MOST[0]) & (np.abs(lon) <= MOST[1])
 
 
 def _no_degrees(lat, lon):
@@ -208,7 +213,7 @@ def _origin(origin):
 def _check_degrees(path, recording, number, rows):
     """Refuse a segment with a fix that lies nowhere on the Earth."""
     lat, lon = recording.lat[rows], recording.lon[rows]
-    on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 360)  # nor is NaN
+    on_earth = _on_earth(lat, lon)
     if not on_earth.all():
         k = int(np.argmin(on_earth))
         got = f"{lat[k]:g} and {lon[k]:g} in fix {k + 1} of segment {number}"
@@ -291,7 +296,7 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
         raise ValueError(f"{path}: needs a recorded track, got {recording.segments} track segments and no fixes")
     if recording.metres is None:
         lat, lon = recording.lat, recording.lon
-        somewhere = (np.abs(lat) <= 90) & (np.abs(lon) <= 360)
+        somewhere = _on_earth(lat, lon)
         if not somewhere.any() or np.mean(somewhere) < 0.5:
             there = np.isfinite(lat) & np.isfinite(lon)
             raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat[there], lon[there])}")
@@ -299,9 +304,7 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
         somewhere = np.isfinite(recording.metres).all(axis=1)
     timed = time != NO_TIME
     if not timed.any():
-        unread = next(iter(recording.unread.values()), None)
-        times = "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
-        raise ValueError(f"{path}: needs a recorded track, got {N} fixes and {times}")
+        raise ValueError(f"{path}: needs a recorded track, got {N} fixes and {_no_times(recording)}")
     if N > 1 and np.ptp(time[timed]) == 0:
         raise ValueError(f"{path}: needs times that increase, got {moment_of(time[timed][0]):%Y-%m-%d %H:%M:%S} in all")
     kept = []
