@@ -361,7 +361,7 @@ def test_what_the_short_guide_says_that_sparse_tracks_hide():
         t, z = recorded(name, False)
         rows = np.unique(np.searchsorted(t, np.arange(0, t[-1], 10.0)))
         c = tracks.clean(t[rows], z[rows])
-        each = cleaning.usual(t[rows], z[rows], 0.0)
+        each = cleaning.scale_of(t[rows], z[rows], 0.0)
         x, P = cleaning._smoothed(c.line, cleaning.Noise(c.q, c.r, c.rounding), each)
         left = np.maximum(c.r - P, cleaning.SMALLEST_DIFFERENCE * c.r)
         known[name] = np.nanmedian(c.r / np.sqrt(left))

@@ -326,11 +326,11 @@ def fitted_by_turns(seed, minutes, stretches):
     changes = rng.standard_normal((N, 2)) * np.sqrt(np.where(calm, 0.01, 1.0))[:, None]
     z = np.cumsum(np.cumsum(changes, axis=0), axis=0) + 2 * rng.standard_normal((N, 2))
     t, pieces = np.arange(float(N)), np.arange(N) * stretches // N
-    usual = cleaning.usual(t, z, 0.0)
-    guess = cleaning.first_guess(t, z, usual)
-    line = cleaning.on_one_line(t, z, None, pieces, guess, usual)
-    found = cleaning.fitted(line, guess, usual)
-    return found.q, cleaning.log_errors(line, found, usual)["q"]
+    scale = cleaning.scale_of(t, z, 0.0)
+    guess = cleaning.first_guess(t, z, scale)
+    line = cleaning.on_one_line(t, z, None, pieces, guess, scale)
+    found = cleaning.fitted(line, guess, scale)
+    return found.q, cleaning.log_errors(line, found, scale)["q"]
 
 
 @pytest.mark.parametrize("stretches", [1, 3])
