@@ -319,25 +319,34 @@ def test_errors_of_q_and_r_hold_on_simulated_tracks():
         assert 0.7 < mpt.metrics.rms(each) < 1.5, name
 
 
-def fitted_by_turns(seed, minutes, stretches):
-    """The fit of a track that is calm and wild by turns, for three minutes each at the mean, and its stated errors."""
-    rng, N = np.random.default_rng(seed), 60 * minutes
+def fitted_by_turns(seed):
+    """The q of half an hour that is calm and wild by turns, three minutes each at the mean, and its stated error."""
+    rng, N = np.random.default_rng(seed), 1800
     calm = np.cumsum(rng.random(N) < 1 / 180) % 2
     changes = rng.standard_normal((N, 2)) * np.sqrt(np.where(calm, 0.01, 1.0))[:, None]
     z = np.cumsum(np.cumsum(changes, axis=0), axis=0) + 2 * rng.standard_normal((N, 2))
-    t, pieces = np.arange(float(N)), np.arange(N) * stretches // N
+    t = np.arange(float(N))
     scale = cleaning.scale_of(t, z, 0.0)
     guess = cleaning.first_guess(t, z, scale)
-    line = cleaning.on_one_line(t, z, None, pieces, guess, scale)
+    line = cleaning.on_one_line(t, z, None, np.zeros(N, dtype=int), guess, scale)
     found = cleaning.fitted(line, guess, scale)
     return found.q, cleaning.log_errors(line, found, scale)["q"]
 
 
-@pytest.mark.parametrize("stretches", [1, 3])
-def test_errors_of_q_hold_on_half_an_hour_that_is_calm_and_wild_by_turns(stretches):
-    """Ten blocks of three minutes see two thirds of the scatter; blocks of a second would see a sixth."""
-    q, errors = np.transpose([fitted_by_turns(seed, 30, stretches) for seed in range(24)])
-    assert 1.0 < np.std(np.log(q), ddof=1) / np.median(errors) < 2.2
+def test_errors_of_q_hold_on_half_an_hour_that_is_calm_and_wild_by_turns():
+    """Ten blocks of three minutes, with Student's factor, state five sixths of the scatter, blocks of 1 s a fifth."""
+    q, errors = np.transpose([fitted_by_turns(seed) for seed in range(24)])
+    assert 0.8 < np.std(np.log(q), ddof=1) / mpt.metrics.rms(errors) < 1.35
+
+
+@pytest.mark.parametrize(("stretches", "step", "blocks"), [(1, 1.0, 10), (3, 1.0, 10), (2, 60.0, 120), (1, 1e-3, 10)])
+def test_blocks_are_a_tenth_of_all_stretches_or_five_minutes_and_no_step_is_cut(stretches, step, blocks):
+    """But for one more in each stretch, which may begin within one and end within one."""
+    t, z = step * np.arange(600.0), np.random.default_rng(1).standard_normal((600, 2)).cumsum(axis=0)
+    scale = cleaning.scale_of(t, z, 0.0)
+    noise = cleaning.Noise(1e-6, 1.0, False)  # so still that stretches stand most of a day apart
+    line = cleaning.on_one_line(t, z, None, np.arange(600) * stretches // 600, noise, scale)
+    assert len(np.unique(cleaning._blocks_of(line, scale))) == pytest.approx(blocks, abs=stretches)
 
 
 def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
