@@ -362,7 +362,7 @@ def test_what_the_short_guide_says_that_sparse_tracks_hide():
         rows = np.unique(np.searchsorted(t, np.arange(0, t[-1], 10.0)))
         c = tracks.clean(t[rows], z[rows])
         each = cleaning.usual(t[rows], z[rows], 0.0)
-        x, P = cleaning._smoothed(c.line, cleaning.Motion(c.q, c.r, c.rounding), each)
+        x, P = cleaning._smoothed(c.line, cleaning.Noise(c.q, c.r, c.rounding), each)
         left = np.maximum(c.r - P, cleaning.SMALLEST_DIFFERENCE * c.r)
         known[name] = np.nanmedian(c.r / np.sqrt(left))
         without = np.hypot(*((c.line.z - x) * c.r / left).T)

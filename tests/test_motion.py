@@ -410,3 +410,22 @@ def test_a_motion_of_no_lengths_has_no_matrices():
 def test_the_motion_of_a_model_makes_it_again(model):
     again = mpt.LinearModel(motion=model.motion, H=model.H, R=model.R, x0=model.x0, P0=model.P0)
     assert again == model
+
+
+@dataclass(frozen=True)
+class Powerful(Motion):
+    """A motion of a user's own with a field that happens to be called `powers`."""
+
+    dt: float
+    powers: float
+
+    def over(self, length):
+        return mpt.constant_velocity(self.dt, self.powers, 1.0).over(length)
+
+
+def test_powers_of_ones_own_are_no_powers_of_the_length():
+    model = mpt.LinearModel(motion=Powerful(0.5, 3.0), H=[[1, 0]], R=[[1]])
+    assert model.powers is None
+    assert replace(model, x0=[1, 2]).motion == Powerful(0.5, 3.0)
+    assert mpt.stack(model, model).powers is None
+    np.testing.assert_array_equal(model.Q, mpt.constant_velocity(0.5, 3.0, 1.0).Q)
