@@ -436,7 +436,9 @@ def test_a_step_of_two_filters_of_different_gains_is_refused():
             join.step(np.zeros(2), np.eye(2), [0.0])
 
 
-UNSEEN = mpt.LinearModel(F=np.diag([1, 0.5]), H=[[1, 0]], Q=np.eye(2), R=[[1]])  # nothing is measured of its second state
+UNSEEN = mpt.LinearModel(
+    F=np.diag([1, 0.5]), H=[[1, 0]], Q=np.eye(2), R=[[1]]
+)  # of the second state nothing is measured
 EQUAL_BUT_FOR_ROUNDING = {"two axes": (AXIS, AXIS), "an unseen state and an axis": (UNSEEN, AXIS)}
 
 
