@@ -1,4 +1,7 @@
-"""Filters made of filters: the mean of two, and one for each axis."""
+"""Filters made of filters: the mean of two, and one for each axis.
+
+2014 and 2015 are papers of Assimakis & Adam; `mpt_helpers` has their titles.
+"""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     `log_errors` hold for the data as they are, and not only if the model is right (White 1982). No recorded track moves
     by one q: the curvature of log L alone, which takes the model for true, states errors five to twenty times too
     small there. So the score of each block of a track, by how much it pulls at the parameters, is computed, and the
-    errors follow from how much the blocks differ. A track is cut into 6 to 20 blocks, one for every 300 s of it. Of
+    errors follow from how much the blocks differ. A track is cut into a block for every 300 s, 6 to 20 of them. Of
     several tracks each is cut into the same number of blocks, the smallest that makes as many in all; 20 tracks or more
     are a block each. With few blocks Student's factor makes the errors larger, so that 1.96 of them hold 95 %. With
     fewer than 12 fixes they are those of the curvature.
@@ -92,13 +92,13 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         if not math.isfinite(surprise(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters under which z has a likelihood", guess)
-        start = _start_of_the_search(surprise, origin)
-        best = lowest(surprise, origin, start)
+        near = _start_of_the_search(surprise, origin)
+        best = lowest(surprise, origin, near)
         to_zero = [_runs_to_zero(surprise, best, i) for i in range(len(best))]
         blocks = _blocks(estimator, z)
         log_errors = _log_errors(surprise, best, np.flatnonzero(np.logical_not(to_zero)), blocks)
     log_errors = dict(zip(guess, log_errors.tolist(), strict=True))
-    ended = np.abs(best - (origin if start is None else start)) > FARTHEST - NEAR_THE_END
+    ended = np.abs(best - (origin if near is None else near)) > FARTHEST - NEAR_THE_END
     _warn_of_what_is_not_known(log_errors, dict(zip(guess, to_zero, strict=True)), dict(zip(guess, ended, strict=True)))
     found = surprise.filter_at(best)
     _warn_of_a_start_that_is_far(found, z)
@@ -294,7 +294,13 @@ def _runs_to_zero(surprise, best, i):
 
 
 def _log_errors(surprise, best, known, blocks):
-    """Return the standard errors of the logarithms of some parameters, the others as they are; theirs are infinite."""
+    """Return the standard errors of the logarithms of all parameters (d,), infinite but for those that are `known`.
+
+    known are the indices of the parameters that are moved; the others stay at their best values. The errors are the
+    roots of the diagonal of H⁻¹ J H⁻¹, the sandwich: H are the second derivatives of -log L, J the covariance of its
+    gradient, as it shows in the scores of the blocks. Where the model is right, J is H, and the errors are the
+    curvature's.
+    """
 
     def of_known(point):
         moved = best.copy()
