@@ -226,7 +226,7 @@ def _said_of_equal_times(t, z):
     if t is None:
         return ""
     seen = np.isfinite(z)
-    # Times t are (N,) or (N, M). Both rows must have seen one axis of z (N, m, M): a fix may come in two rows, axis by axis.
+    # Both rows must have one axis of z (N, m, M): the axes of one fix may come in a row each.
     again = ((np.diff(t.reshape(len(t), -1), axis=0) == 0) & (seen[1:] & seen[:-1]).any(axis=1)).any(axis=1)
     if not again.any():
         return ""
