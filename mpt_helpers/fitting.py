@@ -168,7 +168,8 @@ class Surprise:
     def with_best_scale(self, point: Array) -> tuple[float, float]:
         """Return the log c that makes z most probable with c Q, c R and c P0, and -log L then: the profile likelihood.
 
-        All S become c S, and all NIS become NIS / c, so that for `count` numbers measured
+        Gains and estimates stay as they are, all S become c S, and all NIS become NIS / c. So, for
+        `count` numbers that were measured,
 
             -log L(c) = [Σ NIS / c + Σ log det S + count (log c + log 2π)] / 2
 
@@ -243,9 +244,9 @@ def _blocks(estimator, z):
         return Blocks(np.zeros((N, M), int), 1, "curvature")
     wanted = np.clip(fixes * _usual_step(estimator, seen) / SECONDS_OF_A_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS)
     parts = math.ceil(wanted / M)
-    before = np.cumsum(seen, axis=0) - seen
+    before = np.cumsum(seen, axis=0) - seen  # the fixes of a track before each row, (N, M)
     part = before * parts // np.maximum(seen.sum(axis=0), 1)
-    block = np.minimum(part, parts - 1) + parts * np.arange(M)
+    block = np.minimum(part, parts - 1) + parts * np.arange(M)  # numbered along the first track, then the second, ...
     _, of_rows = np.unique(np.where(seen, block, block[seen][0]), return_inverse=True)  # only those with a fix
     of_rows = of_rows.reshape(N, M)
     count = int(of_rows.max()) + 1
