@@ -29,7 +29,7 @@ UNDRIVEN = 1e-12
 
 @dataclass(frozen=True)
 class Backwards:
-    """The coefficients of N steps back, last epoch first: x <- C x + d, P <- C P Cᵀ + D.
+    """The coefficients of N steps back over N + 1 epochs, last epoch first: x <- C x + d, P <- C P Cᵀ + D.
 
     They are those of columns: C and D are (N, n, n, M), d is (N, n, c, M). `engine.through` takes them in the place of
     rows of measurements, and `partition` cuts them.
