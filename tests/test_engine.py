@@ -436,6 +436,34 @@ def test_a_step_of_two_filters_of_different_gains_is_refused():
             join.step(np.zeros(2), np.eye(2), [0.0])
 
 
+UNSEEN = mpt.LinearModel(
+    F=np.diag([1, 0.5]), H=[[1, 0]], Q=np.eye(2), R=[[1]]
+)  # of the second state nothing is measured
+EQUAL_BUT_FOR_ROUNDING = {"two axes": (AXIS, AXIS), "an unseen state and an axis": (UNSEEN, AXIS)}
+
+
+@pytest.mark.parametrize("models", EQUAL_BUT_FOR_ROUNDING.values(), ids=EQUAL_BUT_FOR_ROUNDING)
+def test_gains_are_equal_where_one_solver_has_zero_and_the_other_its_rounding(models):
+    """Of two axes the gain of one for the measurement of the other is zero by one solver, 2e-48 by the other."""
+    model = mpt.stack(*models)
+    joint = mpt.six_filters(model)["JSSKLF"]
+    z = np.ones(model.m)
+    x, P = joint.step(model.x0, joint.P0, z)
+    np.testing.assert_allclose(x, joint.filter([z])[0], rtol=1e-12)
+    np.testing.assert_allclose(P, joint.covariances(1)[0], rtol=1e-12, atol=1e-15)
+
+
+def test_gains_are_compared_state_by_state():
+    """A state in km has a gain a thousandth of that in m: a tenth more of it is a tenth more."""
+    unit = np.array([1.0, 1e7])
+    model = mpt.LinearModel(F=AXIS.F * unit / unit[:, None], H=AXIS.H * unit, Q=AXIS.Q / np.outer(unit, unit), R=AXIS.R)
+    steady = mpt.SteadyStateFilter.from_kalman(model)
+    B = steady.B * [[1.0], [1.1]]
+    other = mpt.SteadyStateFilter(model, A=(np.eye(2) - B @ model.H) @ model.F, B=B, P=steady.P)
+    with pytest.raises(TypeError, match="step: needs two filters of the same gain"):
+        mpt.JoinFilter(steady, other).step(np.zeros(2), steady.P, [0.0])
+
+
 def wrappers(kf):
     return [kf, mpt.JoinFilter(kf, kf), mpt.Separate(kf), mpt.Predictor(kf, 2)]
 

@@ -24,10 +24,10 @@ PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
 CORE = ["checks", "immutable", "algebra", "steps", "equations", "motion", "epochs", "columns", "partition", "engine"]
 CORE += ["smoothing", "model", "riccati", "recursive", "filters", "steady", "predictor", "combined", "bands"]
-CORE += ["metrics", "fitting", "lasting"]
+CORE += ["metrics", "search", "fitting", "lasting"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"algebra": set(), "steps": set(), "equations": set(), "epochs": set(), "columns": {"algebra"}}
-ARRAYS_ONLY |= {"partition": {"equations", "steps"}}
+ARRAYS_ONLY |= {"partition": {"equations", "steps"}, "search": set()}
 OF_THE_CORE |= ARRAYS_ONLY | {"monte_carlo": {"checks"}}
 OTHERS = {
     "plots": set(),
