@@ -1,7 +1,7 @@
 """The corrections proposed to the authors of one paper: written from the ledger and from papers.toml.
 
 The sections follow the causes of the slips and wordings. A table of the paper in which a number fails stands whole; a
-word in the text is struck where it stands. What lies beyond a paper's setting is no correction: it has a page of its own.
+word in the text is struck where it stands. What lies beyond a paper's setting corrects nothing: it has its own page.
 """
 
 import re
@@ -203,9 +203,9 @@ def questions(given, asked):
 
 
 def unchecked(given, asked, corrected):
-    """Return what the paper leaves out, nobody asks for, and is corrected under no condition: verdicts with a reason."""
+    """Return the verdicts on what the paper leaves out, and that no question and no conditional correction is about."""
     lacking = [each for each in given if each.verdict == CANNOT_BE_CHECKED and not each.cause]
-    return [each for each in lacking if each.id not in asked and each.id not in corrected]
+    return [each for each in lacking if each.id not in asked and not isinstance(corrected.get(each.id), Patch)]
 
 
 def remarks(given, asked):

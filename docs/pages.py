@@ -732,7 +732,7 @@ def described_as(text):
 
 
 def write_corrections(env, key, own, corrected, asked):
-    """Write the page of corrections to one paper: what is right in it, {id: text or Patch}, and asked, {id: question}."""
+    """Write the page of corrections to one paper: corrected is {id: text or Patch}, asked {id: question}."""
     html = env.get_template("correction.html").render(
         key=key,
         root="../",
