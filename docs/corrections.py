@@ -136,7 +136,7 @@ NAMED_ROW = re.compile(r"row (\d+) \(([^)]*)\)")
 
 
 def names_of_rows(given):
-    """Return what the paper calls its numbered rows, {1: "A, KF"}, wherever it says so."""
+    """Return the names of the paper's numbered rows, {1: "A, KF"}, wherever it gives one."""
     found = [NAMED_ROW.search(each.where) for each in given]
     return {int(match[1]): match[2] for match in found if match}
 
@@ -191,7 +191,7 @@ def tables(given, failing, corrected):
 
 
 def lost(given):
-    """Return what our copy has lost of each table, {title: sentence of the cause}."""
+    """Return a sentence on the cells of each table that our copy has lost, {title: sentence of the cause}."""
     causes = {place(each): given.causes.get((each.paper, each.cause)) for each in given if each.printed == "?"}
     return {title: cause.sentence for title, cause in causes.items() if cause}
 

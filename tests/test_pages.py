@@ -12,7 +12,7 @@ import numpy as np
 import pages
 import pytest
 import speed
-from conftest import NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT, cells_of, prose
 
 import mpt_helpers as mpt
 from reproduction import burden
@@ -164,8 +164,8 @@ def test_the_table_of_filters_counts_the_operations_of_the_papers(by_id):
 def test_a_corrected_formula_is_what_the_operations_give(given):
     """The formulas of papers.toml, which no verdict holds: against the operations counted one by one."""
     corrected = pages.texts(given)["corrected"]["2014_gsm_2d"]
-    formulas = {id: right for id, right in corrected.items() if isinstance(right, str)}
-    right = {id: re.split("≥|=|for", text)[0 if id.startswith("mu") else -1] for id, text in formulas.items()}
+    formulas = {id: each for id, each in corrected.items() if isinstance(each, str)}
+    right = {id: re.split("≥|=|for", formulas[id])[0 if id.startswith("mu") else -1] for id in formulas}
     for M in range(1, 30):
         a, b = (count * burden.total(burden.fir(n, m, M)) for count, n, m in ((1, 4, 2), (2, 2, 1)))
         steady = [count * burden.total(burden.steady_state(n, m)) for count, n, m in ((1, 4, 2), (2, 2, 1))]
@@ -462,8 +462,7 @@ def test_links_in_a_checkout_lead_to_what_can_be_read_there():
     templates = [path for path in written if re.search(r"{[{%]", shown(path))]
     texts = {path: shown(path) for path in written if path not in templates}
     for path in NOTEBOOKS:
-        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-        texts[path] = "\n".join(pages.source(cell) for cell in cells if cell["cell_type"] == "markdown")
+        texts[path] = prose(cells_of(path))
     linked = {
         (path, target): path.parent / target
         for path, text in texts.items()
