@@ -89,8 +89,8 @@ def start_of_2016():
 
 
 # Numbers, formulas and figures agree or not; a paper's claims are counted by OF_CLAIMS.
-OF_VALUES = {REPRODUCED: "agree", IN_PART: "agree in part", ERRATUM: "do not", CANNOT_BE_CHECKED: "cannot be checked"}
-LIKE = {WITHIN_BAND: REPRODUCED, DIFFERS: ERRATUM}
+OF_VALUES = {REPRODUCED: "agree", IN_PART: "agree in part", DIFFERS: "do not", CANNOT_BE_CHECKED: "cannot be checked"}
+LIKE = {WITHIN_BAND: REPRODUCED, ERRATUM: DIFFERS}
 
 
 def outcomes(given):

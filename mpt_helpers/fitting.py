@@ -400,7 +400,7 @@ def _variances(H, J):
     return np.where(moved > APART**2, math.inf, np.diag(inverse @ J @ inverse))
 
 
-def _covariance_of_scores(scores):
+def covariance_of_scores(scores: Array) -> Array:
     """Return J (d, d) from the scores of blocks (d, B), which sum to zero, with Student's factor for few blocks."""
     count = scores.shape[1]
     student = stdtrit(count - 1, 0.975) / ndtri(0.975)
@@ -427,7 +427,7 @@ def _log_errors(surprise, best, known, blocks):
         return errors
     _, scores, H = _differences(of_known, best[known])
     H = H.sum(axis=-1)
-    J = H if blocks.count == 1 else _covariance_of_scores(scores)
+    J = H if blocks.count == 1 else covariance_of_scores(scores)
     errors[known] = np.sqrt(_variances(H, J))
     return errors
 

@@ -1,7 +1,7 @@
 """Recorded tracks: from a file, or from latitudes and longitudes, to times in seconds and positions in metres.
 
 `track` does all that there is to do with one: it reads a file, refuses faults, fits, smooths and judges. `clean` does
-the same with numbers. `gpx` only reads, and refuses a file whose times are not in order.
+the same with numbers. `gpx` only reads, and refuses a file whose times are not in order, or skips such fixes.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from .recordings import NO_TIME, Recording, moment_of, read, read_gpx
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
 
-# Latitudes and longitudes (°) and heights (m) are not beyond these, nor are heights below the lowest: what is, as the
-# -32768 that stands for none in some files, is none.
+# Latitudes and longitudes (°) and heights (m) are not beyond these, and no height is below the lowest. A number that
+# is counts as missing: some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 # Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
 ONE_PLANE = 500e3
@@ -155,7 +155,10 @@ def longest_in_order(time: Array) -> Array:
     if (np.diff(time[known]) > 0).all():
         return known
     turned = (-time).tolist()
-    starts, starts_of, after = [], [], {}  # for each length the latest start, -time and row; the row that follows each
+    # Entry k of `starts` and `starts_of` is of all orders of k + 1 rows the one that starts latest: -time of its first
+    # row, turned since bisect wants numbers that increase, and that row. `after` has the row that follows each one.
+    # Times 1, 9, 2, 3 make, from the end, starts of [-3], [-3, -2], [-9, -2], [-9, -2, -1]: the order is 1, 2, 3.
+    starts, starts_of, after = [], [], {}
     for row in known[::-1].tolist():
         length = bisect.bisect_left(starts, turned[row])
         after[row] = starts_of[length - 1] if length else None
@@ -315,11 +318,11 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
     rows = np.concatenate(kept) if kept else np.empty(0, dtype=int)
     if len(rows) < FEWEST:
         raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {len(rows)} of {N}")
-    unread = len(recording.unread)
-    reasons = {
+    unread = ~timed & np.isin(np.arange(N), list(recording.unread))
+    reasons = {  # each row counts for one
         "no position on the Earth": int((~somewhere).sum()),
-        "no time": int((somewhere & ~timed).sum()) - unread,
-        "a time that cannot be read": unread,
+        "no time": int((somewhere & ~timed & ~unread).sum()),
+        "a time that cannot be read": int((somewhere & unread).sum()),
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
     return rows, {reason: count for reason, count in reasons.items() if count > 0}

@@ -193,7 +193,7 @@ def test_the_covariance_of_scores_is_that_of_their_sum():
     """Of the sums of 20 independent scores, over 4000 of them, apart from Student's factor (2.093 / 1.960)."""
     scores = np.random.default_rng(1).standard_normal((4000, 2, 20)) * np.array([[1.0], [3.0]])
     scores -= scores.mean(axis=2, keepdims=True)
-    J = np.mean([fitting._covariance_of_scores(each) for each in scores], axis=0)
+    J = np.mean([fitting.covariance_of_scores(each) for each in scores], axis=0)
     np.testing.assert_allclose(np.diag(J), 20 * np.array([1.0, 9.0]) * (2.093 / 1.960) ** 2, rtol=0.03)
 
 

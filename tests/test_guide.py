@@ -95,8 +95,8 @@ def test_the_numbers_in_the_words_of_the_short_guide_are_right(short):
     assert set(c.refused.tolist()) - own_faults == {3898, 4319}
     assert "Two fixes are refused of the ride itself" in SHORT
     by_curvature = np.sqrt(2 / np.isfinite(c.z).sum())
-    assert 5.5 < c.log_errors["q"] / by_curvature < 6.5
-    assert "says a sixth of that" in SHORT
+    assert 6.5 < c.log_errors["q"] / by_curvature < 7.5
+    assert "says a seventh of that" in SHORT
     both = (np.abs(c.band.ahead.errors) <= c.band.widths)[c.band.unseen].all(axis=1).mean()
     assert f"{both:.0%}" == "93%"
     assert "both at once hold less, here 93 %" in SHORT
@@ -355,7 +355,7 @@ def test_what_the_short_guide_says_that_sparse_tracks_hide():
         t, z = recorded(name, False)
         rows = np.unique(np.searchsorted(t, np.arange(0, t[-1], 10.0)))
         c = tracks.clean(t[rows], z[rows])
-        each = cleaning.usual(t[rows], z[rows], 0.0)
+        each = cleaning.scale_of(t[rows], z[rows], 0.0)
         x, P = cleaning._smoothed(c.line, cleaning.Noise(c.q, c.r, c.rounding), each)
         left = np.maximum(c.r - P, cleaning.SMALLEST_DIFFERENCE * c.r)
         known[name] = np.nanmedian(c.r / np.sqrt(left))

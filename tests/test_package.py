@@ -36,7 +36,7 @@ OTHERS = {
     "recordings": {"checks"},
     "geodesy": {"checks"},
     "report": {"recordings", "geodesy", "plots"},
-    "cleaning": {"checks", "gate", "bands", "metrics", "report", "files", "filters", "model", "recordings"},
+    "cleaning": {"checks", "gate", "bands", "metrics", "report", "files", "filters", "fitting", "model", "recordings"},
     "tracks": {"checks", "geodesy", "cleaning", "recordings"},
     "track_command": {"tracks", "report", "recordings", "files"},
 }
