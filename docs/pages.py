@@ -623,6 +623,8 @@ def main():
     size = write_archive(BUILD / "extra" / f"{name}.tar.gz", name)
     drawn = {key: figures_of(key, each["cells"]) for key, each in notebooks.items()}
     classes, modules = interface()
+    corrected = {key: corrections.read(given.of(key), about["corrected"].get(key, {})) for key in notebooks}
+    asked = {key: about["questions"].get(key, {}) for key in notebooks}
     env.globals |= {
         "given": given,
         "texts": about,
@@ -635,6 +637,8 @@ def main():
         "accuracy": svg_size(BUILD / "static" / "accuracy.svg"),
         "titles": {key: title(each["cells"]) for key, each in notebooks.items()},
         "figures": drawn,
+        "contents": {key: corrections.contents(given.of(key), corrected[key], asked[key]) for key in notebooks},
+        "remarks": {key: corrections.remarks(given.of(key), asked[key]) for key in notebooks},
         "classes": classes,
         "modules": modules,
         "speed": speed,
@@ -647,7 +651,7 @@ def main():
             (BUILD / "source" / folder / f"{each.name}.md").write_text(text, encoding="utf-8")
     for key, notebook in notebooks.items():
         write_article(env, key, notebook, given.of(key), about["live"]["after"])
-        write_corrections(env, key, given.of(key), about)
+        write_corrections(env, key, given.of(key), corrected[key], asked[key])
     shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
     shutil.copytree(DOCS / "tracks", BUILD / "extra" / "tracks")
     for page in [DOCS / f"{name}.md" for name in GUIDES if (DOCS / f"{name}.md").exists()]:
@@ -728,18 +732,20 @@ def described_as(text):
     return {"html_meta": {"description": text}}
 
 
-def write_corrections(env, key, own, about):
-    """Write the page of corrections to one paper."""
+def write_corrections(env, key, own, corrected, asked):
+    """Write the page of corrections to one paper: corrected is {id: text or Patch}, asked {id: question}."""
     html = env.get_template("correction.html").render(
         key=key,
         root="../",
         rows=corrections.names_of_rows(own),
-        sections=corrections.sections(own, about["corrected"].get(key, {})),
+        sections=corrections.sections(own, corrected),
+        in_text=corrections.in_text(own, corrected),
+        if_printed=corrections.if_printed(own, corrected),
         lost=corrections.lost(own),
-        questions=corrections.questions(own, about["questions"].get(key, {})),
-        beyond=[each for each in own if each.beyond],
+        questions=corrections.questions(own, asked),
+        unchecked=corrections.unchecked(own, asked, corrected),
     )
-    paper = about["papers"][key]
+    paper = env.globals["texts"]["papers"][key]
     front = yaml.safe_dump({"myst": described_as(f"Corrections to {paper['authors']}. {paper['outcome']}")})
     text = f"---\n{front}---\n# Corrections to {paper['authors']}\n\n{raw_html(html)}\n"
     (BUILD / "source" / "corrections" / f"{key}.md").write_text(text, encoding="utf-8")
