@@ -209,6 +209,7 @@ def test_what_z_leaves_out_of_the_next_position_is_the_push(key, verdicts):
     found = verdicts[key]["measured"]
     assert "push" in found.computed
     assert f"with a σ of {100 * 0.5 * dt * np.sqrt(q):g} cm" in found.computed
+    assert found.reason == published(key).causes["measured"].sentence
     assert "predicted one step ahead, without the push ½ Δt w(k)" in found.reason
     assert found.verdict == "differs"
 
