@@ -184,8 +184,9 @@ def test_the_question_on_table_4_names_the_counts_that_its_causes_name(given):
     pairs = [re.search(said, each.sentence).groups() for each in causes]
     text = pages.texts(given)["questions"]["2014_gsm_2d"]["table4.1.3"]
     assert text.endswith(" Have the four one origin?")
-    fit, right = text.partition("Have the four")[0].split("Table 2 gives")
-    assert re.findall(r"\b\d{2,4}\b", fit.split("All wrong cells follow from four counts, ")[1]) == [number for number, _ in pairs]
+    said, right = text.partition("Have the four")[0].split("Table 2 gives")
+    four = said.split("All wrong cells follow from four counts, ")[1]
+    assert re.findall(r"\b\d{2,4}\b", four) == [number for number, _ in pairs]
     assert re.findall(r"\d+", right) == [number for _, number in pairs]
     assert len(pairs) == 4
 
