@@ -180,10 +180,13 @@ def test_a_corrected_formula_is_what_the_operations_give(given):
 def test_the_question_on_table_4_names_the_counts_that_its_causes_name(given):
     """One slip for each of the four counts, said on the page of corrections, on the home page and in the question."""
     causes = [each for (_, id), each in given.causes.items() if id.startswith("table4-")]
-    pairs = [re.search(r"fit (\d+) operations\. By Table 2 it takes (\d+)", each.sentence).groups() for each in causes]
+    said = r"fit (\d+) operations\. By Table 2 it takes (\d+)"
+    pairs = [re.search(said, each.sentence).groups() for each in causes]
     text = pages.texts(given)["questions"]["2014_gsm_2d"]["table4.1.3"]
-    fit, right = text.partition("Have the four")[0].split("Table 2 gives")
-    assert re.findall(r"\b\d{2,4}\b", fit.split("ratios fit")[1]) == [number for number, _ in pairs]
+    assert text.endswith(" Have the four one origin?")
+    said, right = text.partition("Have the four")[0].split("Table 2 gives")
+    four = said.split("All wrong cells follow from four counts, ")[1]
+    assert re.findall(r"\b\d{2,4}\b", four) == [number for number, _ in pairs]
     assert re.findall(r"\d+", right) == [number for _, number in pairs]
     assert len(pairs) == 4
 
