@@ -67,7 +67,7 @@ NAMED_ROW = re.compile(r"row (\d+) \(([^)]*)\)")
 
 
 def names_of_rows(given):
-    """Return what the paper calls its numbered rows, {1: "A, KF"}, wherever it says so."""
+    """Return the names of the paper's numbered rows, {1: "A, KF"}, wherever it gives one."""
     found = [NAMED_ROW.search(each.where) for each in given]
     return {int(match[1]): match[2] for match in found if match}
 
@@ -113,13 +113,13 @@ def tables(given, failing, corrected):
 
 
 def lost(given):
-    """Return what our copy has lost of each table, {title: sentence of the cause}."""
+    """Return a sentence on the cells of each table that our copy has lost, {title: sentence of the cause}."""
     causes = {place(each): given.causes.get((each.paper, each.cause)) for each in given if each.printed == "?"}
     return {title: cause.sentence for title, cause in causes.items() if cause}
 
 
 def questions(given, asked):
-    """Return what is unknown, [(question, verdict)]: what is asked of items, and what the paper leaves open."""
+    """Return the open questions, [(question, verdict)]: those asked of items, and those that the paper leaves open."""
     by_id = {each.id: each for each in given}
     open_questions = [(text, by_id[id]) for id, text in asked.items()]
     lacking = [each for each in given if each.verdict == CANNOT_BE_CHECKED and not each.cause and each.id not in asked]

@@ -252,7 +252,7 @@ def unbroken(text):
 
 
 def home_page(about, given, drawn):
-    """Return what the home page says: the words of papers.toml with the numbers of home.py in them.
+    """Return the contents of the home page: the words of papers.toml with the numbers of home.py in them.
 
     drawn maps names of figures to Drawn. Raises ValueError for a mistake whose figure no notebook draws.
     """
@@ -287,9 +287,10 @@ def draw_sensor(folder):
     """Draw what the first figure shows first, as sensor.svg, and return what the page needs to know of it."""
     fig = break_sensor.draw("gap")
     alt = figures.save_figure(fig, "sensor", folder).alt
+    data = break_sensor.for_the_page()
     return {
-        "data": break_sensor.for_the_page(),
-        "json": json.dumps(break_sensor.for_the_page(), ensure_ascii=False),
+        "data": data,
+        "json": json.dumps(data, ensure_ascii=False),
         "size": svg_size(folder / "sensor.svg"),
         "alt": f"{alt} {break_sensor.said('gap')}",
         "said": break_sensor.said("gap"),
@@ -357,7 +358,7 @@ def with_named_headers(output):
 
 
 def end_of_part_1(cells, figure):
-    """Return after which cell the figure with sliders stands: its figure's, else the last one before Part II."""
+    """Return the cell after which the figure with sliders stands: its figure's, else the last one before Part II."""
     for i, cell in enumerate(cells):
         if cell["id"] in figure:
             return i

@@ -15,7 +15,12 @@ To see how the filters work, read in this order:
 - `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead.
 
 `riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` finds the parameters of a model,
-`monte_carlo` runs studies of many runs, `checks` refuses bad input, `algebra` and `immutable` serve the others.
+`lasting` models errors that last, `monte_carlo` runs studies of many runs, `checks` refuses bad input, `algebra` and
+`immutable` serve the others.
+
+For a recorded track: `tracks` does all of it, from a file read by `recordings` to a line cleaned by `cleaning`, which
+asks `gate` for faults, and told by `report`; `track_command` is the same for a terminal. `geodesy`, `files` and `plots`
+serve these.
 """
 
 __version__ = "0.4.0"

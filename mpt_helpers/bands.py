@@ -123,14 +123,13 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> Ahead:
     (array([0., 1.]), array([3., 3.]), array([-0.02,  0.04]), array([0.56, 0.53]), 2)
     """
     model = _model_of_any_step(estimator)
-    seconds = checks.positive("seconds", checks.as_seconds(seconds))
+    seconds = checks.duration("seconds", seconds)
     z = checks.measurements(z, model.m)
     x, P = estimator.estimates(z)
     if z.ndim == 2:
         z, x, P = z[..., None], x[..., None], P[..., None]
     N, m, M = z.shape
-    t = model.dt * np.arange(N) if estimator.t is None else estimator.t
-    t = np.broadcast_to(t.reshape(N, -1), (N, M))
+    t = np.broadcast_to(estimator.times_of(N).reshape(N, -1), (N, M))
     R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
     parts = []
     for c in range(M):
@@ -163,7 +162,7 @@ def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Arr
     array([1.96 , 1.95 , 2.145, 2.134])
     """
     checks.instance("a", a, Ahead)
-    level = _level(level)
+    level = checks.level(level)
     log_f = _start(a.seconds, a.errors.shape[1], before, level)
     band = np.empty_like(a.sigma)
     for rows in _each_track(a):
@@ -223,7 +222,7 @@ def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayL
     """
     band, judged = _checked_band("interval_score", a, band, where)
     missed_by = np.maximum(np.abs(a.errors) - band, 0)
-    return np.nanmean(np.where(judged, 2 * band + 2 / (1 - _level(level)) * missed_by, np.nan), axis=0)
+    return np.nanmean(np.where(judged, 2 * band + 2 / (1 - checks.level(level)) * missed_by, np.nan), axis=0)
 
 
 def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
@@ -268,8 +267,8 @@ class LiveBand:
 
     def __init__(self, estimator: Filter, seconds: Seconds, before: Ahead | None = None, level: float = 0.95):
         self.model = _model_of_any_step(estimator)
-        self.seconds = checks.positive("seconds", checks.as_seconds(seconds))
-        self.level = _level(level)
+        self.seconds = checks.duration("seconds", seconds)
+        self.level = checks.level(level)
         self.log_f = _start(self.seconds, self.model.m, before, self.level)
         self.average = 1.0  # a: the recent average of NIS / m
         self.last = None  # the estimate of the last call: time, x, P
@@ -378,7 +377,7 @@ def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
 
 
 def _repeats(z, before):
-    """Say which measurements z (..., m) are those before them, to the last bit."""
+    """Tell which measurements z (..., m) repeat the ones before them, to the last bit."""
     return ((z == before) | (np.isnan(z) & np.isnan(before))).all(axis=-1)
 
 
@@ -420,7 +419,7 @@ def _local(average):
 
 
 def _memory(fixes):
-    """Return over how many fixes the errors are remembered, from how many there are in one horizon."""
+    """Return the number of fixes over which errors are remembered, from the number of fixes in one horizon."""
     return max(SHORTEST_MEMORY, fixes)
 
 
@@ -457,7 +456,7 @@ def _follow(a, rows, log_f, level, band):
 
 
 def _move(error, half_width, fixes, level):
-    """Return by how much log f moves when a prediction comes due, checked so many fixes after it was made."""
+    """Return the change of log f when a prediction comes due, checked so many fixes after it was made."""
     return _gain(fixes) * ((error > half_width) - (1 - level))
 
 
@@ -481,7 +480,7 @@ def _each_track(a):
 
 
 def _independent(a, where):
-    """Return how many of some predictions begin when the one counted before has ended."""
+    """Return the number of predictions that do not overlap: each begins when the one counted before it has ended."""
     count, end, track = 0, -np.inf, -1
     for made, due, of_track in zip(a.made[where].tolist(), a.due[where].tolist(), a.track[where].tolist(), strict=True):
         if made >= end or of_track != track:
@@ -493,8 +492,8 @@ def _model_of_any_step(estimator):
     if not isinstance(estimator, Filter):
         checks.refuse("estimator", "a filter", f"{estimator!r:.60}", TypeError)
     if estimator.model.dt is None:
-        need = "a model that knows steps of any length, such as constant_velocity or constant_acceleration"
-        checks.refuse("estimator", need, "one whose dt and powers are not known")
+        need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
+        checks.refuse("estimator", need, "one whose F and Q are for one length only")
     if any(map(_has_conditions, estimator.parts)):
         need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
         checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")
@@ -507,7 +506,7 @@ def _has_conditions(estimator):
 
 
 def _checked_band(name, a, band, where):
-    """Return the band, and by which errors it is judged, (K, m): those measured, as `where` says, of a half-width.
+    """Return the band, and a mask (K, m) of the errors that judge it: measured, where `where` says, with a half-width.
 
     `name` is that of the function that judges, for the warning of errors without a half-width.
     """
@@ -532,7 +531,3 @@ def _checked_band(name, a, band, where):
             f"{name}: left out {unstated} of {measured.sum()} errors, whose band is NaN: nothing was stated of them"
         )
     return band, judged
-
-
-def _level(level):
-    return checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)

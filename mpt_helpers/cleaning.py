@@ -16,7 +16,6 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -111,7 +110,7 @@ class Stretches:
         return Stretches(self.rows[rows], self.t[rows], self.z[rows], self.moved[rows], self.first[rows], relative)
 
 
-class Motion(NamedTuple):
+class Noise(NamedTuple):
     """q (m²/s³) and r (m²) of all axes, and whether r is the least that is possible: the rounding of the numbers."""
 
     q: float
@@ -148,8 +147,7 @@ def checked(t, z, r):
         if r.shape != z.shape:
             checks.refuse("r", f"a variance of each fix, shape {t.shape} or {z.shape}", f"shape {r.shape}")
         there = r[np.isfinite(z)]
-        if not (np.isfinite(there) & (there > 0)).all():
-            checks.refuse("r", "a positive variance of every fix", "another")
+        checks.used_variances("r", there, of="fix")
         r = r / np.median(there)
     return t, z, r
 
@@ -196,7 +194,7 @@ def least_distance(z: Array) -> float:
 
 
 def usual(t: Array, z: Array, rounding: float) -> Usual:
-    """Return what is Usual on a track, faults and all."""
+    """Return the Usual of a track, faults and all."""
     rows = np.flatnonzero(np.isfinite(z).all(axis=1))
     seconds, moved = np.diff(t[rows]), np.sqrt((np.diff(z[rows], axis=0) ** 2).sum(axis=1))
     later = seconds > 0
@@ -207,7 +205,7 @@ def usual(t: Array, z: Array, rounding: float) -> Usual:
     return Usual(float(np.median(seconds[later])), speed, max(rounding, (1e-9 * speed) ** 2))
 
 
-def first_guess(t: Array, z: Array, each: Usual) -> Motion:
+def first_guess(t: Array, z: Array, each: Usual) -> Noise:
     """Return q and r that give the changes of velocity between fixes the size that a tenth of them exceeds.
 
     Over two steps of h seconds the velocity changes by a variance of 2 q h / 3 + 6 r / h². Steps of one fix and of four
@@ -227,23 +225,23 @@ def first_guess(t: Array, z: Array, each: Usual) -> Motion:
             sizes.append(float(np.quantile(changes, TENTH)) / OF_TENTH)
     q, r = np.linalg.lstsq(np.array(equations), np.array(sizes), rcond=None)[0]
     least_q = 1e-6 * each.speed**2 / each.step
-    return Motion(max(float(q), least_q), max(float(r), each.rounding), False)
+    return Noise(max(float(q), least_q), max(float(r), each.rounding), False)
 
 
-def filter_of(motion: Motion, each: Usual, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
+def filter_of(noise: Noise, each: Usual, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
     """Return the filter of a track of some axes, which starts from its first fix, known to some steps."""
-    sigma = 10 * (math.sqrt(motion.r) + each.speed * each.step)
+    sigma = 10 * (math.sqrt(noise.r) + each.speed * each.step)
     P0 = np.diag([sigma**2, (2 * each.speed) ** 2])
-    axis = constant_velocity(dt=each.step, q=motion.q, r=motion.r, P0=P0)
-    return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else motion.r * relative)
+    axis = constant_velocity(dt=each.step, q=noise.q, r=noise.r, P0=P0)
+    return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else noise.r * relative)
 
 
-def on_one_line(t: Array, z: Array, relative: Array | None, number: NDArray[np.intp], motion: Motion, each: Usual):
+def on_one_line(t: Array, z: Array, relative: Array | None, number: NDArray[np.intp], noise: Noise, each: Usual):
     """Return the Stretches of a track: the rows from the first to the last fix of each piece.
 
     Beyond APART they are so long apart that the velocity at the start of one is not known from the one before it.
     """
-    apart = max(APART, 64 * each.speed**2 / motion.q)
+    apart = max(APART, 64 * each.speed**2 / noise.q)
     rows, times, moved, first = [], [], [], []
     end, last = 0.0, np.zeros(z.shape[1])
     for k in range(number.max() + 1):
@@ -261,7 +259,7 @@ def on_one_line(t: Array, z: Array, relative: Array | None, number: NDArray[np.i
     return Stretches(rows, np.concatenate(times), z_line, moved, np.concatenate(first), relative)
 
 
-def fitted(line: Stretches, guess: Motion, each: Usual) -> Motion:
+def fitted(line: Stretches, guess: Noise, each: Usual) -> Noise:
     """Return the q and r that make the fixes of a line most probable, given the first two of each stretch.
 
     With q and r doubled, gains stay as they are and S doubles: so only r / q is searched, and q is the mean NIS for
@@ -287,10 +285,10 @@ def fitted(line: Stretches, guess: Motion, each: Usual) -> Motion:
     ratio = math.exp(found.x)
     q = _scale(line, ratio, guess.q, each)[0]
     if q * ratio > each.rounding:
-        return Motion(q, q * ratio, False)
+        return Noise(q, q * ratio, False)
     for _ in range(3):
         q = _scale(line, each.rounding / q, guess.q, each)[0]
-    return Motion(q, each.rounding, True)
+    return Noise(q, each.rounding, True)
 
 
 def _likelihoods(line, ratio, about, each):
@@ -324,38 +322,38 @@ def _sample(line):
     return replace(part, first=first[rows])
 
 
-def log_errors(line: Stretches, motion: Motion, each: Usual) -> dict[str, float]:
+def log_errors(line: Stretches, noise: Noise, each: Usual) -> dict[str, float]:
     """Return standard errors of log q and log r that hold where the motion is calm and wild by turns.
 
     The second derivatives of log L say how well a right model would know them. Here the scatter of the first ones does,
     taken over blocks of some minutes, which hardly depend on each other (a sandwich of scores). An r that is known by
     the rounding only has no error.
     """
-    ratio, h = motion.r / motion.q, 0.05
-    nis, log_S = _likelihoods(line, ratio, motion.q, each)
-    nis = nis / motion.q
+    ratio, h = noise.r / noise.q, 0.05
+    nis, log_S = _likelihoods(line, ratio, noise.q, each)
+    nis = nis / noise.q
     span = line.t[-1] - line.t[0] - APART
     block = np.floor(line.t / max(1.0, min(BLOCK, span / FEWEST_BLOCKS)))
     _, block = np.unique(block, return_inverse=True)
     scores = [0.5 * (nis - 1)]
     curvature = [[0.5 * np.nansum(nis)]]
-    if not motion.rounding:
-        (up, log_up), (down, log_down) = (_likelihoods(line, ratio * math.exp(d), motion.q, each) for d in (h, -h))
-        slopes = [(nis_d / motion.q + log_d) / 2 for nis_d, log_d in ((up, log_up), (down, log_down))]
+    if not noise.rounding:
+        (up, log_up), (down, log_down) = (_likelihoods(line, ratio * math.exp(d), noise.q, each) for d in (h, -h))
+        slopes = [(nis_d / noise.q + log_d) / 2 for nis_d, log_d in ((up, log_up), (down, log_down))]
         scores.append((slopes[1] - slopes[0]) / (2 * h))
         bend = np.nansum(slopes[0] + slopes[1] - nis - log_S) / h**2
-        cross = np.nansum(down - up) / motion.q / (2 * h) / 2
+        cross = np.nansum(down - up) / noise.q / (2 * h) / 2
         curvature = [[curvature[0][0], cross], [cross, bend]]
     sums = np.array([np.bincount(block, np.nansum(each_score, axis=1)) for each_score in scores])
     inverse = np.linalg.inv(np.array(curvature))
     covariance = inverse @ (sums @ sums.T) @ inverse
-    if motion.rounding:
+    if noise.rounding:
         return {"q": math.sqrt(covariance[0, 0]), "r": math.inf}
     both = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]  # log r = log q + log ratio
     return {"q": math.sqrt(covariance[0, 0]), "r": math.sqrt(max(both, 0.0))}
 
 
-def seen_from_both_sides(line: Stretches, motion: Motion, each: Usual, number: NDArray[np.intp]) -> NDArray[np.intp]:
+def seen_from_both_sides(line: Stretches, noise: Noise, each: Usual, number: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the pieces without the fixes that are far off what all others say of them.
 
     The distance of a fix from the smoothed line without it is (z - x)² / (r - P), x and P those of the line with it. It
@@ -363,8 +361,8 @@ def seen_from_both_sides(line: Stretches, motion: Motion, each: Usual, number: N
     """
     number = number.copy()
     for _ in range(LOOKS):
-        x, P = _smoothed(line, motion, each)
-        r = motion.r if line.relative is None else motion.r * line.relative
+        x, P = _smoothed(line, noise, each)
+        r = noise.r if line.relative is None else noise.r * line.relative
         without = np.maximum(r - P, SMALLEST_DIFFERENCE * r)
         seen = np.isfinite(line.z)
         off = np.where(seen, (line.z - x) ** 2 / without, 0).sum(axis=1)
@@ -387,9 +385,9 @@ def _limits_of_calm(off):
     return np.clip(FROM_BOTH_SIDES * np.median(around, axis=1) / MEDIAN, CALM, FROM_BOTH_SIDES)
 
 
-def _smoothed(line, motion, each):
+def _smoothed(line, noise, each):
     """Return the smoothed positions of a line and their variances, (K, m)."""
-    s = _from_an_unknown_start(line, motion.q, motion.r, each).smooth(line.z[:, None])
+    s = _from_an_unknown_start(line, noise.q, noise.r, each).smooth(line.z[:, None])
     return s.x[:, 0], s.P[:, 0, 0]
 
 
@@ -400,18 +398,18 @@ def _from_an_unknown_start(line, q, r, each, about=1.0):
     return KalmanFilter(axis, t=line.t, r=None if line.relative is None else r * line.relative[:, None])
 
 
-def band_of(line: Stretches, motion: Motion, each: Usual, seconds: float) -> Band | None:
-    """Return what predictions are worth on the second half of a line, or None where it has too few of them.
+def band_of(line: Stretches, noise: Noise, each: Usual, seconds: float) -> Band | None:
+    """Return the Band of the second half of a line, or None where it has too few predictions.
 
     q and r are fitted anew, on the first half.
     """
     half = len(line.rows) // 2
-    first = fitted(line.part(slice(half)), motion, each)
+    first = fitted(line.part(slice(half)), noise, each)
     kf = filter_of(first, each, line.t, line.relative, line.z.shape[1])
     fixes = np.isfinite(line.z).any(axis=1)
     t = line.t[fixes]
-    due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - 1e-6))] - t
-    if np.mean(due <= 1.5 * seconds) < CHECKED:
+    due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - bands.TIME_ROUNDING))] - t
+    if np.mean(due <= bands.LATEST * seconds) < CHECKED:
         seconds = float(np.quantile(np.diff(t), 0.5, method="higher"))
     try:
         a = metrics.ahead(kf, line.z, seconds)
@@ -493,7 +491,7 @@ class Cleaned:
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """Which rows are fixes that are kept, (N,)."""
+        """The mask of the fixes that are kept, (N,)."""
         return self.pieces >= 0
 
     @property
@@ -503,11 +501,11 @@ class Cleaned:
 
     @property
     def stretches(self) -> int:
-        """How many stretches there are."""
+        """The number of stretches."""
         return int(self.pieces.max()) + 1
 
     def report(self) -> str:
-        """Return what was done to the track and found about it, in words."""
+        """Return a report, in words, of what was done to the track and what was found about it."""
         return report.text(self)
 
     def summary(self) -> dict[str, Any]:
@@ -530,10 +528,9 @@ class Cleaned:
     @property
     def starts(self) -> NDArray[np.intp]:
         """The rows where a stretch begins after a jump, not after a pause."""
-        firsts = [int(np.flatnonzero(self.pieces == k)[0]) for k in range(self.pieces.max() + 1)]
+        firsts = np.array([np.flatnonzero(self.pieces == k)[0] for k in range(self.stretches)], dtype=np.intp)
         recording = np.searchsorted(self.recordings, firsts, side="right")
-        of_a_jump = [b for a, b in pairwise(range(len(firsts))) if recording[a] == recording[b]]
-        return np.array([firsts[b] for b in of_a_jump], dtype=np.intp)
+        return firsts[1:][recording[1:] == recording[:-1]]  # of the recording that the stretch before is of
 
 
 def clean(
@@ -571,34 +568,34 @@ def clean(
     ([100], [], 0.035, 4.03)
     """
     t, z, relative = checked(t, z, r)
-    seconds, limit = checks.positive("seconds", checks.as_seconds(seconds)), checks.positive("limit", limit)
+    seconds, limit = checks.duration("seconds", seconds), checks.positive("limit", limit)
     if pause is not None:
-        pause = checks.positive("pause", checks.as_seconds(pause))
+        pause = checks.duration("pause", pause)
     if rounding is None:
         rounding = least_distance(z) ** 2 / 12
     starts = begins(t, np.isfinite(z).any(axis=1), segment, pause)
     each = usual(t, z, rounding)
-    motion, number, line = first_guess(t, z, each), None, None
+    noise, number, line = first_guess(t, z, each), None, None
     for _ in range(TURNS):
         show("looking for faults")
-        found = gate.pieces(filter_of(motion, each, t, relative, z.shape[1]), z, starts, limit, 3)
-        line = on_one_line(t, z, relative, found, motion, each)
-        found = seen_from_both_sides(line, motion, each, found)
+        found = gate.pieces(filter_of(noise, each, t, relative, z.shape[1]), z, starts, limit, 3)
+        line = on_one_line(t, z, relative, found, noise, each)
+        found = seen_from_both_sides(line, noise, each, found)
         if number is not None and np.array_equal(found, number):
             break
         number = found
-        line = on_one_line(t, z, relative, number, motion, each)
+        line = on_one_line(t, z, relative, number, noise, each)
         show("fitting")
-        motion = fitted(line, motion, each)
-    line = on_one_line(t, z, relative, number, motion, each)
+        noise = fitted(line, noise, each)
+    line = on_one_line(t, z, relative, number, noise, each)
     show("smoothing")
-    kf = filter_of(motion, each, line.t, line.relative, z.shape[1])
+    kf = filter_of(noise, each, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]
     x, P = np.full((len(t), n), np.nan), np.full((len(t), n, n), np.nan)
     x[line.rows], P[line.rows] = s.x, s.P
     x[line.rows, ::2] -= line.moved
     show("judging the band")
-    errors = log_errors(line, motion, each)
-    band = band_of(line, motion, each, seconds)
-    return Cleaned(t, z, number, x, P, motion.q, motion.r, errors, motion.rounding, band, kf, line, starts)
+    errors = log_errors(line, noise, each)
+    band = band_of(line, noise, each, seconds)
+    return Cleaned(t, z, number, x, P, noise.q, noise.r, errors, noise.rounding, band, kf, line, starts)

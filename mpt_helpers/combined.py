@@ -193,7 +193,7 @@ class Separate(Filter):
         return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return what the filters' `smooth` return, as one state and a block diagonal covariance."""
+        """Return the results of the filters' `smooth` as one state and a block diagonal covariance."""
         return self._as_given(z, lambda z: self._side_by_side([f.smooth(z[:, rows]) for f, _, rows in self._slices()]))
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -380,11 +379,8 @@ def _blocks(estimator, z):
 
 
 def _usual_step(estimator, seen):
-    """Return the median step between fixes in seconds, or 1 where the filter knows no times."""
-    t, dt = getattr(estimator, "t", None), estimator.model.dt
-    if t is None:
-        t = (1.0 if dt is None else dt) * np.arange(len(seen))
-    t = np.broadcast_to(t.reshape(len(seen), -1), seen.shape)
+    """Return the median step between fixes in seconds."""
+    t = np.broadcast_to(estimator.times_of(len(seen)).reshape(len(seen), -1), seen.shape)
     steps = np.concatenate([np.diff(t_of_one[seen_of_one]) for t_of_one, seen_of_one in zip(t.T, seen.T, strict=True)])
     return float(np.median(steps)) if len(steps) else 0.0
 
@@ -497,7 +493,7 @@ def _squared_distance_of_the_start(estimator: Filter, z: ArrayLike) -> float:
 
 
 def _warn(text):
-    warnings.warn(f"fit: {text}", UserWarning, stacklevel=4)
+    checks.warn(f"fit: {text}")
 
 
 def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:
@@ -520,7 +516,7 @@ def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: flo
     True
     """
     checks.instance("estimator", estimator, KalmanFilter)
-    level = checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)
+    level = checks.level(level)
     normal = float(ndtri((1 + level) / 2))
     log_c = 0.0
     for _ in range(MOST_RESCALINGS):

@@ -1,4 +1,4 @@
-"""Which fixes of a recorded track are faults: one pass of a Kalman filter in sequence, which makes a mask.
+"""The faults among the fixes of a recorded track: one pass of a Kalman filter in sequence, which makes a mask.
 
 A receiver errs in two ways that no filter expects. Single fixes, or a few in a row, lie far off; and the whole track
 jumps, as when the signal comes back, and goes on from elsewhere. The gate tells one from the other:
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import checks
-from .filters import KalmanFilter, LainiotisFilter
+from .filters import KalmanFilter, LainiotisFilter, lengths_of
 
 # Two pieces are joined, without a jump, where the way between them is at most so many times as fast as the fastest
 # twentieth of all steps: between consecutive fixes of a clean track none was.
@@ -95,14 +95,13 @@ def pieces(kf, z, begins, limit, patience):
             "kf", "covariances that doubles can hold over these epochs", "an overflow, or none that is positive"
         )
     unit = z / np.sqrt(np.diag(kf.model.R))
-    times = _times_of(kf, len(z))
     recording = np.zeros(len(z), dtype=int)
     recording[list(begins)] = 1
     recording = np.cumsum(recording)
     number = np.full(len(z), -1)
     if not found:
         return number
-    way = _Way(found, unit, times, recording)
+    way = _Way(found, unit, kf.times_of(len(z)), recording)
     for k, rows in enumerate(_cheapest_chain(_without_stuck_ones(found, way), way, recording)):
         number[rows] = k
     return number
@@ -183,13 +182,13 @@ class _Way:
         self._fast = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
 
     def too_fast(self, a, b, at_most=FASTER):
-        """Tell of each way from a row of a to a row of b whether it is so many times as fast as a track usually is."""
+        """Tell which ways, from rows of a to those of b, are over `at_most` times as fast as a track usually is."""
         a, b = np.array(a, dtype=int), np.array(b, dtype=int)
         seconds = np.maximum(self._times[b] - self._times[a], 1e-9)
         return (self._recording[a] == self._recording[b]) & (self._lengths(a, b) > at_most * self._fast * seconds)
 
     def distance(self, a, b):
-        """Return how far two fixes are apart, in what both of them have measured."""
+        """Return the distance between two fixes, along the axes that both of them have measured."""
         return float(self._lengths(a, b))
 
     def speed(self, a, b):
@@ -259,25 +258,14 @@ def _parts(rows):
     return [rows[begin:end] for begin, end in pairwise(cuts.tolist()) if end > begin]
 
 
-def _times_of(kf, N):
-    """Return the times of the rows; in steps where the model does not say how long they are."""
-    if getattr(kf, "t", None) is None:
-        return np.arange(N) * (kf.model.dt or 1.0)
-    if kf.t.shape != (N,):
-        checks.refuse("kf", f"a time of each of the {N} rows of z", f"times of shape {kf.t.shape}")
-    return kf.t
-
-
-def _variances_of(kf, z, seen):
-    """Return the variances of the measurements (N, m), or None where they are the model's R."""
-    r = getattr(kf, "r", None)
-    if r is None:
-        return None
-    if r.shape != z.shape:
-        checks.refuse("kf", f"variances of the shape of z, {z.shape}", f"shape {r.shape}")
-    if not (np.isfinite(r[seen]) & (r[seen] > 0)).all():
-        checks.refuse("r", "a positive variance of every measurement that is there", "another")
-    return r
+def _require_own_conditions(kf, z, seen):
+    """Raise a ValueError where the times and variances of the filter are not those of the rows of z (N, m)."""
+    if kf.t is not None and kf.t.shape != (len(z),):
+        checks.refuse("kf", f"a time of each of the {len(z)} rows of z", f"times of shape {kf.t.shape}")
+    if kf.r is not None:
+        if kf.r.shape != z.shape:
+            checks.refuse("kf", f"variances of the shape of z, {z.shape}", f"shape {kf.r.shape}")
+        checks.used_variances("r", kf.r[seen])
 
 
 # What follows is all that knows how a filter takes a step. Both classes do the same:
@@ -289,13 +277,11 @@ def _variances_of(kf, z, seen):
 
 
 def _steps_of(kf, z, seen):
-    times, variances = _times_of(kf, len(z)), _variances_of(kf, z, seen)
-    lengths = np.ones(len(z))
-    if getattr(kf, "t", None) is not None:
-        lengths[1:] = np.diff(times) / kf.model.dt
-    if _is_a_stack_of_equal_axes(kf.model, variances, seen):
-        return _EqualAxes(kf.model, lengths, variances, z)
-    return _AnyModel(kf.model, lengths, variances, z, seen)
+    _require_own_conditions(kf, z, seen)
+    lengths = np.ones(len(z)) if kf.t is None else lengths_of(kf.t, kf.model.dt)
+    if _is_a_stack_of_equal_axes(kf.model, kf.r, seen):
+        return _EqualAxes(kf.model, lengths, kf.r, z)
+    return _AnyModel(kf.model, lengths, kf.r, z, seen)
 
 
 class _AnyModel:

@@ -68,7 +68,7 @@ def _step_of(model, dt):
     """Return the time step of a model in seconds: its own, or dt where it has none, or raise."""
     if dt is None and model.dt is None:
         checks.refuse("dt", "the time step in seconds, which this model does not say", "none")
-    step = checks.positive("dt", checks.as_seconds(model.dt if dt is None else dt))
+    step = checks.duration("dt", model.dt if dt is None else dt)
     if model.dt not in (None, step):
         checks.refuse("dt", f"the model's own time step, {model.dt:g} s", f"{step:g} s")
     return step
@@ -150,11 +150,9 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
         floors.append(max(_of_lasting(half[:, axis], best[0]) for z in centred for half in np.array_split(z, 2)))
         if errors[2] > UNKNOWN:
             low, high = spans[-1][:, 2] / 60
-            warnings.warn(
+            checks.warn(
                 f"fit_lasting: axis {axis}: tau is {low:.0f} to {high:.0f} min, which the logs do not determine: "
-                "give more days",
-                UserWarning,
-                stacklevel=2,
+                "give more days"
             )
     r, sigma, tau = np.transpose(values)
     known = dict(zip(PARAMETERS, np.transpose(spans, (2, 0, 1)), strict=True))
@@ -226,7 +224,7 @@ def _of_lasting(errors, r):
 
 
 class Memory(NamedTuple):
-    """How much of an error is left after a span: the result of `memory`.
+    """The part of an error that is left after a span: the result of `memory`.
 
     correlation is that of two errors a span apart. mean is the error of the mean of the fixes of a span, newest that of
     the newest point of a line through them, both over the error of one fix.
@@ -238,7 +236,7 @@ class Memory(NamedTuple):
 
 
 def memory(log: tuple[ArrayLike, ArrayLike], span: float) -> Memory:
-    """Return how much an average over `span` seconds leaves of the errors of a receiver that did not move.
+    """Return the part of the errors of a receiver at rest that an average over `span` seconds leaves, as a Memory.
 
     The log is a pair (t, z) as in `fit_lasting`; errors count from its mean, all axes together. A span of n fixes whose
     errors are independent has a correlation of 0, a mean of 1/√n and a newest point of nearly 2/√n. One whose errors

@@ -1,4 +1,4 @@
-"""How far estimates lie from each other and from the truth, and how far they should."""
+"""The distances of estimates from each other and from the truth, and the sizes that they should have."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .bands import interval_score as interval_score
 from .checks import Array
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
-from .recursive import Filter
+from .recursive import Filter, one_or_many
 from .steady import SteadyStateFilter
 from .steps import epochs_at_a_time
 
@@ -79,10 +79,8 @@ def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
     array([[1.   ],
            [1.239]])
     """
-    z, many, values, S = _of(estimator, z)
-    if not many:
-        return Innovations(values[..., 0], S[..., 0])
-    return Innovations(values, S if S.shape[3] == z.shape[2] else np.repeat(S, z.shape[2], axis=3))
+    _, many, values, S = _of(estimator, z)
+    return Innovations(*one_or_many(values, S, many))
 
 
 def _of(estimator, z):
@@ -110,7 +108,7 @@ def _squares(values, C):
 
 
 class Squares(NamedTuple):
-    """What each row tells of how probable it was, (N, M): νᵀ S⁻¹ ν, log det S, and how many numbers it holds."""
+    """The terms of the log likelihood of each row, (N, M): νᵀ S⁻¹ ν, log det S, and the count of its numbers."""
 
     squares: Array
     log_det: Array
@@ -158,7 +156,7 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
 
 
 def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
-    """Return what looks wrong with measurements, or with the filter for them: sentences by kind, none if all is well.
+    """Return warnings, by kind, of what looks wrong with measurements or with the filter for them; none if all is well.
 
     It knows nothing but the innovations and the times, and cannot tell metres from feet. The kinds are
 
@@ -186,7 +184,7 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     repeats[1:] = z[1:] == z[:-1]
     squares = np.square(np.where(repeats, np.nan, unit))
     usual = float(np.nanmedian(squares)) if np.isfinite(squares).any() else 0.0
-    found = {"same time": _said_of_equal_times(getattr(estimator, "t", None), z)}
+    found = {"same time": _said_of_equal_times(estimator.t, z)}
     if usual > 0:
         found["units"] = _said_of_units(usual / MEDIAN_OF_A_SQUARE)
         found["far off"] = _said_of_the_farthest(squares / usual)
@@ -203,7 +201,7 @@ def _said_of_units(ratio):
 
 
 def _said_of_the_farthest(ratios):
-    """Say which NIS (N, m, M), over the median one, stands out."""
+    """Name the largest NIS of `ratios` (N, m, M), over the median one, where it stands out."""
     worst = np.unravel_index(np.nanargmax(ratios), ratios.shape)
     if ratios[worst] <= STANDS_OUT:
         return ""
@@ -277,7 +275,7 @@ def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, fl
     (1.63, 2.41)
     """
     total = checks.count("dof", dof) * checks.count("runs", runs)
-    level = checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)
+    level = checks.level(level)
     low, high = 2 * gammaincinv(total / 2, [(1 - level) / 2, (1 + level) / 2]) / runs
     return float(low), float(high)
 

@@ -182,7 +182,7 @@ def _solve_relf(model):
 
 
 def _units(model):
-    """Return how far the noise of n steps moves each state, rounded to a power of two so that scaling is exact.
+    """Return the distance that the noise of n steps moves each state, rounded to a power of two: then scaling is exact.
 
     In these units the entries of a matrix can be compared.
     """
@@ -213,7 +213,7 @@ def _margins(model):
 
 
 def _distance_from_rank_loss(pencil):
-    """Return how far a matrix is from losing rank, relative to its size."""
+    """Return the distance of a matrix from losing rank, relative to its size."""
     singular = np.linalg.svd(pencil, compute_uv=False)
     return singular[-1] / singular[0] if singular[0] else 0.0
 

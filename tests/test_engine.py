@@ -244,7 +244,7 @@ def test_a_gain_that_never_settles_takes_a_track_without_gaps_through_columns(ma
 @pytest.mark.parametrize("P0", [0.0, 1.0])
 @pytest.mark.parametrize("name", ["gps_ins", "gsm", "dense"])
 def test_the_smoother_is_dense_conditioning(name, P0):
-    """Where P(k+1/k) is singular too: a start known exactly, a constant bias, noise of one direction."""
+    """Also where P(k+1/k) is singular: a start known exactly, a constant bias, noise of one direction."""
     model = {"gps_ins": mpt.gps_ins(1.0, 0.01, (1.0, 0.1)), "gsm": AXIS, "dense": dense_model(2)}[name]
     model = replace(model, P0=P0 * np.eye(model.n), x0=np.ones(model.n))
     F, H, Q, R, x0, _ = matrices(model)

@@ -51,7 +51,7 @@ def said_by(call):
 @settings(max_examples=25, deadline=None)
 @given(SEEDS)
 def test_twice_all_covariances_leave_the_estimates_and_make_S_twice_as_large(seed):
-    """What the search along a ratio rests on, with times, gaps and variances of each fix."""
+    """The search along a ratio rests on it; with times, gaps and variances of each fix."""
     rng = np.random.default_rng(seed)
     n, m, N = 2 * rng.integers(1, 3), 2, 30
     one = mpt.constant_velocity(1.0, *rng.uniform(0.1, 2, 2), x0=rng.standard_normal(2), P0=np.eye(2))

@@ -134,7 +134,7 @@ print((now() - start) / libraries, *sys.modules)"""
 
 
 def imported():
-    """Return how many times its libraries' processor time an import of the package takes, and all that is loaded."""
+    """Return the processor time of an import of the package over that of its libraries, and all that is loaded."""
     run = subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True)
     cost, *loaded = run.stdout.split()
     return float(cost), set(loaded)

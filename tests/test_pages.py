@@ -12,7 +12,7 @@ import numpy as np
 import pages
 import pytest
 import speed
-from conftest import NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT, cells_of, prose
 
 import mpt_helpers as mpt
 from reproduction import burden
@@ -337,8 +337,7 @@ def test_links_in_a_checkout_lead_to_what_can_be_read_there():
     templates = [path for path in written if re.search(r"{[{%]", shown(path))]
     texts = {path: shown(path) for path in written if path not in templates}
     for path in NOTEBOOKS:
-        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-        texts[path] = "\n".join(pages.source(cell) for cell in cells if cell["cell_type"] == "markdown")
+        texts[path] = prose(cells_of(path))
     linked = {
         (path, target): path.parent / target
         for path, text in texts.items()
