@@ -139,6 +139,24 @@ def test_freezing_after_eight_steps_costs_nothing_once_settled(taught):
         assert np.sqrt(P[0, 0]) == pytest.approx(article.settled_sigma(COLUMNS[key], [0])[0], rel=0.01)
 
 
+@pytest.mark.parametrize(("typical", "dt"), [(10, 1.0), (5, 0.1)])
+def test_the_rule_of_freezing_costs_nothing_for_the_other_sensors_of_the_article(taught, typical, dt):
+    """Exactly: σ of the frozen filter against that of the gain at its limit, without and with pushes."""
+    F, Q = taught["motion"](dt, taught["q"])
+    step = taught["freeze_from"](F, Q, typical**2)
+    sigma = {}
+    for vary in (step, 3000):
+        _, gains, _ = taught["track"](np.zeros(3000), F, Q, typical**2, 1e4 * np.eye(2), vary)
+        update = np.eye(2) - gains[-1] @ np.eye(1, 2)
+        P = np.zeros((2, 2, 2))
+        for _ in range(3000):
+            pushed = np.multiply.outer([0, 1], Q)
+            P = update @ (F @ P @ F.T + pushed) @ update.T + typical**2 * gains[-1] @ gains[-1].T
+        sigma[vary] = np.sqrt(P[:, 0, 0])
+    np.testing.assert_allclose(sigma[step], sigma[3000], rtol=0.01)
+    assert (sigma[step] != sigma[3000]).all()
+
+
 def test_the_start_redone_by_hand():
     steady = COLUMNS["cv"].steady
     (position, velocity), trusted = steady.B[:, 0], np.sqrt(steady.P[1, 1])
