@@ -882,8 +882,9 @@ def test_the_finding_of_the_ledger_has_the_number_of_the_notebook():
         assert average >= round(max(half, one, double) / min(half, one, double), 2)
         assert own_average >= round(max(half / one, one / half, one / double, double / one), 2)
         assert average == pytest.approx(max(half, one, double) / min(half, one, double), rel=0.03)  # of seven steps
-        by_hand = [sigma_by_hand(key, i, dt, 0) if dt <= 1 or i == 0 else None for dt in (0.5, 1)]
-        assert own_sigma > 1 < by_hand[1] / by_hand[0] <= sigma
+        short, of_1_s, long = (sigma_by_hand(key, i, dt, 0) for dt in (0.5, 1, 2))  # it grows with the step
+        assert f"{long / short:.2f}" == f"{sigma:.2f}"
+        assert f"{max(of_1_s / short, long / of_1_s):.2f}" == f"{own_sigma:.2f}"
         assert sigma < 1.25 * 1.25
         assert (given.verdict == IN_PART) == (average > 1.25 * 1.25) == (f"{key}.{part}" == "ca.estimation")
         if given.verdict == IN_PART:
