@@ -57,13 +57,13 @@ def rms(key, axis, estimator=None, steps=60):
 
 
 def test_the_claim_is_told_with_the_papers_numbers():
-    says("First it drives at 20 and 30 m/s, then with constant accelerations of 2 and 3 m/s²")
+    says("velocities of 20 and 30 m/s, then accelerations of 2 and 3 m/s²")
     assert [start[-1] for start in table1.STARTS["cv"]] == [20, 30]
     assert [start[-1] for start in table1.STARTS["ca"]] == [2, 3]
     printed = [number for numbers in table1.PRINTED.values() for number in numbers]
     says(f"average errors of Table 1 lie between {min(printed):.3f} and {max(printed):.3f} percent")
     assert sum(each.id.startswith("table1.") and each.verdict in HOLDS for each in stored_verdicts(ARTICLE.path)) == 12
-    says("They pass with 10,000 steps")
+    says("All twelve numbers lie within the scatter of single runs")
 
 
 def test_table_1_beside_what_is_computed():
@@ -84,14 +84,18 @@ def test_table_1_beside_what_is_computed():
     adds(f"The pair that looks worst, {rows[2][1]} and {rows[3][1]}")
     gaps = [abs(float(a) - float(b)) for i in (0, 2) for a, b in zip(rows[i][1:], rows[i + 1][1:], strict=True)]
     assert max(gaps) == pytest.approx(float(rows[2][1]) - float(rows[3][1]))
+    apart = [100 * (1 - table1.of_both_axes(each, STEPS) * 100 / each.printed) for each in COLUMNS.values()]
+    adds("Ten of the twelve agree within 2 %")
+    assert (np.abs(np.hstack(apart)) < 2).sum() == 10
+    adds(f"For {rows[2][2]} ours is {apart[1][1]:.0f} % lower")
+    adds(f"is {apart[1][0]:.0f} % apart")
 
 
 def test_the_error_of_the_papers_start():
     largest = {(key, axis): rms(key, axis)[0].max() for key in COLUMNS for axis in (0, 1)}
     says(f"up to {largest['cv', 0]:.0f} m off at 20 m/s, and {largest['cv', 1]:.0f} m at 30 m/s")
-    assert f"start {largest['cv', 0]:.0f} to {largest['cv', 1]:.0f} m off" in printed_by("start")
-    assert f"off\\n(not drawn: {largest['cv', 1]:.0f} m at 30 m/s)" in printed_by("start")
-    says(f"six bad steps, up to {largest['ca', 0]:.1f} m off on one axis and {largest['ca', 1]:.1f} m on the other")
+    assert f"Let the gain vary first, or start {largest['cv', 0]:.0f} m off" in printed_by("start")
+    assert f"frozen at once, as in the paper: up to {largest['cv', 0]:.0f} m off" in printed_by("start")
     measurement = np.sqrt(table1.R)
     worse = np.flatnonzero(rms("cv", 0)[0] > measurement) + 1
     says("For twelve steps the orange filter is worse than no filter, but for one moment at step 8")
@@ -105,7 +109,7 @@ def test_the_error_of_the_papers_start():
 
 def test_a_gain_that_varies_first_is_never_worse_than_a_measurement():
     says(f"for one measurement, {np.sqrt(table1.R):.2f} m")
-    says("is typically no worse than one measurement")
+    says("A filter whose gain varies first begins as good as one measurement")
     says("begins as good as one measurement and only improves. From step 15 on the two are the same")
     for key, column in COLUMNS.items():
         kf = article.FrozenLater(column.steady.model, after=8)
@@ -116,7 +120,7 @@ def test_a_gain_that_varies_first_is_never_worse_than_a_measurement():
             assert (np.diff(error[0]) < 1e-3).all()
             assert (np.abs(error[0] / rms(key, axis)[0] - 1)[14:] < 0.03).all()
             np.testing.assert_allclose(error[5, 7:], article.settled_sigma(column, [5])[0], rtol=0.03)
-    says(f"Both end at {article.settled_sigma(COLUMNS['cv'], [0])[0]:.2f} m")
+    says(f"Both end at {article.settled_sigma(COLUMNS['cv'], [0])[0]:.2f} m, if the car keeps its velocity")
     says("the guess may be wrong by a hundred metres and a hundred metres a second")
 
 
@@ -125,7 +129,9 @@ def test_freezing_after_eight_steps_costs_nothing_once_settled(taught):
     says("That changes the typical error by less than 1 %")
     for F, Q, key in (("F", "Q", "cv"), ("F_3", "Q_3", "ca")):
         F, Q = taught[F], taught[Q]
-        _, K, _ = taught["track"](np.zeros(8), F, Q, table1.R, 1e4 * np.eye(len(F)), 8)
+        _, gains, _ = taught["track"](np.zeros(9), F, Q, table1.R, 1e4 * np.eye(len(F)), 8)
+        K = gains[-1]
+        np.testing.assert_array_equal(K, gains[-2])
         A = F - K @ np.eye(1, len(F)) @ F
         P = np.zeros_like(Q)
         for _ in range(500):
@@ -133,10 +139,29 @@ def test_freezing_after_eight_steps_costs_nothing_once_settled(taught):
         assert np.sqrt(P[0, 0]) == pytest.approx(article.settled_sigma(COLUMNS[key], [0])[0], rel=0.01)
 
 
+@pytest.mark.parametrize(("typical", "dt"), [(10, 1.0), (5, 0.1)])
+def test_the_rule_of_freezing_costs_nothing_for_the_other_sensors_of_the_article(taught, typical, dt):
+    """Exactly: σ of the frozen filter against that of the gain at its limit, without and with pushes."""
+    F, Q = taught["motion"](dt, taught["q"])
+    step = taught["freeze_from"](F, Q, typical**2)
+    sigma = {}
+    for vary in (step, 3000):
+        _, gains, _ = taught["track"](np.zeros(3000), F, Q, typical**2, 1e4 * np.eye(2), vary)
+        update = np.eye(2) - gains[-1] @ np.eye(1, 2)
+        P = np.zeros((2, 2, 2))
+        for _ in range(3000):
+            pushed = np.multiply.outer([0, 1], Q)
+            P = update @ (F @ P @ F.T + pushed) @ update.T + typical**2 * gains[-1] @ gains[-1].T
+        sigma[vary] = np.sqrt(P[:, 0, 0])
+    np.testing.assert_allclose(sigma[step], sigma[3000], rtol=0.01)
+    assert (sigma[step] != sigma[3000]).all()
+
+
 def test_the_start_redone_by_hand():
     steady = COLUMNS["cv"].steady
     (position, velocity), trusted = steady.B[:, 0], np.sqrt(steady.P[1, 1])
     says(f"believes it knows the velocity to {trusted:.2f} m/s")
+    assert f"believes it knows the velocity to {trusted:.2f} m/s" in printed_by("run")
     says(
         f"by {position:.3f} · 20 = {20 * position:.1f} m, and its velocity by {velocity:.3f} · 20 = {20 * velocity:.1f}"
     )
@@ -175,6 +200,15 @@ def test_the_loop_of_the_article_finds_when_to_freeze(taught):
     assert article.steps_to_freeze(table1.MODELS["cv"](0.1, table1.Q, 25.0)) == 152
 
 
+@pytest.mark.parametrize(("typical", "dt", "q"), [(5, 0.01, 0.01), (10, 0.1, 1e-4)])
+def test_a_horizon_that_does_not_suffice_is_refused(taught, typical, dt, q):
+    """The last gain of 500 steps is not the limit here: judged by it, the answers were 493 and 488."""
+    F, Q = taught["motion"](dt, q)
+    with pytest.raises(ValueError, match=r"^steps: 500 do not suffice; take 5000$"):
+        taught["freeze_from"](F, Q, typical**2, steps=500)
+    assert taught["freeze_from"](F, Q, typical**2) == taught["freeze_from"](F, Q, typical**2, steps=10_000)
+
+
 @pytest.mark.parametrize(("key", "power"), [("cv", 3), ("ca", 5)])
 def test_when_to_freeze_depends_on_one_ratio(key, power):
     """As long as P = 10⁴ I says that nothing is known: R of the worst sensor here is 320 m²."""
@@ -185,14 +219,25 @@ def test_when_to_freeze_depends_on_one_ratio(key, power):
 
 
 def test_a_start_far_from_zero_is_a_wrong_guess():
-    """The error of the start is proportional to the distance; its largest is not that of the first estimate."""
-    says("At 10 km the first estimates are up to 0.1 m off with this sensor, and 92 m with one that is wrong by 10 m")
-    t = np.arange(1.0, 60)
-    for key, track in (("cv", 20 * t), ("ca", t**2)):
-        for far, r, off in ((1e4, table1.R, 0.1), (1e6, table1.R, 10), (1e4, 100, {"cv": 92, "ca": 63}[key])):
-            kf = article.unknown_start(table1.MODELS[key](1.0, table1.Q, r))
-            z = far + track[:, None]
-            assert np.abs(z[:, 0] - kf.filter(z)[:, 0]).max() == pytest.approx(off, rel=0.01)
+    """The way from zero to the first position counts as that of one second, in part."""
+    says("at 10 km its first velocity is 5,000 m/s")
+    far = 1e4 + 20.0
+    gain = article.unknown_start(COLUMNS["cv"].steady.model).coefficients(1).B[0]
+    assert f"{gain[1, 0] * far:,.0f}" == "5,010"
+    assert gain[0, 0] == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize(("key", "first"), [("cv", 2), ("ca", 3)])
+def test_no_prediction_before_the_velocity_is_known(key, first):
+    """The error five seconds ahead, exactly, of a car at 20 m/s: large before, and moderate from that step on."""
+    says("Use no prediction before the second measurement, or the third with acceleration")
+    model = COLUMNS[key].steady.model
+    start = [0.0, 20.0, 0.0][: model.n]
+    column = table1.Column(COLUMNS[key].steady, (start, start), COLUMNS[key].printed)
+    mean, variance = table1.mean_and_variance(column, 0, 10, article.unknown_start(model))
+    off = np.sqrt(mean[5] ** 2 + variance[5])
+    assert (off[: first - 1] > 20).all()
+    assert (off[first - 1 :] < 20).all()
 
 
 def test_a_missed_measurement_spoils_what_follows(taught):
@@ -214,10 +259,20 @@ def test_the_program_of_the_article_is_the_filter(taught):
         np.testing.assert_allclose(Q, model.Q)
         varied, _, _ = taught["track"](z, F, Q, table1.R, 1e4 * np.eye(len(F)), len(z))
         np.testing.assert_allclose(varied, article.unknown_start(model).filter(z[:, None]), rtol=1e-9, atol=1e-9)
-        frozen, K, _ = taught["track"](z, F, Q, table1.R, COLUMNS[key].steady.P, 1)
+        frozen, gains, _ = taught["track"](z, F, Q, table1.R, COLUMNS[key].steady.P, 1)  # settled before the start
         np.testing.assert_allclose(frozen, COLUMNS[key].steady.filter(z[:, None]), rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(K, COLUMNS[key].steady.B, rtol=1e-9)
+        np.testing.assert_allclose(gains[-1], COLUMNS[key].steady.B, rtol=1e-9)
     says(f"change the velocity by about {np.sqrt(taught['q']):.1f} m/s in one second")
+    says(f"random pushes change it by about {np.sqrt(taught['q']):.1f} m/s in every second")
+
+
+def test_the_single_line_of_the_article_is_the_papers_filter(taught):
+    """A, B and the estimates of its loop, as they stand in the article, against the package's steady state."""
+    steady = COLUMNS["cv"].steady
+    np.testing.assert_allclose(taught["A"], steady.A, rtol=1e-6)
+    np.testing.assert_allclose(taught["B"], steady.B, rtol=1e-6)
+    z = 20.0 * np.arange(1, 61) + np.random.default_rng(2016).normal(0, np.sqrt(table1.R), 60)
+    np.testing.assert_allclose(np.array(taught["frozen"])[:, :, 0], steady.filter(z[:, None]), rtol=1e-6)
 
 
 # What Table 1 measures
@@ -242,29 +297,39 @@ def test_the_first_ten_steps_make_most_of_each_number_under_both_readings():
 def test_the_sum_that_makes_the_first_number():
     cv, ca = (article.percent_of_position(column).cumsum() for column in COLUMNS.values())
     assert [start[-1] * STEPS for start in table1.STARTS["cv"]] == [200_000, 300_000]
-    says("positions of up to 200 km and 300 km")
-    says(f"Ten steps add up to {cv[9]:.0f} %. The other 9,990 add {cv[-1] - cv[9]:.0f} %")
+    says("positions of up to 300 km")
+    says(f"The ten steps add up to {cv[9]:.1f} %. The other 9,990 add {cv[-1] - cv[9]:.1f} %")
     says(
         f"At the first step {cv[0]:.0f} % of the way is missing, because the gain is {COLUMNS['cv'].steady.B[0, 0]:.3f}"
     )
     assert cv[0] == pytest.approx(100 * (1 - COLUMNS["cv"].steady.B[0, 0]), abs=0.01)  # the noise adds next to nothing
-    says("A run of 20,000 steps would have had half of it")
+    says("A run twice as long would have had half of it")
     assert table1.of_both_axes(COLUMNS["cv"], 20_000)[0] == pytest.approx(cv[-1] / STEPS / 200, rel=0.01)
-    assert f"10,000 steps: ten of them make {cv[9]:.0f} of {cv[-1]:.0f} %" in printed_by("sum")
-    says(f"Divide {cv[-1]:.0f} % by 10,000 steps and you have {cv[-1] / STEPS:.4f} %")
+    assert "The first ten steps make nearly all of the number" in printed_by("sum")
+    assert cv[9] / cv[-1] > 0.95
+    says(f"That makes {cv[-1]:.1f} %, and divided by 10,000 steps it is the number, {cv[-1] / STEPS:.4f} percent")
     assert f"{cv[-1] / STEPS:.4f}" == f"{table1.PRINTED['cv'][0]}"
-    says(f"take the first number, {table1.PRINTED['cv'][0]} percent, and remove all noise")
+    says(f"The first number is {table1.PRINTED['cv'][0]} percent")
     assert f"{ca[-1] / STEPS:.4f}" == "0.0065"
     runs = 100 * table1.averages(COLUMNS["ca"], readings.simulated(COLUMNS, 0, 2000, 7)["ca"]["both"], [STEPS])[0]
     adds("from run to run that number has a standard deviation of 0.0015")
     assert runs[0].std() == pytest.approx(0.0015, abs=0.0001)
+    adds("of 0.0015, more than a fifth of itself")
+    assert runs[0].std() > 0.2 * runs[0].mean()
 
 
 def test_a_raw_measurement_beats_the_estimate_of_the_paper():
     """The grey square of the figure of Part II."""
-    for column in COLUMNS.values():
+    times = {}
+    for key, column in COLUMNS.items():
         inverse = np.mean([1 / column.positions(axis, STEPS)[0] for axis in (0, 1)])
-        assert 100 * table1.expected_absolute(0.0, table1.R) * inverse < column.printed[0] / 2
+        raw = 100 * table1.expected_absolute(0.0, table1.R) * inverse
+        assert raw < column.printed[0] / 2
+        times[key] = 100 * table1.of_both_axes(column, STEPS)[0] / raw
+        (given,) = (each for each in stored_verdicts(ARTICLE.path) if each.id == f"{key}.estimation.satisfying")
+        assert f"in the same average the measurements themselves have {raw:.4f} %" in given.computed  # not beyond
+    assert f"{times['cv']:.0f}" == "11"
+    adds(f"eleven times smaller at constant velocity, and {times['ca']:.1f} times at constant acceleration")
 
 
 def test_the_table_would_be_smaller_had_the_filter_settled():
@@ -299,12 +364,14 @@ def test_what_remains_without_noise():
             else:
                 least[key, steps] = alone / noisy[key]["both"].mean(axis=2)[:, :97].mean(axis=1)
     percent = 100 * np.array([least[key, STEPS] for key in COLUMNS])
-    says(f"{percent.min():.0f} to {percent.max():.0f} % of each number in Table 1 remains")
-    says(f"of the twelve numbers it is {percent.min():.0f} to {percent.max():.0f} %")
-    says("without noise 93 % or more of each number remains under both readings")
+    says(f"{percent.min():.0f} to {percent.max():.0f} % of each average in Table 1, as we recompute it, remains")
+    says("Under both readings 93 % or more of each average that we recompute remains without noise")
     assert min(each.min() for each in least.values()) > 0.925
-    assert "of 0.0111 %: 0.0106 %" in printed_by("table-1")
-    assert f"{100 * article.without_noise(COLUMNS['cv'])[0]:.4f}" == "0.0106"
+    says(f"and {100 * article.without_noise(COLUMNS['cv'])[0]:.4f} percent remain")
+    of_the_print = [100 * article.without_noise(column) / column.printed for column in COLUMNS.values()]
+    rest = np.hstack([of_the_print[0], of_the_print[1][1:]])
+    adds(f"Of the printed numbers {100 * rest.min():.0f} to {100 * rest.max():.0f} % remain")
+    adds(f"but {100 * of_the_print[1][0]:.0f} % of 0.0077")
 
 
 def with_true_start(column):
@@ -315,15 +382,7 @@ def with_true_start(column):
     return np.array([each[axis] / column.positions(axis, STEPS) for axis in (0, 1)])
 
 
-def test_table_1_with_a_true_start_and_with_a_gain_that_varies_first():
-    true, varied = [], []
-    for column in COLUMNS.values():
-        own = table1.of_both_axes(column, STEPS)
-        true.append(own / with_true_start(column).mean(axis=(0, 2)))
-        later = article.FrozenLater(column.steady.model, after=8)
-        varied.append(own / table1.of_both_axes(column, STEPS, later))
-    says(f"Given the true start, its numbers would be {plural(np.min(true), np.max(true))} times smaller")
-    says(f"varied first they would be {np.min(varied):.1f} to {np.max(varied):.0f} times smaller")
+def test_table_1_with_a_true_start():
     share = table1.share_of_the_start(with_true_start(COLUMNS["ca"]).mean(axis=0))[0]
     adds(f"they have {100 * share:.0f} % of the sum even for a filter with the true start")
 
@@ -361,7 +420,8 @@ def test_a_varying_step_written_out_is_that_of_the_package():
     np.testing.assert_allclose(x, kf.filter(np.array([[3.0]]))[0], rtol=1e-12)
     P_right = kf.coefficients(1).P[0]
     np.testing.assert_allclose(P, [P_right[0, 0], P_right[0, 1], P_right[1, 1]], rtol=1e-12)
-    says("A step of it costs 22 operations written out, where the frozen one costs 7")
+    says("in a program that leaves them out, freezing still saves two thirds")
+    assert pytest.approx(2 / 3, abs=0.02) == 1 - 7 / 22
 
 
 @pytest.mark.parametrize(("key", "expected"), [("cv", 9), ("ca", 17)])
@@ -380,7 +440,6 @@ def test_a_predictor_written_out_costs_what_filter_and_prediction_cost(key, expe
     any_position = {"cv": 2, "ca": 4}[key]  # s + v T, or s + v T + a T² / 2
     _, (_, frozen, one, predictor, _) = article.cost_table()
     assert frozen[at] + any_position == one[at] == predictor[at] == expected
-    says("costs what estimate and prediction cost together, 9 operations")
     adds("a predictor costs 9 operations, or 17 with acceleration: as much as the estimate and any one prediction")
 
 
@@ -405,7 +464,13 @@ def test_the_operations_are_those_of_the_papers_counts():
     assert [each[1:] for each in rows] == [[22, "-"], [7, 13], [9, 17], [9, 17], [7 + 6, 13 + 13]]
     says(f"A step costs {dense[2]} operations, or {dense[3]} with acceleration")
     assert burden.total(burden.kalman(2, 1)) > 2 * dense[2]  # "much less"
-    says(f"with the paper's way of counting, it costs {6 * dense[2]} against {dense[2] + 5 * row}")
+    _, (kalman, frozen, prediction, own) = article.cost_of_a_step()
+    assert frozen[1:] == own[1:] == [dense[2], dense[3]]
+    assert prediction[1:] == [row, 2 * 3 - 1]
+    assert kalman[1:] == [burden.value(printed, n=n, m=1) for n in (2, 3)]
+    says("The frozen gain saves six sevenths of the Kalman filter's operations")
+    for i in (1, 2):
+        assert 1 - frozen[i] / kalman[i] == pytest.approx(6 / 7, abs=0.035)
 
 
 # The table to print instead, and the time step
@@ -454,23 +519,79 @@ def test_what_to_expect_now_and_five_seconds_ahead():
     says("expect 0.2 to 0.3 m now")
     now, ahead = sigma["cv", 0]
     pushed = sigma["cv", 1][1]
-    says(f"expect {ahead:.1f} m if the velocity is exactly constant, and {pushed:.1f} m if the car is pushed")
-    says(f"With a filter for acceleration it is {sigma['ca', 0][1]:.1f} and {sigma['ca', 1][1]:.1f} m")
+    says(f"expect {ahead:.1f} m if the velocity is exactly constant, and {pushed:.1f} m if random pushes change it")
     says(f"now {now:.2f} m; in five seconds {ahead:.2f} m")
     says(f"If the car is pushed, the next line says {sigma['cv', 1][1]:.2f} m")
     missed = [np.hypot(sigma["cv", noise][1], np.sqrt(table1.R)) for noise in (0, 1)]
-    assert f"0.1 m²:  {missed[0]:.2f} m in exact motion,  {missed[1]:.2f} m if pushed" in printed_by("expected")
-    assert f"ahead: {missed[0]:.2f} m" in printed_by("own-test")
+    says(f"√({ahead:.2f}² + 0.1) = {missed[0]:.2f} m in exact motion")
+    says(f"√({pushed:.2f}² + 0.1) = {missed[1]:.2f} m if pushed")
 
 
 @pytest.mark.parametrize("r", [0.1, 1.0, 100.0])
 @pytest.mark.parametrize("key", COLUMNS)
 def test_what_to_expect_of_ones_own_sensor(taught, key, r):
+    """The simulated drives and the test on them, against the exact error of the settled filter."""
     F, Q = {"cv": ("F", "Q"), "ca": ("F_3", "Q_3")}[key]
-    column = table1.columns(r=r)[key]
+    F, Q = taught[F], taught[Q]
     for pushed in (0, 1):
-        (sigma,) = article.settled_sigma(column, [5], pushed)
-        assert taught["expected_miss"](taught[F], taught[Q], r, 5, pushed) == pytest.approx(np.sqrt(sigma**2 + r))
+        (sigma,) = article.settled_sigma(table1.columns(r=r)[key], [5], pushed)
+        missed = taught["typical_miss"](taught["drives"](F, Q, r, 400, pushed, 2000), F, Q, r, 5)
+        assert missed.shape == (2000,)
+        assert np.sqrt(np.mean(missed**2)) == pytest.approx(np.hypot(sigma, np.sqrt(r)), rel=0.02)
+
+
+def test_simulated_drives_have_the_covariances_of_the_model(taught):
+    F, Q = taught["F"], taught["Q"]
+    z = taught["drives"](F, Q, 0.1, 2, 1, 200_000)
+    assert z.shape == (2, 200_000)
+    C = np.array([[Q[0, 0] + 0.1, (F @ Q)[0, 0]], [0, (F @ Q @ F.T + Q)[0, 0] + 0.1]])
+    C[1, 0] = C[0, 1]
+    np.testing.assert_allclose(np.cov(z), C, atol=0.002)
+    assert np.cov(taught["drives"](F, Q, 0.1, 1, 0, 200_000)) == pytest.approx(0.1, rel=0.02)
+
+
+def test_the_test_takes_a_recording_as_it_comes(taught):
+    """One axis of numbers is one recording, wherever it starts; too short a one is refused."""
+    F, Q = taught["F"], taught["Q"]
+    z = taught["drives"](F, Q, 0.1, 100, 1, 3)
+    missed = taught["typical_miss"](z, F, Q, 0.1, 5)
+    np.testing.assert_allclose(taught["typical_miss"](z[:, 1] + 1e5, F, Q, 0.1, 5), missed[[1]], rtol=1e-6)
+    with pytest.raises(ValueError, match=r"^z: needs 37 rows or more, got 36$"):
+        taught["typical_miss"](z[:36], F, Q, 0.1, 5)
+
+
+def test_the_ranges_of_the_test_are_those_of_simulated_drives(taught):
+    """By loops over the package's filter with another seed; the ranges are from 1,000 drives, known to some 3 %."""
+    rng = np.random.default_rng(11)
+    (found,) = re.findall(r"yours misses by ([\d.]+) m", printed_by("own-test"))
+    ranges = {}
+    for minutes, pushed in product((2, 10), (0, 1)):
+        model = COLUMNS["cv"].steady.model
+        truth = replace(model, P0=np.zeros((2, 2)), Q=max(pushed, 1e-12) * model.Q)
+        _, z = mpt.simulate(truth, 60 * minutes, rng, tracks=1000)
+        x = article.unknown_start(model).filter(z)
+        missed = z[29:, 0] - (x[24:-5, 0] + 5 * x[24:-5, 1])
+        ranges[minutes, pushed] = np.quantile(np.sqrt(np.mean(missed**2, axis=0)), [0.025, 0.975])
+    printed = re.findall(r"([\d.]+) to ([\d.]+) m", printed_by("own-test"))
+    for numbers, each in zip(printed, ranges.values(), strict=True):
+        np.testing.assert_allclose([float(n) for n in numbers], each, rtol=0.04)
+    low, high = ranges[10, 1]
+    assert low < float(found) < high
+
+
+def test_the_fit_of_the_article_finds_what_made_the_recording():
+    (q, r) = re.findall(r"fitted to ten minutes: q = ([\d.]+), R = ([\d.]+)", printed_by("own-fit"))[0]
+    assert float(q) == pytest.approx(table1.Q, rel=0.3)  # ten minutes know q to 11 %, R to 9 %: two or three times that
+    assert float(r) == pytest.approx(table1.R, rel=0.2)
+
+
+def test_between_the_two_ranges_lies_a_small_steady_acceleration_too(taught):
+    """At 0.02 m/s² a smaller q makes the miss larger: so it is kept only if the miss falls."""
+    says("Try a smaller $q$, and keep it only if the miss falls")
+    z = taught["drives"](taught["F"], taught["Q"], 0.1, 600, 0, 300) + 0.01 * np.arange(600.0)[:, None] ** 2
+    missed = [np.mean(taught["typical_miss"](z, *taught["motion"](1.0, q), 0.1, 5)) for q in (0.01, 0.001)]
+    assert 0.70 < missed[0] < 1.03  # between the ranges of ten minutes
+    assert missed[1] > 1.05 * missed[0]
 
 
 def test_a_start_that_is_known_and_another_time_step(taught):
@@ -480,7 +601,8 @@ def test_a_start_that_is_known_and_another_time_step(taught):
     np.testing.assert_allclose(x[:, 0, 0], exact)
     F, Q = taught["motion"](0.5, 0.01)
     (sigma,) = article.settled_sigma(table1.columns(dt=0.5)["cv"], [5], 1)
-    assert taught["expected_miss"](F, Q, 0.1, round(5 / 0.5), 1) == pytest.approx(np.hypot(sigma, np.sqrt(0.1)))
+    missed = taught["typical_miss"](taught["drives"](F, Q, 0.1, 400, 1, 2000), F, Q, 0.1, round(5 / 0.5))
+    assert np.sqrt(np.mean(missed**2)) == pytest.approx(np.hypot(sigma, np.sqrt(0.1)), rel=0.02)
 
 
 def test_a_mobile_that_accelerates_leaves_the_filter_of_constant_velocity_behind():
@@ -493,15 +615,18 @@ def test_a_mobile_that_accelerates_leaves_the_filter_of_constant_velocity_behind
         ahead = np.linalg.matrix_power(model.F, 5)[0] @ x
         lag[key] = t[-1] ** 2 / 2 - x[0], (t[-1] + 5) ** 2 / 2 - ahead
     now, ahead = lag["cv"]
-    says(f"The filter of constant velocity lags by {now:.1f} m, and its prediction by {ahead:.0f} m")
+    slow = t[-1] - COLUMNS["cv"].steady.filter(t[:, None] ** 2 / 2)[-1, 1]
+    says(f"After a minute it is {now:.1f} m behind and {slow:.1f} m/s too slow")
+    says(f"makes {now:.1f} + 5 · {slow:.1f} m, and the acceleration that it does not know adds 12.5 m: {ahead:.0f} m")
+    assert now + 5 * slow + 5**2 / 2 == pytest.approx(ahead)
     np.testing.assert_allclose(lag["ca"], 0, atol=1e-6)  # positions of 45,000 m, with some ten digits
     position, velocity = COLUMNS["cv"].steady.B[:, 0]
     assert now == pytest.approx((1 - position) / velocity)
     third, without = (article.settled_sigma(COLUMNS[name], [5])[0] for name in ("ca", "cv"))
-    says(f"five seconds ahead the typical error is {third:.2f} m with it and {without:.2f} m without")
-    alike = np.sqrt(third**2 - without**2) / ahead  # here the lag, 25 a, and σ without add up to σ with it
-    says(f"at an acceleration of {alike:.3f} m/s²")
-    says(f"√({third:.2f}² - {without:.2f}²) = {ahead:.0f} · {alike:.3f}")
+    says(f"Five seconds ahead the typical error is {third:.2f} m with it and {without:.2f} m without")
+    says("a smaller one lowers the price")
+    smaller = table1.columns(q=1e-4)["ca"]
+    assert article.settled_sigma(smaller, [5])[0] < third / 3
 
 
 def test_errors_that_last_deceive_the_test_on_ones_own_recording():
@@ -519,10 +644,8 @@ def test_errors_that_last_deceive_the_test_on_ones_own_recording():
     seen = np.array([1.0, 5.0, last**5])
     true, shown = (np.sqrt(row @ P @ row) for row in (ahead, seen))
     shown = np.hypot(shown, np.sqrt(table1.R * (1 - last**10)))  # what is new in the measurement's error
-    says("With errors of 0.32 m and a correlation time of 60 s")
-    says("an error that hardly changes spoils the position, but not the velocity")
-    assert P[1, 1] < COLUMNS["cv"].steady.P[1, 1] / 4
-    says(f"the test shows {shown:.2f} m where {true:.2f} m is true")
+    says("the filter follows them, and then a small miss proves nothing")
+    assert shown < 0.55 * true
 
 
 def test_the_time_step_counted_in_steps_and_in_seconds():
@@ -534,17 +657,21 @@ def test_the_time_step_counted_in_steps_and_in_seconds():
         seconds.append(f"{later:.2f}")
         assert f"steps of {dt:g} s: {later:.2f} m" in printed_by("dt")
     adds(f"one step ahead: {one_step[0]}, {one_step[1]} and {one_step[2]} m")
-    says(f"five seconds ahead goes from {seconds[0]} to {seconds[2]} m, a fifth more")
+    says(f"raise the typical error five seconds ahead from {seconds[0]} to {seconds[2]} m")
     now = [sigma_by_hand("cv", 0, dt, 0) for dt in (0.5, 2.0)]
     says(f"Today's goes from {now[0]:.2f} to {now[1]:.2f} m, half more")
     assert now[1] / now[0] == pytest.approx(1.5, abs=0.05)
-    assert float(seconds[2]) / float(seconds[0]) == pytest.approx(1.2, abs=0.05)
-    says("four times as many measurements make the error five seconds ahead smaller by a fifth only")
-    assert float(seconds[0]) / float(seconds[2]) == pytest.approx(0.8, abs=0.03)
+    says("four times as many measurements, make the error five seconds ahead smaller by a fifth at most")
+    gains = []
+    for key, noise in product(COLUMNS, (0, 1)):
+        often, seldom = (sigma_by_hand(key, 5, dt, noise) for dt in (0.5, 2.0))
+        gains.append(1 - often / seldom)
+    assert min(gains) > 0.06
+    assert 0.17 < max(gains) <= 0.2
 
 
 def test_two_half_steps_make_one():
-    says("Two half steps of this model make a whole one, in $F$ and in $Q$")
+    says("The motion stays the same")
     for make in table1.MODELS.values():
         half, one = make(0.5, table1.Q, table1.R), make(1.0, table1.Q, table1.R)
         np.testing.assert_allclose(half.F @ half.F, one.F)
@@ -597,7 +724,7 @@ def test_the_odds_of_percent(log_p):
 
 
 def test_both_readings_give_all_twelve_numbers():
-    says("The table also comes out as plain fractions over 97 steps of a noisy run")
+    says("and also if they are read as fractions, over 97 steps of a car that is pushed as $Q$ says")
     for reading, length in ((readings.PERCENT, 10_000), (readings.FRACTION, 97)):
         samples = readings.all_samples(COLUMNS, reading, 7, lengths=[length])
         assert max(readings.passes(samples, COLUMNS, axis)[0] for axis in table1.AXES) == 12
@@ -693,40 +820,96 @@ def test_probability_is_a_mean_over_axes_and_lengths():
 
 def test_the_formulas_that_fail_are_those_that_the_article_names():
     wrong = {each.id for each in stored_verdicts(ARTICLE.path) if each.kind == "formula" and each.verdict in FAILS}
-    assert wrong == {"table2.operation.1", "table2.operation.2"}
-    says(
-        "since Table 2 multiplies $A_N$ by the wrong $x$ for $N$ above 1, and in one row $B_N$ by the next measurement"
-    )
+    assert wrong == {f"table2.operation.{row}" for row in (1, 2, 3)}
+    says("Table 2 multiplies $A_N$ by the wrong $x$ for $N$ above 1, and in one row $B_N$ by the next measurement")
 
 
 def test_what_rests_on_one_character_has_no_verdict():
-    """Each printed text is one character away from what is right: alike for all four, and for P_k of 2007."""
+    """Each printed text is one character away from what is right, or one entry; so is P_k of 2007."""
     verdicts = {each.id: each for each in stored_verdicts(ARTICLE.path)}
     items = reproduction.published("2016_prediction").items
     right = {"eq6.q": items["sec52.q"].printed}
     right["pairs"] = items["pairs"].printed.replace("Fᵀ Q", "F Q")
     right |= {f"table2.{part}.size": "(n x n)*(n x 1)" for part in ("estimation", "prediction")}
+    right["ca.cubic"] = "1/6 [0 1 0; 0 0 1; 0 0 0]³ (Δt)³"
+    right["ca.noise"] = "x(k+1) = F x(k) + w(k)"
+    right["ca.state"] = "z = [1 0 0] [s υ α]ᵀ + v"
+    right["cv.velocities"] = "v_x(t) = 20, v_y(t) = 30"
     for id, text in right.items():
         changes = [each for each in SequenceMatcher(None, items[id].printed, text).get_opcodes() if each[0] != "equal"]
         assert len(changes) == 1
-        assert changes[0][2] - changes[0][1] == 1  # characters of the copy
+        _, first, last, new_first, new_last = changes[0]
+        one = len(" υ") if id == "ca.state" else 1
+        assert max(last - first, new_last - new_first) == one
         assert verdicts[id].verdict == CANNOT_BE_CHECKED
         assert verdicts[id].cause == "copy-characters"
     assert {id for id, each in verdicts.items() if each.cause == "copy-characters"} == right.keys()
+    adds("Eight items rest on one character or entry")
+    assert len(right) == 8
     says("Eq. 6 has 1/3 for 1/6 in row 1, column 3, in our copy")
 
 
+def test_the_limits_of_the_papers_models_exist_under_either_reading():
+    """Stabilizable: every mode that does not decay gets noise, of F and of its transpose."""
+    adds("their Q is positive definite, so both pairs are stabilizable")
+    for column in COLUMNS.values():
+        F, Q = column.steady.model.F, column.steady.model.Q
+        for each in (F, F.T):
+            mode = each - np.eye(len(F))  # all modes of F are 1
+            assert np.linalg.matrix_rank(np.hstack([mode, Q])) == len(F)
+    assert (
+        "under either reading its own limits exist" in {e.id: e for e in stored_verdicts(ARTICLE.path)}["pairs"].reason
+    )
+
+
+def average_of_the_estimate(key, dt, since=0.0, steps=None):
+    """The average of Table 1, N = 0 and 1 (2,), over as much time, from an instant on; in percent of both axes."""
+    column = table1.columns(dt=dt)[key]
+    steps = round(STEPS / dt) if steps is None else steps
+    each = [table1.expected_absolute(*table1.mean_and_variance(column, axis, steps)) for axis in (0, 1)]
+    ratio = np.mean([each[axis] / column.positions(axis, steps) for axis in (0, 1)], axis=0)
+    return 100 * ratio[:2, max(round(since / dt) - 1, 0) :].mean(axis=1)
+
+
 def test_the_finding_of_the_ledger_has_the_number_of_the_notebook():
-    """The sentence on the time step, against the verdict's own factors; the other three hold by the same rule."""
+    """The sentence on the time step, against own numbers; the verdicts follow from the factors end to end."""
     verdicts = {each.id: each for each in stored_verdicts(ARTICLE.path)}
     sentence = reproduction.published("2016_prediction").causes["time-step"].sentence
-    for key, part in product(COLUMNS, ("estimation", "prediction")):
+    for key, (i, part) in product(COLUMNS, enumerate(("estimation", "prediction"))):
         given = verdicts[f"{key}.{part}.dt"]
-        average, sigma = (float(each) for each in re.findall(r"\d\.\d\d", given.computed))
+        average, sigma, own_average, own_sigma = (float(each) for each in re.findall(r"\d\.\d\d", given.computed))
+        half, one, double = (average_of_the_estimate(key, dt)[i] for dt in (0.5, 1, 2))
+        assert average >= round(max(half, one, double) / min(half, one, double), 2)
+        assert own_average >= round(max(half / one, one / half, one / double, double / one), 2)
+        assert average == pytest.approx(max(half, one, double) / min(half, one, double), rel=0.03)  # of seven steps
+        short, of_1_s, long = (sigma_by_hand(key, i, dt, 0) for dt in (0.5, 1, 2))  # it grows with the step
+        assert f"{long / short:.2f}" == f"{sigma:.2f}"
+        assert f"{max(of_1_s / short, long / of_1_s):.2f}" == f"{own_sigma:.2f}"
         assert sigma < 1.25 * 1.25
         assert (given.verdict == IN_PART) == (average > 1.25 * 1.25) == (f"{key}.{part}" == "ca.estimation")
         if given.verdict == IN_PART:
-            assert f"by a factor of {average:.2f}, over as much time" in sentence
+            assert f"divides the average of the estimate in Table 1 by {one / double:.2f}" in sentence
+            assert f"halving it multiplies that average by {half / one:.2f}" in sentence
+            later = [average_of_the_estimate(key, dt, since=2)[0] for dt in (0.5, 1, 2)]
+            assert f"the average changes by a factor of {max(later) / min(later):.2f}" in given.reason
+    steps = []
+    for key, i in product(COLUMNS, (0, 1)):
+        often, seldom = (average_of_the_estimate(key, dt, steps=STEPS)[i] for dt in (0.5, 2))
+        steps.append(often / seldom)
+    adds(f"averages over as many steps change by a factor of {plural(min(steps), max(steps))}. They fall")
+
+
+def test_single_runs_of_two_time_steps_overlap():
+    """By runs with another seed: what a run at 1 s gives, one at 2 s may give too."""
+    (reason,) = (each.reason for each in stored_verdicts(ARTICLE.path) if each.id == "ca.estimation.dt")
+    low, high, low_2, high_2 = (float(each) for each in re.findall(r"(0\.\d{3})", reason))
+    spans = []
+    for dt in (1, 2):
+        column = table1.columns(dt=dt)["ca"]
+        runs = readings.simulated({"ca": column}, 0, 2000, 7)["ca"]["both"]
+        spans.append(100 * np.quantile(table1.averages(column, runs, [round(STEPS / dt)])[0][0], [0.005, 0.995]))
+    np.testing.assert_allclose(spans, [[low, high], [low_2, high_2]], atol=0.0015)
+    assert spans[1][1] > spans[0][0]
 
 
 def test_the_printed_numbers_are_those_of_the_ledger():
@@ -745,13 +928,14 @@ def test_no_figure_of_the_article_is_empty(tmp_path):
 
 
 def test_the_bars_of_the_sum_are_the_shares_of_its_steps():
-    """Eleven bars: their heights are those of the running sum, and add up to it."""
+    """Eleven bars: their heights are those of the running sum, add up to it, and stand above each bar."""
     (ax,) = article.draw_sum().axes
     heights = [bar.get_height() for bar in ax.patches]
     total = article.percent_of_position(COLUMNS["cv"]).cumsum()
     np.testing.assert_allclose(np.cumsum(heights), [*total[:10], total[-1]], rtol=1e-9)
-    assert [each.get_text() for each in ax.texts][:4] == [f"{each:.0f}" for each in heights[:4]]
-    assert f"together: {heights[10]:.0f}" in ax.texts[4].get_text()
+    assert [each.get_text() for each in ax.texts][:11] == [f"{each:.1f}" for each in heights]
+    shown = sum(float(each.get_text()) for each in ax.texts[:11])
+    assert f"{shown / STEPS:.3f}" == f"{table1.PRINTED['cv'][0]:.3f}"  # a reader who adds them up finds the number
 
 
 def test_settled_averages_are_those_of_long_runs_after_their_start():

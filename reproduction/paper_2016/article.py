@@ -10,6 +10,7 @@ from mpt_helpers.metrics import error_moments
 from mpt_helpers.model import constant_acceleration, constant_velocity
 from mpt_helpers.steady import SteadyStateFilter
 
+from .. import burden
 from . import readings, table1
 
 STEPS = 10_000  # of the averages of Table 1, read as percent
@@ -190,6 +191,25 @@ def predictor_step(x, B, z, dt, N):
     return [each + gain * surprise for each, gain in zip([s, v, *rest], B, strict=True)]
 
 
+def cost_of_a_step():
+    """Return header and rows of the table of operations per step, counted as the paper counts: all that matrices take.
+
+    A prediction is the first row of F^N times the estimate.
+
+    >>> header, rows = cost_of_a_step()
+    >>> [row[1:] for row in rows]
+    [[69, 185], [10, 21], [3, 5], [10, 21]]
+    """
+    sizes = [model.n for model in (column.steady.model for column in table1.columns().values())]
+    counted = {
+        "estimate, the gain varies (Kalman filter)": [burden.total(burden.kalman(n, 1)) for n in sizes],
+        "estimate, the gain is frozen": [burden.total(burden.steady_state(n, 1)) for n in sizes],
+        "each prediction made from the estimate": [burden.product(1, n, 1) for n in sizes],
+        "each prediction by a filter of its own": [burden.total(burden.prediction(n, 1)) for n in sizes],
+    }
+    return ["operations a step", *table1.NAMES.values()], [[name, *each] for name, each in counted.items()]
+
+
 def cost_table():
     """Return header and rows of the table of operations per step, written out without products with 0 and 1."""
     rows = [
@@ -248,12 +268,9 @@ def draw_start(steps=25):
     ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(table1.R)), (0, 5), textcoords="offset points", ha="right",
                 color=measured.get_color())  # fmt: skip
     ax.set_ylabel("typical error (m)")
-    faster, _ = table1.mean_and_variance(column, 1, steps, column.steady)
-    slow, fast = rms["steady"].max(), np.abs(faster[0]).max()
-    plots.label_line(
-        frozen, f"frozen at once: up to {slow:.0f} m off\n(not drawn: {fast:.0f} m at 30 m/s)", at=4, xytext=(8, -6)
-    )
-    plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {slow:.0f} to {fast:.0f} m off")
+    largest = rms["steady"].max()
+    plots.label_line(frozen, f"frozen at once, as in the paper: up to {largest:.0f} m off", at=3, xytext=(10, 4))
+    plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {largest:.0f} m off")
     ax.get_legend().remove()
     return fig
 
@@ -274,21 +291,18 @@ def draw_sum(single=10):
     fig, axes = plots.panels([["sum"]], height=3.2)
     ax = axes["sum"]
     added = percent_of_position(table1.columns()["cv"])
-    others = added[single:].sum()
+    heights = [*added[:single], added[single:].sum()]
+    places = [*range(1, single + 1), single + 2]
     colour = plots.COLOUR_OF["steady"]
-    ax.bar(np.arange(1, single + 1), added[:single], color=colour, label="each of the first ten steps")
-    ax.bar(single + 2, others, color="0.45", label="all later steps together")
-    for k in range(1, 5):
-        ax.annotate(f"{added[k - 1]:.0f}", (k, added[k - 1]), (0, 2), textcoords="offset points", ha="center",
-                    color=colour)  # fmt: skip
-    ax.annotate(f"the other {STEPS - single:,} steps\ntogether: {others:.0f}", (single + 2, others), (10, 6),
+    ax.bar(places, heights, color=[colour] * single + ["0.45"])
+    for x, height in zip(places, heights, strict=True):
+        ax.annotate(f"{height:.1f}", (x, height), (0, 2), textcoords="offset points", ha="center")
+    ax.annotate(f"the other {STEPS - single:,} steps\ntogether", (places[-1], heights[-1]), (10, 18),
                 textcoords="offset points", ha="right", color="0.35")  # fmt: skip
-    ax.set_xticks([*range(1, single + 1), single + 2], [*map(str, range(1, single + 1)), "later"])
+    ax.set_xticks(places, [*map(str, places[:-1]), "later"])
     ax.set_ylim(0, 52)
     ax.set_ylabel("error / position (%)")
-    first, total = added[:single].sum(), added.sum()
-    plots.finish(ax, "step", f"If the run had {STEPS:,} steps: ten of them make {first:.0f} of {total:.0f} %")
-    ax.get_legend().remove()
+    plots.finish(ax, "step", "The first ten steps make nearly all of the number")
     return fig
 
 
