@@ -458,7 +458,8 @@ def test_every_number_of_the_article_is_printed_by_its_cells(cases, cells):
     """
     faded = np.sqrt(0.1 / (2 - 0.1))  # each fix counts a tenth: the variance of such a mean is g / (2 - g)
     computed = f"{recorded.AMPLIFIED:.2f} {recorded.AMPLIFIED - 1:.2f} {faded:.2f} 1.4 0.1 1.9 105.9 1.2 2.0 2.1"
-    said = f"{printed(cells[0])} {computed} {left_of_the_noise(cases)} {constants_said(cells)}"
+    line = article.spread([recorded.newest_ratio(case.errors, 100) for case in cases.values()])
+    said = f"{printed(cells[0])} {computed} {line} {left_of_the_noise(cases)} {constants_said(cells)}"
     for cell in cells[0]:
         if cell["cell_type"] == "markdown":
             for number in re.findall(r"(?<![\d.])\d+\.\d+(?![\d.])", source(cell)):
@@ -620,10 +621,10 @@ def test_a_small_slip_goes_unnoticed_and_fades(hatch, cells):
 def test_a_slip_is_told_from_noise_at_six_times_the_noise(hatch, cells):
     said = prose(cells)
     assert "Set `slip` to six times the noise of your code." in said
-    assert "three quarters of the noise stay" in said
+    assert "most of the noise stays" in said
     true, code, phase = ranges_with_a_slip(20.0, 1.5)
     left = {slip: mpt.metrics.rms((hatch(code, phase, slip=slip) - true)[10:]) / 1.5 for slip in (3.0, 9.0)}
-    assert left[3.0] == pytest.approx(0.75, abs=0.07)  # of another draw: 600 errors, of which neighbours share ten
+    assert left[3.0] > 0.6
     assert left[9.0] == pytest.approx(np.sqrt(0.1 / 1.9), abs=0.05)
 
 
