@@ -457,7 +457,7 @@ def test_every_number_of_the_article_is_printed_by_its_cells(cases, cells):
     the biases.
     """
     faded = np.sqrt(0.1 / (2 - 0.1))  # each fix counts a tenth: the variance of such a mean is g / (2 - g)
-    computed = f"{recorded.AMPLIFIED:.2f} {recorded.AMPLIFIED - 1:.2f} {faded:.2f} 1.4 0.1 1.9 105.9 1.2 2.0 2.1"
+    computed = f"{recorded.AMPLIFIED:.2f} {recorded.AMPLIFIED - 1:.2f} {faded:.2f} 1.4 0.1 1.9 105.9 4.7 1.2 2.0 2.1"
     line = article.spread([recorded.newest_ratio(case.errors, 100) for case in cases.values()])
     said = f"{printed(cells[0])} {computed} {line} {left_of_the_noise(cases)} {constants_said(cells)}"
     for cell in cells[0]:
