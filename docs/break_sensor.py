@@ -8,7 +8,7 @@ A Scene says what is broken, `run` what the filters make of it, and `said` puts 
 figure does the same in JavaScript, and its tests hold it to this module.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cache
 
 import numpy as np
@@ -195,7 +195,7 @@ def _rms(values, counted):
 
 
 def numbers(scene, track):
-    """Return what is said of a scene, by name: each a number, or one for each track.
+    """Return the numbers that are said of a scene, by name: each one number, or one for each track.
 
     rms errors and stated sigmas over the fixes that count, the first fix after the gap, the share outside 2 sigma.
     """
@@ -310,18 +310,8 @@ def settled(lost=0, within=0.1):
 
 
 def for_the_page():
-    """Return what the figure of the site needs: the track, the filters' settings, the scenes and the sentences."""
+    """Return the data of the site's figure: the track, the filters' settings, the scenes and the sentences."""
     track = average()
-    scenes = {
-        name: {
-            "lost": list(scene.lost),
-            "pulled": scene.pulled,
-            "ahead": scene.ahead,
-            "lasts": scene.lasts,
-            "origin": scene.origin,
-        }
-        for name, scene in SCENES.items()
-    }
     axis = gsm_axis(DT, Q, R)
     return {
         "truth": track.truth.tolist(),
@@ -335,7 +325,7 @@ def for_the_page():
         "reach": REACH,
         "usual": USUAL,
         "band": [[round(float(edge), 3) for edge in chi_square_band(1, count)] for count in range(1, FIXES + 1)],
-        "scenes": scenes,
+        "scenes": {name: asdict(scene) for name, scene in SCENES.items()},
         "sentences": SENTENCES | {"unseen": UNSEEN, "seen": SEEN},
         "notes": {"band": BAND_IS, "outside": RED_IS},
     }

@@ -1,23 +1,48 @@
-"""The corrections to one paper, as its authors could submit them: written from the ledger.
+"""The corrections proposed to the authors of one paper: written from the ledger and from papers.toml.
 
-The sections follow the causes of the slips and wordings. A table of the paper in which a number fails stands whole.
+The sections follow the causes of the slips and wordings. A table of the paper in which a number fails stands whole; a
+word in the text is struck where it stands. What lies beyond a paper's setting corrects nothing: it has its own page.
 """
 
 import re
 from typing import NamedTuple
 
-from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, FAILS
+from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, FAILS, Verdicts, counted
 
 CORRECTED_KINDS = ("slip", "wording")
 
 
+class Patch(NamedTuple):
+    """A printed word, number or letters, and what is right instead; a few words of ours around them say where.
+
+    why is a reason in a sentence, "" where the words around it say enough.
+    """
+
+    printed: str
+    right: str
+    before: str = ""
+    after: str = ""
+    why: str = ""
+
+
 class Entry(NamedTuple):
-    """One item of a table or text: what it is called, what is printed, what is right ("" where nothing is wrong)."""
+    """One item of a table or text: what it is called, what is printed, what is right ("" where nothing is wrong).
+
+    if_printed is True where our copy has lost the item: old is then what may be printed.
+    """
 
     label: str
     old: str
     new: str
     verdict: object
+    if_printed: bool = False
+
+
+class Remark(NamedTuple):
+    """What was found beyond a paper's setting, and the verdicts about which it says so."""
+
+    text: str
+    verdicts: list
 
 
 class Section(NamedTuple):
@@ -42,7 +67,7 @@ def label(verdict):
 
 
 def rounded(verdict):
-    """Return a computed number with as many decimals as the paper prints, or the corrected text in words.
+    """Return a computed number with as many decimals as the paper prints.
 
     >>> from types import SimpleNamespace
     >>> rounded(SimpleNamespace(printed="0.427", computed="0.421707"))
@@ -52,14 +77,58 @@ def rounded(verdict):
     return f"{float(verdict.computed):.{decimals}f}"
 
 
+def read(given, corrected):
+    """Return the corrections of papers.toml to one paper, {id: text or Patch}, in the order of the paper.
+
+    Raises KeyError for an item that is not there, and ValueError for a Patch without what is printed and what is right,
+    or that strikes what its item does not print.
+    """
+    by_id = {each.id: each for each in given}
+    found = {}
+    for id, right in corrected.items():
+        printed = by_id[id].printed
+        if isinstance(right, str):
+            found[id] = right
+            continue
+        if not {"printed", "right"} <= set(right) <= set(Patch._fields) or right["printed"] == right["right"]:
+            need = f"printed and right, which differ, and of {', '.join(Patch._fields[2:])} what helps"
+            raise ValueError(f"docs/papers.toml: the correction of {id!r} needs {need}; got {right!r}")
+        if printed != "?" and right["printed"] not in printed:
+            struck = right["printed"]
+            raise ValueError(f"docs/papers.toml: the correction of {id!r} strikes {struck!r}, not found in {printed!r}")
+        found[id] = Patch(**right)
+    return {each.id: found[each.id] for each in given if each.id in found}
+
+
+def patched(given, corrected, *verdicts):
+    """Return the Patches of items with one of these verdicts, [(Patch, verdict)]."""
+    with_patch = [each for each in given if isinstance(corrected.get(each.id), Patch)]
+    return [(corrected[each.id], each) for each in with_patch if each.verdict in verdicts]
+
+
+def in_text(given, corrected):
+    """Return the Patches of what is wrong, [(Patch, verdict)]."""
+    return patched(given, corrected, *FAILS)
+
+
+def if_printed(given, corrected):
+    """Return the Patches of what our copy leaves open, [(Patch, verdict)]: right if the page prints what is struck.
+
+    A lost cell of a table is none of them: it stands in its table.
+    """
+    return [(patch, each) for patch, each in patched(given, corrected, CANNOT_BE_CHECKED) if each.printed != "?"]
+
+
 def entry(verdict, corrected):
-    """Return an item as an Entry; corrected maps ids of formulas and claims to what is right."""
+    """Return an item of a table as an Entry; corrected maps ids to what is right, as `read` returns it."""
+    right = corrected.get(verdict.id, "")
+    if verdict.verdict == CANNOT_BE_CHECKED and isinstance(right, Patch):
+        return Entry(label(verdict), right.printed, right.right, verdict, if_printed=True)
     if verdict.verdict == CANNOT_BE_CHECKED and verdict.computed != "-":
         return Entry(label(verdict), f"[{verdict.computed}]", "", verdict)  # not in our copy, but counted
     if verdict.verdict not in FAILS:
         return Entry(label(verdict), verdict.printed, "", verdict)
-    new = rounded(verdict) if verdict.kind == "number" else corrected.get(verdict.id, "")
-    return Entry(label(verdict), verdict.printed, new, verdict)
+    return Entry(label(verdict), verdict.printed, rounded(verdict) if verdict.kind == "number" else right, verdict)
 
 
 GRID = re.compile(r"row (\d+), column (\d+)")
@@ -67,7 +136,7 @@ NAMED_ROW = re.compile(r"row (\d+) \(([^)]*)\)")
 
 
 def names_of_rows(given):
-    """Return what the paper calls its numbered rows, {1: "A, KF"}, wherever it says so."""
+    """Return the names of the paper's numbered rows, {1: "A, KF"}, wherever it gives one."""
     found = [NAMED_ROW.search(each.where) for each in given]
     return {int(match[1]): match[2] for match in found if match}
 
@@ -79,12 +148,21 @@ def grid(members, corrected):
     return [cells.get((row, column)) for row in range(1, rows + 1) for column in range(1, columns + 1)], columns
 
 
+def is_corrected(given, verdict):
+    """Say whether an item is wrong by a slip or a wording."""
+    cause = given.causes.get((verdict.paper, verdict.cause))
+    return verdict.verdict in FAILS and cause is not None and cause.kind in CORRECTED_KINDS
+
+
 def sections(given, corrected):
-    """Return the corrections to a paper as Sections: slips before wordings, causes that share a table together."""
+    """Return the corrections to a paper as Sections: slips before wordings, causes that share a table together.
+
+    What a Patch corrects stands in no table.
+    """
+    apart = {verdict.id for _, verdict in in_text(given, corrected)}
     failing = {}
     for each in given:
-        cause = given.causes.get((each.paper, each.cause))
-        if each.verdict in FAILS and cause and cause.kind in CORRECTED_KINDS:
+        if is_corrected(given, each) and each.id not in apart:
             failing.setdefault(each.cause, []).append(each)
     together = []  # (causes, items), of causes whose items share a place
     for id, members in failing.items():
@@ -113,14 +191,43 @@ def tables(given, failing, corrected):
 
 
 def lost(given):
-    """Return what our copy has lost of each table, {title: sentence of the cause}."""
+    """Return a sentence on the cells of each table that our copy has lost, {title: sentence of the cause}."""
     causes = {place(each): given.causes.get((each.paper, each.cause)) for each in given if each.printed == "?"}
     return {title: cause.sentence for title, cause in causes.items() if cause}
 
 
 def questions(given, asked):
-    """Return what is unknown, [(question, verdict)]: what is asked of items, and what the paper leaves open."""
+    """Return the questions to the authors, [(question, verdict)]; asked maps ids to questions, as in papers.toml."""
     by_id = {each.id: each for each in given}
-    open_questions = [(text, by_id[id]) for id, text in asked.items()]
-    lacking = [each for each in given if each.verdict == CANNOT_BE_CHECKED and not each.cause and each.id not in asked]
-    return open_questions + [(f"{each.printed}. Left open: {each.reason}.", each) for each in lacking]
+    return [(text, by_id[id]) for id, text in asked.items()]
+
+
+def unchecked(given, asked, corrected):
+    """Return the verdicts on what the paper leaves out, and that no question and no conditional correction is about."""
+    lacking = [each for each in given if each.verdict == CANNOT_BE_CHECKED and not each.cause]
+    return [each for each in lacking if each.id not in asked and not isinstance(corrected.get(each.id), Patch)]
+
+
+def remarks(given, asked):
+    """Return what was found beyond the paper's setting as Remarks: each once, none on what is asked or corrected."""
+    about = {}
+    for each in given:
+        if each.beyond and each.id not in asked and not is_corrected(given, each):
+            about.setdefault(each.beyond, []).append(each)
+    return [Remark(text, verdicts) for text, verdicts in about.items()]
+
+
+def contents(given, corrected, asked):
+    """Return what a page of corrections shows, counted in words.
+
+    >>> contents(Verdicts([]), {}, {"a": "Why?"})
+    'no certain correction, 1 question'
+    """
+    tally = Verdicts([each for each in given if is_corrected(given, each)], given.causes).tally()
+    texts = [tally.cause_text(kind) for kind in CORRECTED_KINDS if tally.causes[kind]] or ["no certain correction"]
+    doubtful = patched(given, corrected, CANNOT_BE_CHECKED)
+    if doubtful:
+        texts.append(f"{counted(len(doubtful), 'correction')} if it is so printed")
+    if asked:
+        texts.append(counted(len(asked), "question"))
+    return ", ".join(texts)

@@ -1,4 +1,4 @@
-"""What the home page says: which filter to take, what three mistakes cost in metres, and what the papers hold.
+"""The numbers of the home page: which filter to take, the cost of three mistakes in metres, the papers' outcomes.
 
 Each number is computed here, by the package or from the verdicts; the words and the names of the figures stand in
 papers.toml.
@@ -69,7 +69,7 @@ def settled_sigma(ahead=False):
 
 
 def mistakes():
-    """Return what each of the three mistakes costs, {name: {word: number}}; the words of papers.toml hold them."""
+    """Return the cost of each of the three mistakes, {name: {word: number}}; the words of papers.toml hold them."""
     late = break_sensor.SPEED * break_sensor.DT
     start, settled = start_of_2016()
     lasting = break_sensor.numbers(break_sensor.SCENES["lasting"], break_sensor.average())
@@ -89,8 +89,8 @@ def start_of_2016():
 
 
 # Numbers, formulas and figures agree or not; a paper's claims are counted by OF_CLAIMS.
-OF_VALUES = {REPRODUCED: "agree", IN_PART: "agree in part", ERRATUM: "do not", CANNOT_BE_CHECKED: "cannot be checked"}
-LIKE = {WITHIN_BAND: REPRODUCED, DIFFERS: ERRATUM}
+OF_VALUES = {REPRODUCED: "agree", IN_PART: "agree in part", DIFFERS: "do not", CANNOT_BE_CHECKED: "cannot be checked"}
+LIKE = {WITHIN_BAND: REPRODUCED, ERRATUM: DIFFERS}
 
 
 def outcomes(given):

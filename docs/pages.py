@@ -252,7 +252,7 @@ def unbroken(text):
 
 
 def home_page(about, given, drawn):
-    """Return what the home page says: the words of papers.toml with the numbers of home.py in them.
+    """Return the contents of the home page: the words of papers.toml with the numbers of home.py in them.
 
     drawn maps names of figures to Drawn. Raises ValueError for a mistake whose figure no notebook draws.
     """
@@ -272,7 +272,7 @@ def home_page(about, given, drawn):
         **{name: unbroken(text.format(**numbers)) for name, text in about["home"].items()},
         "choice": [{name: unbroken(text.format(**numbers)) for name, text in row.items()} for row in about["choice"]],
         "mistakes": [said(each) for each in about["mistakes"]],
-        "lost": sum(each.verdict == CANNOT_BE_CHECKED and each.kind != "claim" for each in given),
+        "lost": sum(each.verdict == CANNOT_BE_CHECKED for each in given),
         "claims": sum(each.kind == "claim" for each in given),
     }
 
@@ -287,9 +287,10 @@ def draw_sensor(folder):
     """Draw what the first figure shows first, as sensor.svg, and return what the page needs to know of it."""
     fig = break_sensor.draw("gap")
     alt = figures.save_figure(fig, "sensor", folder).alt
+    data = break_sensor.for_the_page()
     return {
-        "data": break_sensor.for_the_page(),
-        "json": json.dumps(break_sensor.for_the_page(), ensure_ascii=False),
+        "data": data,
+        "json": json.dumps(data, ensure_ascii=False),
         "size": svg_size(folder / "sensor.svg"),
         "alt": f"{alt} {break_sensor.said('gap')}",
         "said": break_sensor.said("gap"),
@@ -357,7 +358,7 @@ def with_named_headers(output):
 
 
 def end_of_part_1(cells, figure):
-    """Return after which cell the figure with sliders stands: its figure's, else the last one before Part II."""
+    """Return the cell after which the figure with sliders stands: its figure's, else the last one before Part II."""
     for i, cell in enumerate(cells):
         if cell["id"] in figure:
             return i
@@ -622,6 +623,8 @@ def main():
     size = write_archive(BUILD / "extra" / f"{name}.tar.gz", name)
     drawn = {key: figures_of(key, each["cells"]) for key, each in notebooks.items()}
     classes, modules = interface()
+    corrected = {key: corrections.read(given.of(key), about["corrected"].get(key, {})) for key in notebooks}
+    asked = {key: about["questions"].get(key, {}) for key in notebooks}
     env.globals |= {
         "given": given,
         "texts": about,
@@ -634,6 +637,8 @@ def main():
         "accuracy": svg_size(BUILD / "static" / "accuracy.svg"),
         "titles": {key: title(each["cells"]) for key, each in notebooks.items()},
         "figures": drawn,
+        "contents": {key: corrections.contents(given.of(key), corrected[key], asked[key]) for key in notebooks},
+        "remarks": {key: corrections.remarks(given.of(key), asked[key]) for key in notebooks},
         "classes": classes,
         "modules": modules,
         "speed": speed,
@@ -646,7 +651,7 @@ def main():
             (BUILD / "source" / folder / f"{each.name}.md").write_text(text, encoding="utf-8")
     for key, notebook in notebooks.items():
         write_article(env, key, notebook, given.of(key), about["live"]["after"])
-        write_corrections(env, key, given.of(key), about)
+        write_corrections(env, key, given.of(key), corrected[key], asked[key])
     shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
     shutil.copytree(DOCS / "tracks", BUILD / "extra" / "tracks")
     for page in [DOCS / f"{name}.md" for name in GUIDES if (DOCS / f"{name}.md").exists()]:
@@ -727,18 +732,20 @@ def described_as(text):
     return {"html_meta": {"description": text}}
 
 
-def write_corrections(env, key, own, about):
-    """Write the page of corrections to one paper."""
+def write_corrections(env, key, own, corrected, asked):
+    """Write the page of corrections to one paper: corrected is {id: text or Patch}, asked {id: question}."""
     html = env.get_template("correction.html").render(
         key=key,
         root="../",
         rows=corrections.names_of_rows(own),
-        sections=corrections.sections(own, about["corrected"].get(key, {})),
+        sections=corrections.sections(own, corrected),
+        in_text=corrections.in_text(own, corrected),
+        if_printed=corrections.if_printed(own, corrected),
         lost=corrections.lost(own),
-        questions=corrections.questions(own, about["questions"].get(key, {})),
-        beyond=[each for each in own if each.beyond],
+        questions=corrections.questions(own, asked),
+        unchecked=corrections.unchecked(own, asked, corrected),
     )
-    paper = about["papers"][key]
+    paper = env.globals["texts"]["papers"][key]
     front = yaml.safe_dump({"myst": described_as(f"Corrections to {paper['authors']}. {paper['outcome']}")})
     text = f"---\n{front}---\n# Corrections to {paper['authors']}\n\n{raw_html(html)}\n"
     (BUILD / "source" / "corrections" / f"{key}.md").write_text(text, encoding="utf-8")

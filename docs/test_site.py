@@ -14,13 +14,16 @@ from urllib.parse import parse_qs, unquote, urldefrag, urlencode, urljoin, urlsp
 
 import axe_playwright_python
 import break_sensor
+import corrections
 import nbclient
 import nbformat
 import numpy as np
+import pages
 import pytest
 
 import mpt_helpers as mpt
 import reproduction
+from reproduction.ledger import keys, shipped_verdicts
 from reproduction.ledger.verdicts import CAUSE_KINDS, FAILS, HOLDS
 
 HTML = Path(__file__).parent / "_build" / "html"
@@ -206,10 +209,10 @@ class Page(HTMLParser):
 
 
 def test_every_internal_link_leads_somewhere(records):
-    pages = {place: Page(HTML / place) for place in PAGES}
+    parsed = {place: Page(HTML / place) for place in PAGES}
     rows = [row | {"place": re.split("[,;]", row["where"])[0]} for row in records]
     broken, followed = [], 0
-    for place, page in pages.items():
+    for place, page in parsed.items():
         for link in page.links:
             if urlsplit(link).scheme:
                 continue
@@ -221,8 +224,8 @@ def test_every_internal_link_leads_somewhere(records):
             elif path == "values.html" and "=" in anchor:
                 chosen = {name: value for name, (value,) in parse_qs(anchor).items()}
                 found = any(chosen.items() <= row.items() for row in rows)
-            elif path in pages:
-                found = unquote(anchor) in pages[path].anchors
+            elif path in parsed:
+                found = unquote(anchor) in parsed[path].anchors
             else:
                 found = (HTML / path).is_file()
             if not found:
@@ -992,27 +995,59 @@ def test_a_guide_is_a_notebook_that_runs_and_prints_where_it_says_so(tmp_path, n
 CORRECTIONS = [place for place in PAGES if place.startswith("corrections/")]
 
 
+@pytest.fixture(scope="session")
+def about():
+    """Return papers.toml as the site reads it, with the corrections of each paper by their ids."""
+    given = shipped_verdicts()
+    said = pages.texts(given)
+    return said | {
+        "corrected": {key: corrections.read(given.of(key), said["corrected"].get(key, {})) for key in keys()}
+    }
+
+
+def bare(text):
+    """Return a text without what is typeset: indices, powers, brackets around them, and breaks."""
+    return " ".join(re.sub(r"[_^()]", "", text).split())
+
+
 @pytest.mark.parametrize("place", CORRECTIONS)
-def test_a_page_of_corrections_strikes_only_what_is_printed_and_tells_claims_in_our_words(visit, records, place):
+def test_a_page_of_corrections_strikes_only_what_is_printed_beside_what_is_right(visit, records, about, place):
     page = visit(place)
     key = Path(place).stem
     kinds = {cause.id: cause.kind for cause in reproduction.published(key).causes.values()}
-    own = [row for row in records if row["paper"] == key and kinds.get(row["cause"]) in ("slip", "wording")]
-    wrong = [row for row in own if row["verdict"] in FAILS]
-    struck = page.locator(".corrections del")
-    printed = [row["printed"] for row in wrong if row["kind"] != "claim"]
-    assert struck.count() == len(printed)
-    bare = [re.sub(r"[_^()]", "", each) for each in printed]
-    assert sorted(re.sub(r"[()]", "", each) for each in struck.all_inner_texts()) == sorted(bare)
-    text = page.locator(".corrections").inner_text()
-    assert text.count("In our words: ") == len(wrong) - len(printed)
-    assert text.count("Instead: ") == len(wrong) - len(printed)
+    own = {row["id"]: row for row in records if row["paper"] == key}
+    wrong = [
+        id for id, row in own.items() if row["verdict"] in FAILS and kinds.get(row["cause"]) in ("slip", "wording")
+    ]
+    patches = {id: each for id, each in about["corrected"][key].items() if isinstance(each, corrections.Patch)}
+    unread = [id for id in patches if own[id]["verdict"] == "cannot be checked"]
+    printed = [patches[id].printed if id in patches else own[id]["printed"] for id in (*wrong, *unread)]
+    struck = page.locator(".corrections del").all_inner_texts()
+    assert sorted(map(bare, struck)) == sorted(map(bare, printed))
+    assert page.locator(".corrections ins").count() == len(struck)
+    text = bare(page.locator(".corrections").inner_text())
     assert "“" not in text
-    for row in wrong:
-        if row["kind"] == "number":
-            assert re.search(rf"{re.escape(row['printed'])}\s+{re.escape(row['computed'][:3])}", text)
-    beyond = [row for row in records if row["paper"] == key and row["beyond"]]
-    assert ("Remarks, not corrections" in text) is bool(beyond)
+    for id in wrong:
+        if own[id]["kind"] == "number":
+            assert re.search(rf"{re.escape(own[id]['printed'])}\s+{re.escape(own[id]['computed'][:3])}", text)
+    for id in (*wrong, *unread):
+        if id in patches and own[id]["printed"] != "?":
+            patch = patches[id]
+            where = own[id]["where"].split(";")[0]
+            line = f"{where}: {patch.before} {patch.printed} {patch.right} {patch.after}".strip()
+            assert f"{bare(line).replace(' ,', ',')}." in text
+    assert not [row["id"] for row in own.values() if row["beyond"] and bare(row["beyond"]) in text]
     page.emulate_media(media="print")
-    sheets = len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4")))
-    assert 1 <= sheets <= 2 + len(beyond) / 8  # a list of what lies beyond may need more
+    assert 1 <= len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4"))) <= 2
+
+
+def test_each_remark_stands_once_on_its_page_with_its_claim_unless_it_is_asked(visit, records, about):
+    page = visit("beyond.html")
+    for key in keys():
+        text = bare(page.locator(f"section:has(> .remarks):has(a[href*='{key}'])").inner_text())
+        asked = about["questions"].get(key, {})
+        for row in records:
+            if row["paper"] == key and row["beyond"]:
+                shown = row["id"] not in asked
+                assert text.count(bare(row["beyond"])) == shown, row["id"]
+                assert not shown or bare(f"{row['where'].split(';')[0]}: {row['printed']}") in text, row["id"]

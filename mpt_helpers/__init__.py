@@ -14,8 +14,21 @@ To see how the filters work, read in this order:
 - `smoothing`: the way back;
 - `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead.
 
-`riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` finds the parameters of a model,
-`monte_carlo` runs studies of many runs, `checks` refuses bad input, `algebra` and `immutable` serve the others.
+`riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` finds the parameters of a model by
+`search`, `lasting` models errors that last, `monte_carlo` runs studies of many runs, `checks` refuses bad input,
+`algebra` and `immutable` serve the others.
+
+Papers are cited by their year:
+
+- 2007: Kluga & Kluga, Modeling Information Complex Processing with MMS-Kalman Filter;
+- 2014: Assimakis & Adam, GSM Position Tracking Using Kalman and Lainiotis Filters;
+- 2015: Assimakis & Adam, Mobile Position Tracking in Three Dimensions using Kalman and Lainiotis Filters;
+- 2016: Assimakis, Tziallas, Adam, Polyzos & Papanastasiou, Mobile Position Estimation and Prediction Using Steady State
+  Kalman Filter.
+
+For a recorded track: `tracks` does all of it, from a file read by `recordings` to a line cleaned by `cleaning`, which
+asks `gate` for faults, and told by `report`; `track_command` is the same for a terminal. `geodesy`, `files` and `plots`
+serve these.
 """
 
 __version__ = "0.4.0"

@@ -3,9 +3,10 @@
 The covariance of a filter is a claim about measurements that it has not seen. `ahead` puts the claim to the test: it
 sets every later fix against its prediction, made some seconds before. `following` makes a band of it that has learnt,
 at every moment, from the predictions that had come due by then. Nothing in it looks ahead, so that `LiveBand` gives the
-same band fix by fix.
+same band fix by fix, wherever a fix comes exactly one horizon later.
 
-Three numbers make the band, the half-width of a prediction being f · c · sigma on each axis:
+The *horizon* is the time from a prediction to the fix that it is for, `seconds`, or h steps. The half-width of the band
+around a prediction is f · c · sigma on each axis:
 
     sigma   what the filter states: the root of H P(k+h/k) Hᵀ + R
     c       of all axes: sqrt(0.2 + 0.8 a), with the recent average a of NIS / m: one where the model is right. A fifth
@@ -14,7 +15,9 @@ Three numbers make the band, the half-width of a prediction being f · c · sigm
             hit, on the logarithm, for a band of 95 %. A fix that repeats the one it was predicted at is none of either:
             the mobile rests, which says nothing of how it will move on
 
-Both remember as many fixes as fall into one horizon, and at least five: what is learnt is that old when it is used.
+Both c and f remember as many fixes as fall into one horizon, and at least five: what is learnt is that old when it is
+used. With that memory, 1 / memory is the weight of the latest NIS in a, and gamma is 0.5 / memory. (For a it counts the
+fixes of the last horizon, for f those from the prediction to the fix that checks it.)
 
 The rule for f is quantile tracking, the proportional part of conformal PID control (Angelopoulos, Candes and Tibshirani
 2023). Over T predictions that count, its share of misses differs from 5 % by at most the range of log f over gamma T,
@@ -123,14 +126,13 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> Ahead:
     (array([0., 1.]), array([3., 3.]), array([-0.02,  0.04]), array([0.56, 0.53]), 2)
     """
     model = _model_of_any_step(estimator)
-    seconds = checks.positive("seconds", checks.as_seconds(seconds))
+    seconds = checks.duration("seconds", seconds)
     z = checks.measurements(z, model.m)
     x, P = estimator.estimates(z)
     if z.ndim == 2:
         z, x, P = z[..., None], x[..., None], P[..., None]
     N, m, M = z.shape
-    t = model.dt * np.arange(N) if estimator.t is None else estimator.t
-    t = np.broadcast_to(t.reshape(N, -1), (N, M))
+    t = np.broadcast_to(estimator.times_of(N).reshape(N, -1), (N, M))
     R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
     parts = []
     for c in range(M):
@@ -163,7 +165,7 @@ def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Arr
     array([1.96 , 1.95 , 2.145, 2.134])
     """
     checks.instance("a", a, Ahead)
-    level = _level(level)
+    level = checks.level(level)
     log_f = _start(a.seconds, a.errors.shape[1], before, level)
     band = np.empty_like(a.sigma)
     for rows in _each_track(a):
@@ -179,10 +181,10 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     it, which is neither a hit nor a miss. The function warns of how many these are, since a band that states nothing in
     hard cases looks better than it is.
 
-    Predictions that overlap in time share most of their errors. Those that do not overlap are counted as independent:
-    the span over the horizon, less the gaps. Below 30 of them the function warns. The standard error is that of a share
-    of so many, with two hits and two misses added (Agresti and Coull 1998), so that it is not zero where all of them
-    hit.
+    Predictions that overlap in time share most of their errors. So those are counted as independent that do not: the
+    first one, and from then on each that is made when the one counted before it is due, or later. Below 30 of them the
+    function warns. The standard error is that of a share of so many, with two hits and two misses added (Agresti and
+    Coull 1998), so that it is not zero where all of them hit.
 
     Raises ValueError for a band or a `where` of another shape, a negative half-width, and where an axis has no
     prediction left.
@@ -223,7 +225,7 @@ def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayL
     """
     band, judged = _checked_band("interval_score", a, band, where)
     missed_by = np.maximum(np.abs(a.errors) - band, 0)
-    return np.nanmean(np.where(judged, 2 * band + 2 / (1 - _level(level)) * missed_by, np.nan), axis=0)
+    return np.nanmean(np.where(judged, 2 * band + 2 / (1 - checks.level(level)) * missed_by, np.nan), axis=0)
 
 
 def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
@@ -247,11 +249,12 @@ def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
 class LiveBand:
     """The band of `following`, fix by fix, beside the `step` of a filter.
 
-    estimator is a filter as in `ahead`; `before` and `level` are those of `following`. The band stands around the
-    measurement exactly `seconds` after the fix. That of `following` belongs to the fix which checks the prediction, up
-    to 1.5 times as late: f and c are the same, but where steps are uneven its sigma, and with it the band, is wider,
-    and where fixes have variances of their own its sigma has that of the fix to come. Here it is that of the last fix.
-    `factor` (m,) is f.
+    estimator is a filter as in `ahead`; `before` and `level` are those of `following`. `factor` (m,) is f.
+
+    f and c are those of `following` at each fix, but sigma may differ. Here it belongs to a measurement exactly
+    `seconds` after the fix, of the variances r that the step is given (the model's, where it is given none or nothing
+    was measured). There it belongs to the fix that checks the prediction. That comes up to 1.5 times as late where
+    steps are uneven, so that sigma is larger, and it has its own variances.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
@@ -268,8 +271,8 @@ class LiveBand:
 
     def __init__(self, estimator: Filter, seconds: Seconds, before: Ahead | None = None, level: float = 0.95):
         self.model = _model_of_any_step(estimator)
-        self.seconds = checks.positive("seconds", checks.as_seconds(seconds))
-        self.level = _level(level)
+        self.seconds = checks.duration("seconds", seconds)
+        self.level = checks.level(level)
         self.log_f = _start(self.seconds, self.model.m, before, self.level)
         self.average = 1.0  # a: the recent average of NIS / m
         self.last = None  # the estimate of the last call: time, x, P
@@ -277,7 +280,7 @@ class LiveBand:
         self.times = deque()  # of the fixes within the last horizon
         self.fixes = 0
         self.unchecked = 0 if before is None else None  # how many fixes came too late, None once one did not
-        self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, number of the fix, z
+        self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, the number of their fix, its z
 
     @property
     def factor(self) -> Array:
@@ -378,7 +381,7 @@ def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
 
 
 def _repeats(z, before):
-    """Say which measurements z (..., m) are those before them, to the last bit."""
+    """Tell which measurements z (..., m) repeat the ones before them, to the last bit."""
     return ((z == before) | (np.isnan(z) & np.isnan(before))).all(axis=-1)
 
 
@@ -420,14 +423,15 @@ def _local(average):
 
 
 def _memory(fixes):
-    """Return over how many fixes the errors are remembered, from how many there are in one horizon."""
+    """Return the number of fixes over which errors are remembered, from the number of fixes in one horizon."""
     return max(SHORTEST_MEMORY, fixes)
 
 
 def _gain(fixes):
     """Return gamma for a prediction that was checked so many fixes after it was made.
 
-    A half of the memory: the misses that come in while one prediction waits move the band by a factor of 1.6 at most.
+    The fixes that come while one prediction waits are no more than the memory. So they move log f by 0.5 at most: if
+    all of them are misses, the band becomes 1.6 times as wide.
     """
     return 0.5 / _memory(fixes)
 
@@ -436,19 +440,19 @@ def _follow(a, rows, log_f, level, band):
     """Write the half-widths of one track, a slice of rows, to band (K, m); return log f (m,) after the last fix."""
     widths = a.sigma[rows] * a.recent[rows, None]
     counts = ~(np.isnan(a.errors[rows]) | a.rests[rows, None])
-    made, due, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
+    made_row, due_row, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
     ends = []
     for axis, log_factor in enumerate(log_f.tolist()):
         errors, width = np.abs(a.errors[rows, axis]).tolist(), widths[:, axis].tolist()
         counted = counts[:, axis].tolist()
-        half, checked = [], 0
-        for k, row in enumerate(made):
-            while checked < k and due[checked] <= row:
+        half, checked = [], 0  # the half-widths so far; how many predictions the factor has learnt from
+        for k, row in enumerate(made_row):
+            while checked < k and due_row[checked] <= row:
                 if counted[checked]:
                     log_factor += _move(errors[checked], half[checked], fixes[checked], level)
                 checked += 1
             half.append(math.exp(log_factor) * width[k])
-        for k in range(checked, len(made)):
+        for k in range(checked, len(made_row)):  # due after the last one was made
             if counted[k]:
                 log_factor += _move(errors[k], half[k], fixes[k], level)
         ends.append(log_factor)
@@ -457,7 +461,7 @@ def _follow(a, rows, log_f, level, band):
 
 
 def _move(error, half_width, fixes, level):
-    """Return by how much log f moves when a prediction comes due, checked so many fixes after it was made."""
+    """Return the change of log f when a prediction comes due, checked so many fixes after it was made."""
     return _gain(fixes) * ((error > half_width) - (1 - level))
 
 
@@ -481,7 +485,7 @@ def _each_track(a):
 
 
 def _independent(a, where):
-    """Return how many of some predictions begin when the one counted before has ended."""
+    """Return the number of predictions that do not overlap: each begins when the one counted before it has ended."""
     count, end, track = 0, -np.inf, -1
     for made, due, of_track in zip(a.made[where].tolist(), a.due[where].tolist(), a.track[where].tolist(), strict=True):
         if made >= end or of_track != track:
@@ -493,8 +497,8 @@ def _model_of_any_step(estimator):
     if not isinstance(estimator, Filter):
         checks.refuse("estimator", "a filter", f"{estimator!r:.60}", TypeError)
     if estimator.model.dt is None:
-        need = "a model that knows steps of any length, such as constant_velocity or constant_acceleration"
-        checks.refuse("estimator", need, "one whose dt and powers are not known")
+        need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
+        checks.refuse("estimator", need, "one whose F and Q are for one length only")
     if any(map(_has_conditions, estimator.parts)):
         need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
         checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")
@@ -507,7 +511,7 @@ def _has_conditions(estimator):
 
 
 def _checked_band(name, a, band, where):
-    """Return the band, and by which errors it is judged, (K, m): those measured, as `where` says, of a half-width.
+    """Return the band, and a mask (K, m) of the errors that judge it: measured, where `where` says, with a half-width.
 
     `name` is that of the function that judges, for the warning of errors without a half-width.
     """
@@ -532,7 +536,3 @@ def _checked_band(name, a, band, where):
             f"{name}: left out {unstated} of {measured.sum()} errors, whose band is NaN: nothing was stated of them"
         )
     return band, judged
-
-
-def _level(level):
-    return checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)

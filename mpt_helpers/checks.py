@@ -1,4 +1,4 @@
-"""What a model, measurements and counts must be: bad input is refused by name, before anything is computed.
+"""Checks of models, measurements and counts: bad input is refused by name, before anything is computed.
 
 The checks run where a user passes something in. Everything behind that point trusts what it gets.
 """
@@ -88,6 +88,20 @@ def positive(name: str, value: object) -> float:
 def not_negative(name: str, value: object) -> float:
     """Return a number that is not negative as a float, or raise."""
     return number(name, value, "a number that is not negative", lambda value: value >= 0)
+
+
+def level(value: object) -> float:
+    """Return the share that a band is to hold, between 0 and 1, as a float, or raise."""
+    return number("level", value, "a number in (0, 1)", lambda value: 0 < value < 1)
+
+
+def duration(name: str, value: object) -> float:
+    """Return a positive length of time, a number of seconds or a timedelta, in seconds, or raise.
+
+    >>> duration("seconds", timedelta(minutes=1))
+    60.0
+    """
+    return positive(name, as_seconds(value))
 
 
 def count(name: str, value: object, least: int = 1) -> int:
@@ -365,10 +379,20 @@ def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
     values = real_numbers(name, value, need).astype(float)
     if values.shape != seen.shape:
         refuse(name, need, f"shape {values.shape}")
-    there = values[seen]
-    if not (np.isfinite(there) & (there > 0)).all():
+    if not are_variances(values[seen]).all():
         refuse(name, need, f"{values}")
     return values
+
+
+def are_variances(values: np.ndarray) -> np.ndarray:
+    """Tell which numbers can be variances of a measurement: those that are positive and finite."""
+    return np.isfinite(values) & (values > 0)
+
+
+def used_variances(name: str, values: np.ndarray, of: str = "measurement that is there") -> None:
+    """Raise a ValueError if a variance that is used cannot be one; `of` says what has one."""
+    if not are_variances(values).all():
+        refuse(name, f"a positive variance of every {of}", "another")
 
 
 def variances(name: str, value: object, m: int) -> Array:

@@ -1,7 +1,7 @@
 """A recorded track, from numbers to a smoothed line with a band: faults refused, q and r fitted, stretches smoothed.
 
-The steps are those of the guide, by turns until nothing changes, since a fault spoils q and r, and without q and r no
-fault can be told:
+The steps are those of the guide. They are repeated until no other fix is refused, four times at most, since a fault
+spoils q and r, and without q and r no fault can be told:
 
 1. `gate`, in sequence, from a first guess of q and r that a tenth of faults does not move;
 2. a second look from both sides: a fix that is far off what all others say of it, those after it included;
@@ -15,8 +15,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass, fields, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,6 +28,7 @@ from . import bands, checks, gate, metrics, report
 from .checks import Array, Seconds
 from .files import write_whole
 from .filters import KalmanFilter
+from .fitting import covariance_of_scores
 from .model import constant_velocity, stack
 from .recordings import Recording
 
@@ -49,14 +49,15 @@ FROM_BOTH_SIDES, LOOKS = 60.0, 3
 SPARSE, AROUND, MEDIAN, CALM = 4.0, 21, 1.39, 30.0
 # The variance r - P_s of that look is known to the rounding of P_s: below this part of r it is taken for this part.
 SMALLEST_DIFFERENCE = 1e-8
-TURNS = 4
+TURNS = 4  # of the gate, the look from both sides and the fit
 # q and r are those of at most so many fixes: more, in stretches spread over the track, tell them to 1 % already.
 MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
-# Stretches stand on one line of time, this long apart at least: so long that nothing of one is known in the next.
-APART = 3600.0
+# Stretches stand on one line of time, this long apart at least: so long that nothing of one is known in the next. In T
+# seconds without a fix the variance of a velocity grows by q T: it has to grow by the square of so many usual speeds.
+APART, FORGOTTEN = 3600.0, 8
 # Errors of q and r come from blocks of so many seconds, or of a tenth of the track if there are fewer.
 BLOCK, FEWEST_BLOCKS = 300.0, 10
-# log(r / q) is searched between these, in units of the usual step cubed, and found to this.
+# log(r / q) is searched between these, r / q in units of the usual step cubed (s³), and found to this.
 RATIOS, NEAR = (math.log(1e-8), math.log(1e6)), 0.02
 # A step is one of a grid if it is a multiple of it, but for this part of it. Of two numbers that lie on no grid the
 # difference is at most this part of a usual step, if it is to be their rounding.
@@ -91,11 +92,15 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True)
 class Stretches:
-    """Stretches of a track on one line: what a filter takes for one track.
+    """The K rows of a track that lie in stretches, on one line, which a filter takes for one track of m axes.
 
-    rows: the rows of the track, t (K,) their times, far apart between stretches, z (K, m) the positions, NaN where
-    refused, each stretch beginning where the one before it ended; moved (K, m) is how far they were moved for that;
-    first (K,): the first two fixes of a stretch, which only tell where it begins
+    rows (K,): which rows of the track they are
+    t (K,): their times, an hour or more from one stretch to the next
+    z (K, m): the positions, NaN where refused, each stretch beginning where the one before it ended
+    moved (K, m): how far they were moved for that
+    first (K,): the first two fixes of each stretch: they only tell where it begins, and its velocity
+    number (K,): the stretch that each row lies in, 0, 1, ...
+    relative (K, m): the variances of the fixes, relative to each other, or None where all are alike
     """
 
     rows: NDArray[np.intp]
@@ -103,15 +108,16 @@ class Stretches:
     z: Array
     moved: Array
     first: NDArray[np.bool_]
+    number: NDArray[np.intp]
     relative: Array | None
 
     def part(self, rows):
         """Return some of the rows."""
-        relative = None if self.relative is None else self.relative[rows]
-        return Stretches(self.rows[rows], self.t[rows], self.z[rows], self.moved[rows], self.first[rows], relative)
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Stretches(**{name: None if each is None else each[rows] for name, each in own.items()})
 
 
-class Motion(NamedTuple):
+class Noise(NamedTuple):
     """q (m²/s³) and r (m²) of all axes, and whether r is the least that is possible: the rounding of the numbers."""
 
     q: float
@@ -119,8 +125,10 @@ class Motion(NamedTuple):
     rounding: bool
 
 
-class Usual(NamedTuple):
-    """The usual step (s) of a track, the speed of its fastest tenth (m/s), and the least variance of a fix (m²)."""
+class Scale(NamedTuple):
+    """The size of a track's numbers: its usual step (s), the speed that a tenth of the steps exceed (m/s), and the
+    least variance that a fix can have (m²), that of the rounding of the numbers.
+    """
 
     step: float
     speed: float
@@ -148,8 +156,7 @@ def checked(t, z, r):
         if r.shape != z.shape:
             checks.refuse("r", f"a variance of each fix, shape {t.shape} or {z.shape}", f"shape {r.shape}")
         there = r[np.isfinite(z)]
-        if not (np.isfinite(there) & (there > 0)).all():
-            checks.refuse("r", "a positive variance of every fix", "another")
+        checks.used_variances("r", there, of="fix")
         r = r / np.median(there)
     return t, z, r
 
@@ -195,8 +202,8 @@ def least_distance(z: Array) -> float:
     return float(min(moved.min(), HUNDREDTH * np.median(moved)))
 
 
-def usual(t: Array, z: Array, rounding: float) -> Usual:
-    """Return what is Usual on a track, faults and all."""
+def scale_of(t: Array, z: Array, rounding: float) -> Scale:
+    """Return the Scale of a track, faults and all."""
     rows = np.flatnonzero(np.isfinite(z).all(axis=1))
     seconds, moved = np.diff(t[rows]), np.sqrt((np.diff(z[rows], axis=0) ** 2).sum(axis=1))
     later = seconds > 0
@@ -204,10 +211,10 @@ def usual(t: Array, z: Array, rounding: float) -> Usual:
     speed = float(np.quantile(speeds, TENTH))
     if speed == 0:  # it rests for nine tenths of the time
         speed = float(speeds[speeds > 0].mean())
-    return Usual(float(np.median(seconds[later])), speed, max(rounding, (1e-9 * speed) ** 2))
+    return Scale(float(np.median(seconds[later])), speed, max(rounding, (1e-9 * speed) ** 2))
 
 
-def first_guess(t: Array, z: Array, each: Usual) -> Motion:
+def first_guess(t: Array, z: Array, scale: Scale) -> Noise:
     """Return q and r that give the changes of velocity between fixes the size that a tenth of them exceeds.
 
     Over two steps of h seconds the velocity changes by a variance of 2 q h / 3 + 6 r / h². Steps of one fix and of four
@@ -226,28 +233,28 @@ def first_guess(t: Array, z: Array, each: Usual) -> Motion:
             equations.append([2 * step / 3, 6 / step**2])
             sizes.append(float(np.quantile(changes, TENTH)) / OF_TENTH)
     q, r = np.linalg.lstsq(np.array(equations), np.array(sizes), rcond=None)[0]
-    least_q = 1e-6 * each.speed**2 / each.step
-    return Motion(max(float(q), least_q), max(float(r), each.rounding), False)
+    least_q = 1e-6 * scale.speed**2 / scale.step
+    return Noise(max(float(q), least_q), max(float(r), scale.rounding), False)
 
 
-def filter_of(motion: Motion, each: Usual, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
+def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
     """Return the filter of a track of some axes, which starts from its first fix, known to some steps."""
-    sigma = 10 * (math.sqrt(motion.r) + each.speed * each.step)
-    P0 = np.diag([sigma**2, (2 * each.speed) ** 2])
-    axis = constant_velocity(dt=each.step, q=motion.q, r=motion.r, P0=P0)
-    return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else motion.r * relative)
+    sigma = 10 * (math.sqrt(noise.r) + scale.speed * scale.step)
+    P0 = np.diag([sigma**2, (2 * scale.speed) ** 2])
+    axis = constant_velocity(dt=scale.step, q=noise.q, r=noise.r, P0=P0)
+    return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else noise.r * relative)
 
 
-def on_one_line(t: Array, z: Array, relative: Array | None, number: NDArray[np.intp], motion: Motion, each: Usual):
+def on_one_line(t: Array, z: Array, relative: Array | None, pieces: NDArray[np.intp], noise: Noise, scale: Scale):
     """Return the Stretches of a track: the rows from the first to the last fix of each piece.
 
-    Beyond APART they are so long apart that the velocity at the start of one is not known from the one before it.
+    They are so long apart that the velocity at the start of one is not known from the one before it.
     """
-    apart = max(APART, 64 * each.speed**2 / motion.q)
+    apart = max(APART, (FORGOTTEN * scale.speed) ** 2 / noise.q)
     rows, times, moved, first = [], [], [], []
-    end, last = 0.0, np.zeros(z.shape[1])
-    for k in range(number.max() + 1):
-        own = np.flatnonzero(number == k)
+    end, last = 0.0, np.zeros(z.shape[1])  # of the stretch before, on the line
+    for k in range(pieces.max() + 1):
+        own = np.flatnonzero(pieces == k)
         span = np.arange(own[0], own[-1] + 1)
         times.append(t[span] - t[own[0]] + end)
         moved.append(np.broadcast_to(last - z[own[0]], (len(span), z.shape[1])))
@@ -255,27 +262,28 @@ def on_one_line(t: Array, z: Array, relative: Array | None, number: NDArray[np.i
         rows.append(span)
         end = times[-1][-1] + apart
         last = z[own[-1]] + moved[-1][0]
+    number = np.repeat(np.arange(len(rows)), [len(span) for span in rows])
     rows, moved = np.concatenate(rows), np.concatenate(moved)
-    z_line = np.where((number[rows] >= 0)[:, None], z[rows] + moved, np.nan)
+    z_line = np.where((pieces[rows] >= 0)[:, None], z[rows] + moved, np.nan)
     relative = None if relative is None else relative[rows]
-    return Stretches(rows, np.concatenate(times), z_line, moved, np.concatenate(first), relative)
+    return Stretches(rows, np.concatenate(times), z_line, moved, np.concatenate(first), number, relative)
 
 
-def fitted(line: Stretches, guess: Motion, each: Usual) -> Motion:
+def fitted(line: Stretches, guess: Noise, scale: Scale) -> Noise:
     """Return the q and r that make the fixes of a line most probable, given the first two of each stretch.
 
-    With q and r doubled, gains stay as they are and S doubles: so only r / q is searched, and q is the mean NIS for
-    q = 1. Where r comes out below the rounding of the numbers it is set to that.
+    With q and r doubled, gains stay as they are and S doubles: so only rho = r / q is searched, and q is the mean NIS
+    for q = 1 (`_best_q`). Where r comes out below the rounding of the numbers it is set to that.
 
     `fitting.fit` finds the same q and r for any model and any parameters (a test holds each to the other). It takes
     1.6 s for a track that this takes 0.1 s for, up to five times, and knows nothing of stretches and of rounding.
     """
     line = _sample(line)
 
-    def surprise(log_ratio):
-        return _scale(line, math.exp(log_ratio), guess.q, each)[1]
+    def surprise(log_rho):
+        return _best_q(line, math.exp(log_rho), guess.q, scale)[1]
 
-    unit = math.log(each.step**3)
+    unit = math.log(scale.step**3)
     at = math.log(guess.r / guess.q)
     low, high = max(at - math.log(100), RATIOS[0] + unit), min(at + math.log(100), RATIOS[1] + unit)
     if guess.rounding or not low < at < high:
@@ -284,34 +292,38 @@ def fitted(line: Stretches, guess: Motion, each: Usual) -> Motion:
     if low > RATIOS[0] + unit and min(found.x - low, high - found.x) < 0.1:  # at an edge of the part that was searched
         wide = RATIOS[0] + unit, RATIOS[1] + unit
         found = minimize_scalar(surprise, bounds=wide, method="bounded", options={"xatol": NEAR})
-    ratio = math.exp(found.x)
-    q = _scale(line, ratio, guess.q, each)[0]
-    if q * ratio > each.rounding:
-        return Motion(q, q * ratio, False)
-    for _ in range(3):
-        q = _scale(line, each.rounding / q, guess.q, each)[0]
-    return Motion(q, each.rounding, True)
+    rho = math.exp(found.x)
+    q = _best_q(line, rho, guess.q, scale)[0]
+    if q * rho > scale.rounding:
+        return Noise(q, q * rho, False)
+    for _ in range(3):  # r is known, and q is the mean NIS for r / q, which q itself changes
+        q = _best_q(line, scale.rounding / q, guess.q, scale)[0]
+    return Noise(q, scale.rounding, True)
 
 
-def _likelihoods(line, ratio, about, each):
-    """Return NIS and log S of each number of a line for q = 1, as (K, m); the first fixes of stretches have none.
+def _nis_and_log_S(line, rho, about_q, scale):
+    """Return NIS and log S of each number of a line for q = 1 and r = rho, (K, m); NaN for the first of stretches.
 
-    q is about so much: it says how large the variances of the start are beside it.
+    All variances count in units of q, those of the start too: for these q is taken for `about_q`.
     """
-    values, S = metrics.innovations(_from_an_unknown_start(line, 1.0, ratio, each, about), line.z[:, None])
+    kf = _from_an_unknown_start(line, 1.0, rho, scale, unit=about_q)
+    values, S = metrics.innovations(kf, line.z[:, None])  # (K, 1, m) and (K, 1, 1, m): each axis is a track
     values = np.where(line.first[:, None], np.nan, values[:, 0])
     return values**2 / S[:, 0, 0], np.where(np.isnan(values), np.nan, np.log(S[:, 0, 0]))
 
 
-def _scale(line, ratio, about, each):
-    """Return the best q for a ratio of r to q, and -log L, but for a constant."""
-    nis, log_S = _likelihoods(line, ratio, about, each)
+def _best_q(line, rho, about_q, scale):
+    """Return the best q for rho = r / q, and -log L there, but for a constant.
+
+    -log L is ½ Σ (nis / q + log q + log S), which is least where q is the mean of nis.
+    """
+    nis, log_S = _nis_and_log_S(line, rho, about_q, scale)
     q, count = float(np.nanmean(nis)), int(np.isfinite(nis).sum())
     return q, 0.5 * (count * math.log(q) + float(np.nansum(log_S)))
 
 
 def _sample(line):
-    """Return a line, or stretches spread over it where it has many fixes."""
+    """Return a line, or parts spread over it where it has many fixes, each of which begins as a stretch does."""
     if len(line.rows) <= MOST_FITTED:
         return line
     starts = np.linspace(0, len(line.rows) - FITTED_AT_A_TIME, MOST_FITTED // FITTED_AT_A_TIME).astype(int)
@@ -324,107 +336,130 @@ def _sample(line):
     return replace(part, first=first[rows])
 
 
-def log_errors(line: Stretches, motion: Motion, each: Usual) -> dict[str, float]:
+def log_errors(line: Stretches, noise: Noise, scale: Scale) -> dict[str, float]:
     """Return standard errors of log q and log r that hold where the motion is calm and wild by turns.
 
-    The second derivatives of log L say how well a right model would know them. Here the scatter of the first ones does,
-    taken over blocks of some minutes, which hardly depend on each other (a sandwich of scores). An r that is known by
-    the rounding only has no error.
+    With nis and S of a filter of q = 1 and r = rho, where rho = r / q, the derivatives of -log L are
+
+        -log L                 = ½ Σ (nis / q + log q + log S)
+        ∂ / ∂log q             = ½ Σ (1 - nis / q)
+        ∂² / ∂(log q)²         = ½ Σ nis / q
+        ∂² / ∂log q ∂log rho   = - ½ Σ ∂(nis / q) / ∂log rho
+
+    and those by log rho alone are differences. The second derivatives, H, say how well a right model would know both.
+    Here the scatter of the first ones does: s are their sums over blocks of some minutes, which hardly depend on each
+    other, and the covariance of the errors is H⁻¹ J H⁻¹, where J is Σ s sᵀ with Student's factor for few blocks (a
+    sandwich of scores, as in `fit`). log r is log q + log rho. The error of an r that is the rounding is infinite.
     """
-    ratio, h = motion.r / motion.q, 0.05
-    nis, log_S = _likelihoods(line, ratio, motion.q, each)
-    nis = nis / motion.q
-    span = line.t[-1] - line.t[0] - APART
-    block = np.floor(line.t / max(1.0, min(BLOCK, span / FEWEST_BLOCKS)))
-    _, block = np.unique(block, return_inverse=True)
-    scores = [0.5 * (nis - 1)]
-    curvature = [[0.5 * np.nansum(nis)]]
-    if not motion.rounding:
-        (up, log_up), (down, log_down) = (_likelihoods(line, ratio * math.exp(d), motion.q, each) for d in (h, -h))
-        slopes = [(nis_d / motion.q + log_d) / 2 for nis_d, log_d in ((up, log_up), (down, log_down))]
-        scores.append((slopes[1] - slopes[0]) / (2 * h))
-        bend = np.nansum(slopes[0] + slopes[1] - nis - log_S) / h**2
-        cross = np.nansum(down - up) / motion.q / (2 * h) / 2
-        curvature = [[curvature[0][0], cross], [cross, bend]]
-    sums = np.array([np.bincount(block, np.nansum(each_score, axis=1)) for each_score in scores])
-    inverse = np.linalg.inv(np.array(curvature))
-    covariance = inverse @ (sums @ sums.T) @ inverse
-    if motion.rounding:
-        return {"q": math.sqrt(covariance[0, 0]), "r": math.inf}
-    both = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]  # log r = log q + log ratio
-    return {"q": math.sqrt(covariance[0, 0]), "r": math.sqrt(max(both, 0.0))}
+    rho, h = noise.r / noise.q, 0.05
+
+    def at(step):
+        """Return nis / q and -log L, but for log q, of each number, (K, m), a step of log rho away."""
+        nis, log_S = _nis_and_log_S(line, rho * math.exp(step), noise.q, scale)
+        return nis / noise.q, 0.5 * (nis / noise.q + log_S)
+
+    nis, surprise = at(0.0)
+    gradient = [0.5 * (1 - nis)]
+    H = np.array([[0.5 * np.nansum(nis)]])
+    if not noise.rounding:
+        (nis_up, up), (nis_down, down) = at(h), at(-h)
+        gradient.append((up - down) / (2 * h))
+        cross = -0.5 * np.nansum(nis_up - nis_down) / (2 * h)
+        bend = np.nansum(up + down - 2 * surprise) / h**2
+        H = np.array([[H[0, 0], cross], [cross, bend]])
+    known = np.isfinite(nis).any(axis=1)
+    block = _blocks_of(line, scale)[known]
+    _, block = np.unique(block, return_inverse=True)  # those that have fixes are 0, 1, ...
+    scores = np.array([np.bincount(block, np.nansum(each[known], axis=1)) for each in gradient])
+    J = covariance_of_scores(scores) if scores.shape[1] > 1 else H
+    inverse = np.linalg.inv(H)
+    covariance = inverse @ J @ inverse
+    error_of_q = math.sqrt(covariance[0, 0])
+    if noise.rounding:
+        return {"q": error_of_q, "r": math.inf}
+    return {"q": error_of_q, "r": math.sqrt(max(float(covariance.sum()), 0.0))}
 
 
-def seen_from_both_sides(line: Stretches, motion: Motion, each: Usual, number: NDArray[np.intp]) -> NDArray[np.intp]:
+def _blocks_of(line, scale):
+    """Return the number of the block that each row lies in, (K,): of BLOCK seconds, or a tenth of all stretches."""
+    seconds = np.diff(line.t)[np.diff(line.number) == 0].sum()  # without those between two stretches
+    return np.floor(line.t / max(scale.step, min(BLOCK, seconds / FEWEST_BLOCKS)))
+
+
+def seen_from_both_sides(line: Stretches, noise: Noise, scale: Scale, pieces: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the pieces without the fixes that are far off what all others say of them.
 
-    The distance of a fix from the smoothed line without it is (z - x)² / (r - P), x and P those of the line with it. It
-    spoils its neighbours too: so only the worst of neighbours goes, and what is left is looked at again.
+    The squared distance of a fix from the smoothed line without it, in units of its variance, is (z - x)² / (r - P),
+    where x and P are those of the line with it. A fault spoils its neighbours too: so only the worst of neighbours
+    goes, and what is left is looked at again.
     """
-    number = number.copy()
+    pieces = pieces.copy()
     for _ in range(LOOKS):
-        x, P = _smoothed(line, motion, each)
-        r = motion.r if line.relative is None else motion.r * line.relative
+        x, P = _smoothed(line, noise, scale)
+        r = noise.r if line.relative is None else noise.r * line.relative
         without = np.maximum(r - P, SMALLEST_DIFFERENCE * r)
         seen = np.isfinite(line.z)
         off = np.where(seen, (line.z - x) ** 2 / without, 0).sum(axis=1)
         fixes = np.flatnonzero(seen.any(axis=1))
-        limits = _limits_of_calm(off[fixes]) if each.step >= SPARSE else FROM_BOTH_SIDES
-        off = np.concatenate([[0], off[fixes], [0]])
+        limits = _limits_of_calm(off[fixes]) if scale.step >= SPARSE else FROM_BOTH_SIDES
+        off = np.concatenate([[0], off[fixes], [0]])  # so that the first and the last have neighbours too
         worst = (off[1:-1] > limits) & (off[1:-1] >= off[:-2]) & (off[1:-1] >= off[2:])
         if not worst.any():
             break
-        number[line.rows[fixes[worst]]] = -1
+        pieces[line.rows[fixes[worst]]] = -1
         z = line.z.copy()
         z[fixes[worst]] = np.nan
         line = replace(line, z=z)
-    return number
+    return pieces
 
 
 def _limits_of_calm(off):
-    """Return the limit of each fix, from how far off those around it are."""
+    """Return the limit of each fix, (N,), from how far off (N,) the fixes around it are."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(off, AROUND // 2, mode="reflect"), AROUND)
     return np.clip(FROM_BOTH_SIDES * np.median(around, axis=1) / MEDIAN, CALM, FROM_BOTH_SIDES)
 
 
-def _smoothed(line, motion, each):
+def _smoothed(line, noise, scale):
     """Return the smoothed positions of a line and their variances, (K, m)."""
-    s = _from_an_unknown_start(line, motion.q, motion.r, each).smooth(line.z[:, None])
+    s = _from_an_unknown_start(line, noise.q, noise.r, scale).smooth(line.z[:, None])  # each axis is a track
     return s.x[:, 0], s.P[:, 0, 0]
 
 
-def _from_an_unknown_start(line, q, r, each, about=1.0):
-    """Return the filter of one axis of a line, all of whose variances of the start are divided by `about`."""
-    P0 = np.diag([(100 * each.speed * each.step) ** 2, (10 * each.speed) ** 2]) / about
-    axis = constant_velocity(dt=each.step, q=q, r=r, P0=P0)
+def _from_an_unknown_start(line, q, r, scale, unit=1.0):
+    """Return the filter of one axis of a line, which knows nothing of its start. `unit` is that of q and r, in m²/s³.
+
+    The variances of the start are those of a hundred usual steps and of ten usual speeds, in that unit.
+    """
+    P0 = np.diag([(100 * scale.speed * scale.step) ** 2, (10 * scale.speed) ** 2]) / unit
+    axis = constant_velocity(dt=scale.step, q=q, r=r, P0=P0)
     return KalmanFilter(axis, t=line.t, r=None if line.relative is None else r * line.relative[:, None])
 
 
-def band_of(line: Stretches, motion: Motion, each: Usual, seconds: float) -> Band | None:
-    """Return what predictions are worth on the second half of a line, or None where it has too few of them.
+def band_of(line: Stretches, noise: Noise, scale: Scale, seconds: float) -> Band | None:
+    """Return the Band of the second half of a line, or None where it has too few predictions.
 
     q and r are fitted anew, on the first half.
     """
     half = len(line.rows) // 2
-    first = fitted(line.part(slice(half)), motion, each)
-    kf = filter_of(first, each, line.t, line.relative, line.z.shape[1])
+    first = fitted(line.part(slice(half)), noise, scale)
+    kf = filter_of(first, scale, line.t, line.relative, line.z.shape[1])
     fixes = np.isfinite(line.z).any(axis=1)
     t = line.t[fixes]
-    due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - 1e-6))] - t
-    if np.mean(due <= 1.5 * seconds) < CHECKED:
+    due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - bands.TIME_ROUNDING))] - t
+    if np.mean(due <= bands.LATEST * seconds) < CHECKED:
         seconds = float(np.quantile(np.diff(t), 0.5, method="higher"))
     try:
-        a = metrics.ahead(kf, line.z, seconds)
+        a = bands.ahead(kf, line.z, seconds)
     except ValueError:  # no fix has another at that distance
         return None
     unseen = a.row >= half
     if not np.isfinite(a.errors[unseen]).any(axis=0).all():
         return None
-    widths = metrics.following(a, level=LEVEL)
+    widths = bands.following(a, level=LEVEL)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of few predictions: `independent` says how many
-        held = metrics.coverage(a, widths, where=unseen)
-        own = metrics.coverage(a, OWN * a.sigma, where=unseen)
+        held = bands.coverage(a, widths, where=unseen)
+        own = bands.coverage(a, OWN * a.sigma, where=unseen)
     half_width = float(np.median(widths[unseen]))
     return Band(
         seconds,
@@ -493,7 +528,7 @@ class Cleaned:
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """Which rows are fixes that are kept, (N,)."""
+        """The mask of the fixes that are kept, (N,)."""
         return self.pieces >= 0
 
     @property
@@ -503,11 +538,11 @@ class Cleaned:
 
     @property
     def stretches(self) -> int:
-        """How many stretches there are."""
+        """The number of stretches."""
         return int(self.pieces.max()) + 1
 
     def report(self) -> str:
-        """Return what was done to the track and found about it, in words."""
+        """Return a report, in words, of what was done to the track and what was found about it."""
         return report.text(self)
 
     def summary(self) -> dict[str, Any]:
@@ -530,10 +565,9 @@ class Cleaned:
     @property
     def starts(self) -> NDArray[np.intp]:
         """The rows where a stretch begins after a jump, not after a pause."""
-        firsts = [int(np.flatnonzero(self.pieces == k)[0]) for k in range(self.pieces.max() + 1)]
+        firsts = np.array([np.flatnonzero(self.pieces == k)[0] for k in range(self.stretches)], dtype=np.intp)
         recording = np.searchsorted(self.recordings, firsts, side="right")
-        of_a_jump = [b for a, b in pairwise(range(len(firsts))) if recording[a] == recording[b]]
-        return np.array([firsts[b] for b in of_a_jump], dtype=np.intp)
+        return firsts[1:][recording[1:] == recording[:-1]]  # of the recording that the stretch before is of
 
 
 def clean(
@@ -571,34 +605,34 @@ def clean(
     ([100], [], 0.035, 4.03)
     """
     t, z, relative = checked(t, z, r)
-    seconds, limit = checks.positive("seconds", checks.as_seconds(seconds)), checks.positive("limit", limit)
+    seconds, limit = checks.duration("seconds", seconds), checks.positive("limit", limit)
     if pause is not None:
-        pause = checks.positive("pause", checks.as_seconds(pause))
+        pause = checks.duration("pause", pause)
     if rounding is None:
         rounding = least_distance(z) ** 2 / 12
-    starts = begins(t, np.isfinite(z).any(axis=1), segment, pause)
-    each = usual(t, z, rounding)
-    motion, number, line = first_guess(t, z, each), None, None
+    recordings = begins(t, np.isfinite(z).any(axis=1), segment, pause)
+    scale = scale_of(t, z, rounding)
+    noise, pieces = first_guess(t, z, scale), None
     for _ in range(TURNS):
         show("looking for faults")
-        found = gate.pieces(filter_of(motion, each, t, relative, z.shape[1]), z, starts, limit, 3)
-        line = on_one_line(t, z, relative, found, motion, each)
-        found = seen_from_both_sides(line, motion, each, found)
-        if number is not None and np.array_equal(found, number):
+        before = pieces
+        pieces = gate.pieces(filter_of(noise, scale, t, relative, z.shape[1]), z, recordings, limit, 3)
+        line = on_one_line(t, z, relative, pieces, noise, scale)
+        pieces = seen_from_both_sides(line, noise, scale, pieces)
+        if before is not None and np.array_equal(pieces, before):
             break
-        number = found
-        line = on_one_line(t, z, relative, number, motion, each)
+        line = on_one_line(t, z, relative, pieces, noise, scale)
         show("fitting")
-        motion = fitted(line, motion, each)
-    line = on_one_line(t, z, relative, number, motion, each)
+        noise = fitted(line, noise, scale)
+    line = on_one_line(t, z, relative, pieces, noise, scale)
     show("smoothing")
-    kf = filter_of(motion, each, line.t, line.relative, z.shape[1])
+    kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]
     x, P = np.full((len(t), n), np.nan), np.full((len(t), n, n), np.nan)
     x[line.rows], P[line.rows] = s.x, s.P
     x[line.rows, ::2] -= line.moved
     show("judging the band")
-    errors = log_errors(line, motion, each)
-    band = band_of(line, motion, each, seconds)
-    return Cleaned(t, z, number, x, P, motion.q, motion.r, errors, motion.rounding, band, kf, line, starts)
+    errors = log_errors(line, noise, scale)
+    band = band_of(line, noise, scale, seconds)
+    return Cleaned(t, z, pieces, x, P, noise.q, noise.r, errors, noise.rounding, band, kf, line, recordings)

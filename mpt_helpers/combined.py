@@ -1,4 +1,7 @@
-"""Filters made of filters: the mean of two, and one for each axis."""
+"""Filters made of filters: the mean of two, and one for each axis.
+
+2014 and 2015 are papers of Assimakis & Adam; `mpt_helpers` has their titles.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ from .model import LinearModel, stack
 from .recursive import Estimates, Filter, RecursiveFilter
 from .steady import SteadyStateFilter
 
-# Both Riccati equations give one gain to so many digits at least.
+# Two constant gains are one gain if they differ by no more than this part of the largest gain of the same state. Both
+# Riccati equations give one gain to six digits at least.
 SAME_GAIN = 1e-6
 
 
@@ -76,11 +80,10 @@ class JoinFilter(Filter):
     ) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
-        dt and r are as in KalmanFilter, for filters that both take them. Raises TypeError where the filters differ in
-        their gains: then each would need a state of its own.
+        dt and r are as in KalmanFilter, for filters that both take them. Raises TypeError where only one has a constant
+        gain, or both have different ones: then each would need a state of its own.
         """
-        gains = _constant_gain(self.first), _constant_gain(self.second)
-        if self.first.optimal != self.second.optimal or not np.allclose(*gains, rtol=SAME_GAIN, atol=0):
+        if self.first.optimal != self.second.optimal or not _equal(*map(_constant_gain, self.parts)):
             kinds = " and ".join(type(each).__name__ for each in self.parts)
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         x_1, P_1 = self.first.step(x, P, z_k, dt, r)
@@ -89,7 +92,7 @@ class JoinFilter(Filter):
 
     @property
     def optimal(self) -> bool:
-        """Say whether both filters' gains follow their covariances."""
+        """Say whether both filters are optimal: a filter of constant gain is not."""
         return self.first.optimal and self.second.optimal
 
     def smooth(self, z: ArrayLike) -> Estimates:
@@ -164,7 +167,7 @@ class Separate(Filter):
 
     @property
     def optimal(self) -> bool:
-        """Say whether all filters' gains follow their covariances."""
+        """Say whether all filters are optimal: a filter of constant gain is not."""
         return all(each.optimal for each in self.filters)
 
     @property
@@ -188,12 +191,12 @@ class Separate(Filter):
                 checks.refuse("r", f"a vector of {self.model.m} variances", f"shape {r.shape}")
         after = []
         for each, i, rows in self._slices():
-            r_i = None if r is None or (np.isnan(r[rows]).all() and each.r is None) else r[rows]
+            r_i = None if r is None else _variances_for(each, r[rows])
             after.append(each.step(x[i], P[i, i], z_k[rows], dt, r_i))
         return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return what the filters' `smooth` return, as one state and a block diagonal covariance."""
+        """Return the results of the filters' `smooth` as one state and a block diagonal covariance."""
         return self._as_given(z, lambda z: self._side_by_side([f.smooth(z[:, rows]) for f, _, rows in self._slices()]))
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
@@ -231,8 +234,23 @@ def _block_diagonal(parts):
     return whole
 
 
+def _variances_for(estimator, r):
+    """Return the variances r (m,) of one measurement for the `step` of a filter: all NaN mean none, if it has none."""
+    return None if np.isnan(r).all() and estimator.r is None else r
+
+
+def _equal(K_1, K_2):
+    """Tell whether two gains (n, m) are one but for what two solvers may differ by, state by state: each has its unit.
+
+    Where a gain is zero, of two axes in one model for example, one solver may give zero and the other its rounding.
+    """
+    size = np.abs(K_1).max(axis=1, keepdims=True)
+    rounding = np.finfo(float).eps * size.max()
+    return (np.abs(K_1 - K_2) <= SAME_GAIN * size + rounding).all()
+
+
 def _constant_gain(estimator):
-    """Return the gain (n, m) where it is constant, and zeros where it follows the covariance."""
+    """Return the gain (n, m) of a steady-state filter and of what is made of them, zeros of every other filter."""
     if isinstance(estimator, SteadyStateFilter):
         return estimator.B
     if isinstance(estimator, JoinFilter):
@@ -249,10 +267,10 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    own = [*_leaves(first), *_leaves(second)]
-    if not all(same(own[0].t, other.t) for other in own[1:]):
+    leaves = [*_leaves(first), *_leaves(second)]
+    if not all(same(leaves[0].t, other.t) for other in leaves[1:]):
         checks.refuse("second", "a filter of the same times as the first", "one of others")
-    # The variances of filters that see some rows of z each cannot be compared so.
+    # The filters in a Separate see some columns of z each, so that their variances cannot be compared so.
     if isinstance(first, RecursiveFilter) and isinstance(second, RecursiveFilter) and not same(first.r, second.r):
         checks.refuse("second", "a filter of the same variances as the first", "one of others")
 

@@ -91,7 +91,7 @@ class Epochs:
 
     @cached_property
     def missing(self):
-        """Which measurements are missing, (N, m, M)."""
+        """The mask of the measurements that are missing, (N, m, M)."""
         return np.isnan(self.z)
 
     @property
@@ -123,12 +123,12 @@ class Epochs:
 
 
 class Layout(NamedTuple):
-    """How tracks lie in columns: all of them in one, with one covariance, or each in a column of its own."""
+    """The places of tracks in columns: all of them in one, with one covariance, or each in a column of its own."""
 
     one_column: bool
 
     def count_of_columns(self, tracks):
-        """Return how many columns so many tracks have."""
+        """Return the number of columns of so many tracks."""
         return 1 if self.one_column else tracks
 
     def as_columns(self, array):

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def predicted_covariance(model, P, steps=1):
-    """Return what becomes of the covariance P, (n, n) or (..., n, n), when nothing is measured: P <- F P Fᵀ + Q.
+    """Return the covariance P, (n, n) or (..., n, n), after steps in which nothing is measured: P <- F P Fᵀ + Q.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> predicted_covariance(constant_velocity(dt=1.0, q=3.0, r=1.0), np.zeros((2, 2)))

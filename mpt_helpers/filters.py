@@ -41,10 +41,10 @@ class KalmanFilter(RecursiveFilter):
         A_k = (I - K_k H) F,   B_k = K_k
 
     t are the times of the epochs, (N,) for all tracks or (N, M) for each: numbers in s, or dates, as datetime64,
-    datetimes and a pandas index are. They do not decrease; x0 lies one step dt
-    of the model before t[0]. The model must say what a step of another length is, as `constant_velocity` and
-    `constant_acceleration` do. r are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R:
-    the accuracy that a receiver states of each fix. They are looked at only where there is a measurement.
+    datetimes and a pandas index are. They do not decrease; x0 lies one step dt of the model before t[0]. The model must
+    say what a step of another length is, as `constant_velocity`, `constant_acceleration` and motions of your own do. r
+    are the variances of the measurements, (N, m) or (N, m, M), in place of the model's R: the accuracy that a receiver
+    states of each fix. They are looked at only where there is a measurement.
 
     Raises TypeError for anything but a model, and ValueError for times that a model does not take or that decrease, and
     for variances that are not positive.
@@ -145,9 +145,7 @@ class KalmanFilter(RecursiveFilter):
                 checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, M)}", f"shape {given.shape}")
         epochs = Epochs(z, self._lengths, self._variances)
         if epochs.variances is not None:
-            there = np.broadcast_to(epochs.variances, z.shape)[~epochs.missing]
-            if not (np.isfinite(there) & (there > 0)).all():
-                checks.refuse("r", "a positive variance of every measurement that is there", "another")
+            checks.used_variances("r", np.broadcast_to(epochs.variances, z.shape)[~epochs.missing])
         return epochs
 
     @cached_property
@@ -159,7 +157,7 @@ class KalmanFilter(RecursiveFilter):
         if self.t is None:
             return None
         t = self.t.reshape(len(self.t), -1)
-        lengths = np.concatenate([np.ones((1, t.shape[1])), np.diff(t, axis=0) / self.model.dt])
+        lengths = lengths_of(t, self.model.dt)
         self._require_steps_that_doubles_hold(lengths.max())
         return lengths
 
@@ -212,6 +210,15 @@ class KalmanFilter(RecursiveFilter):
         kf.x = np.zeros(self.model.n)
         kf.F, kf.Q, kf.H, kf.R = self.model.F, self.model.Q, H_1, np.eye(len(H_1))
         return kf
+
+
+def lengths_of(t: Array, dt: float) -> Array:
+    """Return the lengths of the steps before epochs at times t (N, ...), in units of dt: x0 lies one before the first.
+
+    >>> lengths_of(np.array([5.0, 6.0, 9.0]), dt=2.0)
+    array([1. , 0.5, 1.5])
+    """
+    return np.concatenate([np.ones_like(t[:1]), np.diff(t, axis=0) / dt])
 
 
 def _refuse_lengths_of(name):

@@ -1,74 +1,31 @@
-"""The parameters of a model that make measurements most probable."""
+"""The parameters of a model that make measurements most probable, with their errors.
+
+`search` finds the parameters, the maximum of log L. The errors are here, and the warnings of all that looks wrong. A
+*point* is the vector of the natural logarithms of the parameters. In it, a distance is the logarithm of a factor.
+"""
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtri, stdtrit
 from tqdm import tqdm
 
-from . import checks, metrics
+from . import bands, checks, metrics
 from .checks import Array, Seconds
 from .filters import KalmanFilter
 from .immutable import same
 from .model import LinearModel
 from .recursive import Filter
+from .search import FARTHEST, FLAT, NOTHING, along_a_line, differences, lowest
 
-# How near, in natural logarithms of the parameters, the search must come: a hundredth of the error of a parameter that
-# a thousand measurements tell to some percent.
-NEAR = 1e-4
-# So near comes the search that needs no derivatives. Newton's, which goes on from there, needs no more.
-NEAR_ENOUGH = 0.1
-# A search along one line looks at these places first, natural logarithms of factors of 1e-24 to 1e24, then at those
-# around the best one, and then between their neighbours: an r that the fixes tell by a little can be a factor of 100
-# away from where it makes no difference.
-LINE = math.log(1e4) * np.arange(-6, 7)
-AROUND = math.log(10) * np.arange(-2, 3)
-# After so many rows for each state a start is forgotten, but for filters that smooth much.
-ROWS_OF_A_START = 5
-# Measurements that never change would make all variances zero.
-LEAST_SCALE = 1e-9
-# Newton's steps are at most so long, a factor of e, and so many at most. Each is shortened so many times.
-LONGEST, MOST_STEPS, MOST_HALVINGS = 1.0, 30, 8
-# A search that has ended looks further along each parameter, by these factors, as long as log L does not change: with
-# a process noise far too small, the noise of the measurements explains the motion, and q changes nothing. It goes on
-# from what is better, so many times at most.
-FURTHER = tuple(math.log(factor) for factor in (3, 1e3, 1e6, 1e9, 1e12, 1e15, 1e18, 1e21, 1e24))
-MOST_SEARCHES = 10
-# Differences of log L are taken between points 2 % of a parameter apart. The rounding of the second ones,
-# 1e-16 |log L| / step², is below 1e-6 of them up to a million measurements. The bias of the first ones, step² / 6 of
-# the third, moves the maximum by less than NEAR.
-DIFFERENCE = 0.02
-# Errors come from so many blocks, of so many seconds where a track is long enough. Measured on recorded tracks: over
-# 10 s scores are far from independent, over 300 s nearly, on tracks of hours over 600 to 1200 s.
-FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
-# A search does not go farther from its start than this factor, and it has come to that end within this one of it.
-FARTHEST, NEAR_THE_END = math.log(1e12), math.log(10)
-# A parameter so many times its guess, or less than that part of it, may be of other units: kilometres for metres make
-# 1e-6 of q and r, milliseconds for seconds 1e-9 of q, degrees 1e-10 of both.
-OTHER_UNITS = 1e5
-# Q is rescaled until the band changes by less than this, in logarithms of its variance, and so many times at most.
-CLOSE, MOST_RESCALINGS = 1e-2, 50
-# A log L that falls by less than this says nothing against a parameter: so much it falls at one standard error.
-NOTHING = 0.5
-# A parameter known to no better than this factor is not known.
-VAGUE = math.log(10)
-# A direction in which log L curves by less than this part of its largest curvature is flat, by the second differences'
-# rounding; and a parameter is known that it moves by less than this part of its length, by the end of the search.
-FLAT, APART = 1e-6, 1e-2
-# Squared distances from the start to the first measurement, in standard deviations: a fit is refused from the first on,
-# and warned of from the second on, since it explains the distance by a wrong q.
-ANOTHER_PLACE, FAR = 1e6, 100.0
-# A start may have been explained by so large a noise that it seems near. Then it is still beyond three standard
-# deviations, where one start in 370 is, and its square stands out from the usual ones, which are a thousandth of it.
-SUSPECT, STANDS_OUT = 9.0, 1000.0
+# A search that has ended within this factor of FARTHEST would have gone on.
+NEAR_THE_END = math.log(10)
 
 
 class Fit(NamedTuple):
@@ -99,9 +56,10 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     `log_errors` hold for the data as they are, and not only if the model is right (White 1982). No recorded track moves
     by one q: the curvature of log L alone, which takes the model for true, states errors five to twenty times too
     small there. So the score of each block of a track, by how much it pulls at the parameters, is computed, and the
-    errors follow from how much the blocks differ. There are 6 to 20 blocks, of 300 s or more where the track is so
-    long; where there are many tracks, each is a block. With few blocks Student's factor makes the errors larger, so
-    that 1.96 of them hold 95 %. With fewer than 12 fixes they are those of the curvature.
+    errors follow from how much the blocks differ. A track is cut into a block for every 300 s, 6 to 20 of them. Of
+    several tracks each is cut into the same number of blocks, the smallest that makes as many in all; 20 tracks or more
+    are a block each. With few blocks Student's factor makes the errors larger, so that 1.96 of them hold 95 %. With
+    fewer than 12 fixes they are those of the curvature.
 
     Warns (UserWarning) where log L does not fall as a parameter goes to zero, where a direction is flat, where a value
     is so far from its guess that units may differ, of what `metrics.suspicious` finds, and where the first measurements
@@ -134,13 +92,13 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         if not math.isfinite(surprise(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters under which z has a likelihood", guess)
-        start = _start_of_the_search(surprise, origin)
-        best = _lowest(surprise, origin, start)
+        near = _start_of_the_search(surprise, origin)
+        best = lowest(surprise, origin, near)
         to_zero = [_runs_to_zero(surprise, best, i) for i in range(len(best))]
         blocks = _blocks(estimator, z)
         log_errors = _log_errors(surprise, best, np.flatnonzero(np.logical_not(to_zero)), blocks)
     log_errors = dict(zip(guess, log_errors.tolist(), strict=True))
-    ended = np.abs(best - (origin if start is None else start)) > FARTHEST - NEAR_THE_END
+    ended = np.abs(best - (origin if near is None else near)) > FARTHEST - NEAR_THE_END
     _warn_of_what_is_not_known(log_errors, dict(zip(guess, to_zero, strict=True)), dict(zip(guess, ended, strict=True)))
     found = surprise.filter_at(best)
     _warn_of_a_start_that_is_far(found, z)
@@ -156,11 +114,17 @@ class Blocks(NamedTuple):
     name: str
 
 
+# After so many rows for each state a start is forgotten, but for filters that smooth much.
+ROWS_OF_A_START = 5
+# Measurements that never change would make all variances zero.
+LEAST_SCALE = 1e-9
+
+
 @dataclass(frozen=True)
 class Surprise:
     """-log L of measurements z as a function of a point, the natural logarithms of the parameters of `make`.
 
-    What was computed is kept: a search comes back to its points.
+    Its values are kept: a search comes back to its points.
     """
 
     make: Callable[..., LinearModel | Filter]
@@ -184,7 +148,7 @@ class Surprise:
             return math.inf
 
     def by_block(self, point: Array, blocks: Blocks) -> Array:
-        """Return the share of each block in -log L, infinite where the model cannot be computed."""
+        """Return the share of each block in -log L (B,), infinite where the model cannot be computed."""
         try:
             self.bar.update()
             squares, log_det, count = metrics.squares_of(self.filter_at(point), self.z)
@@ -202,7 +166,16 @@ class Surprise:
         return _filter(self.make, self.values_at(point))
 
     def with_best_scale(self, point: Array) -> tuple[float, float]:
-        """Return the log c that makes z most probable with c Q, c R and c P0, and -log L then.
+        """Return the log c that makes z most probable with c Q, c R and c P0, and -log L then: the profile likelihood.
+
+        Gains and estimates stay as they are, all S become c S, and all NIS become NIS / c. So, for
+        `count` numbers that were measured,
+
+            -log L(c) = [Σ NIS / c + Σ log det S + count (log c + log 2π)] / 2
+
+        Its derivative is zero at c = Σ NIS / count. There Σ NIS / c is `count`, and what is left is
+
+            -log L = [Σ log det S + count (log c + 1 + log 2π)] / 2
 
         The first rows are left out: there P0 shows, which is not c P0.
         """
@@ -229,16 +202,16 @@ def _filter(make, values):
 def _start_of_the_search(surprise, origin):
     """Return a point near the lowest one, by a search along one line, or None where there is no such line.
 
-    With one parameter that is its own line. With two, as q and r, c times both give often c Q and c R. Then gains and
-    estimates stay as they are, S becomes c S, and NIS becomes NIS / c, so that the best c is the mean of NIS / m. What
-    is left is the ratio of the two. Only c P0 stands for P0 then. So the first rows are left out, c is taken anew
-    whenever the search has come nearer, and the point is but the start of a search of the likelihood itself.
+    One parameter is its own line. Of two, as q and r, c times both give often c Q and c R. Then `with_best_scale` gives
+    the best c for each ratio of the two, and the line is that of the ratios. With c P0 in place of P0 this is only
+    nearly the likelihood. So c is computed anew whenever the search has come nearer, and the point found is but the
+    start of a search of the likelihood itself.
     """
     if len(origin) == 1:
-        return _along_a_line(lambda point: (0.0, surprise(point)), origin, np.ones(1))
+        return along_a_line(lambda point: (0.0, surprise(point)), origin, np.ones(1))
     if len(origin) > 2 or not _covariances_scale(surprise, origin):
         return None
-    point = _along_a_line(surprise.with_best_scale, origin, np.array([0.5, -0.5]))
+    point = along_a_line(surprise.with_best_scale, origin, np.array([0.5, -0.5]))
     return point if math.isfinite(surprise(point)) and _covariances_scale(surprise, point) else None
 
 
@@ -254,115 +227,16 @@ def _covariances_scale(surprise, point):
     return twice and same(one.t, two.t) and (one.r is None) == (two.r is None)
 
 
-def _along_a_line(rated, origin, direction):
-    """Return the lowest point origin + s direction that is found: the best of a few far apart, and then near it.
-
-    rated(point) returns by how much all of it is to be moved, and the value there.
-    """
-    point = origin
-    for places in (LINE, AROUND):
-        points = [point + s * direction for s in places]
-        moves, values = zip(*map(rated, points), strict=True)
-        alike = np.array(values) <= min(values) + NOTHING  # where r makes no difference, say: then the nearest
-        best = int(np.argmin(np.where(alike, np.abs(places), np.inf)))
-        point = points[best] + moves[best]
-    nearby = AROUND[1], AROUND[-2]
-    options = {"xatol": NEAR_ENOUGH}
-    found = minimize_scalar(lambda s: rated(point + s * direction)[1], bounds=nearby, method="bounded", options=options)
-    moved = point + found.x * direction
-    move, value = rated(moved)
-    return moved + move if value < rated(point)[1] else point
-
-
-def _lowest(function, origin, start):
-    """Return the lowest point that is found from a start near it, or from the origin where that is None."""
-    if start is not None:
-        origin = start
-
-    def within(point):
-        return function(point) if np.abs(point - origin).max() <= FARTHEST else math.inf
-
-    point = _by_simplex(within, origin) if start is None else start
-    for _ in range(MOST_SEARCHES):
-        point = _by_newton(within, point)
-        further = _lower_further_on(within, point)
-        if further is None:
-            break
-        point = _by_simplex(within, further)
-    return point
-
-
-def _by_simplex(function, point):
-    """Return the lowest point that Nelder and Mead's search finds, from each guess to e times it."""
-    d = len(point)
-    simplex = point + np.vstack([np.zeros(d), np.eye(d)])
-    options = {"initial_simplex": simplex, "xatol": NEAR_ENOUGH, "fatol": NEAR_ENOUGH, "maxfev": 400 * d}
-    return minimize(function, point, method="Nelder-Mead", options=options).x
-
-
-def _by_newton(function, point):
-    """Return the lowest point that Newton's steps lead to. A direction that is flat is not gone along."""
-    for _ in range(MOST_STEPS):
-        value, gradient, H = _differences(function, point)
-        step = _newton_step(gradient, H)
-        for _ in range(MOST_HALVINGS):
-            if np.abs(step).max() < NEAR:
-                return point
-            if function(point + step) < value:
-                break
-            step = step / 2
-        else:
-            return point
-        point = point + step
-    return point
-
-
-def _newton_step(gradient, H):
-    """Return the step to where the gradient vanishes, downwards where H curves the other way, and not too long."""
-    if not (np.isfinite(H).all() and np.isfinite(gradient).all()):
-        return np.zeros(len(H))
-    curvatures, directions = np.linalg.eigh(H)
-    sizes = np.abs(curvatures)
-    bent = sizes > FLAT * sizes.max()
-    along = directions.T @ gradient
-    step = -directions[:, bent] @ (along[bent] / sizes[bent])
-    return step * min(1.0, LONGEST / max(np.abs(step).max(), NEAR))
-
-
-def _lower_further_on(function, point):
-    """Return a point along one parameter that is lower than this one, or None."""
-    value = function(point)
-    for unit in np.eye(len(point)):
-        for sign in (1, -1):
-            for far in FURTHER:
-                moved = point + sign * far * unit
-                change = function(moved) - value
-                if change < -NOTHING:
-                    return moved
-                if change > NOTHING:
-                    break
-    return None
-
-
-def _differences(function, point):
-    """Return a function (...), its gradient (d, ...) and second derivatives (d, d, ...), by central differences."""
-    d, h = len(point), DIFFERENCE
-    unit = h * np.eye(d)
-    here = function(point)
-    up = np.array([function(point + each) for each in unit])
-    down = np.array([function(point - each) for each in unit])
-    H = np.empty((d, d, *np.shape(here)))
-    with np.errstate(invalid="ignore"):  # beside points that have no likelihood
-        for i in range(d):
-            H[i, i] = (up[i] - 2 * here + down[i]) / h**2
-            for j in range(i):
-                both = function(point + unit[i] + unit[j]) + function(point - unit[i] - unit[j])
-                H[i, j] = H[j, i] = (both + 2 * here - up[i] - up[j] - down[i] - down[j]) / (2 * h**2)
-        return here, (up - down) / (2 * h), H
+# Errors come from so many blocks, of so many seconds where a track is long enough. Measured on recorded tracks: over
+# 10 s scores are far from independent, over 300 s nearly, on tracks of hours over 600 to 1200 s.
+FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
 
 
 def _blocks(estimator, z):
-    """Return the Blocks of measurements z: of each track as many, of equal numbers of fixes."""
+    """Return the Blocks of measurements z: in each track the same number of blocks, of equal numbers of fixes.
+
+    Of M tracks each is cut into `parts`, the least number of them that makes `wanted` blocks in all or more.
+    """
     N, _, M = z.reshape(len(z), z.shape[1], -1).shape
     seen = np.isfinite(z).any(axis=1).reshape(N, M)
     fixes = seen.sum()
@@ -370,9 +244,9 @@ def _blocks(estimator, z):
         return Blocks(np.zeros((N, M), int), 1, "curvature")
     wanted = np.clip(fixes * _usual_step(estimator, seen) / SECONDS_OF_A_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS)
     parts = math.ceil(wanted / M)
-    before = np.cumsum(seen, axis=0) - seen
+    before = np.cumsum(seen, axis=0) - seen  # the fixes of a track before each row, (N, M)
     part = before * parts // np.maximum(seen.sum(axis=0), 1)
-    block = np.minimum(part, parts - 1) + parts * np.arange(M)
+    block = np.minimum(part, parts - 1) + parts * np.arange(M)  # numbered along the first track, then the second, ...
     _, of_rows = np.unique(np.where(seen, block, block[seen][0]), return_inverse=True)  # only those with a fix
     of_rows = of_rows.reshape(N, M)
     count = int(of_rows.max()) + 1
@@ -380,17 +254,19 @@ def _blocks(estimator, z):
 
 
 def _usual_step(estimator, seen):
-    """Return the median step between fixes in seconds, or 1 where the filter knows no times."""
-    t, dt = getattr(estimator, "t", None), estimator.model.dt
-    if t is None:
-        t = (1.0 if dt is None else dt) * np.arange(len(seen))
-    t = np.broadcast_to(t.reshape(len(seen), -1), seen.shape)
+    """Return the median step between fixes in seconds."""
+    t = np.broadcast_to(estimator.times_of(len(seen)).reshape(len(seen), -1), seen.shape)
     steps = np.concatenate([np.diff(t_of_one[seen_of_one]) for t_of_one, seen_of_one in zip(t.T, seen.T, strict=True)])
     return float(np.median(steps)) if len(steps) else 0.0
 
 
+# A parameter is known although a flat direction moves it, if it is by less than this part of the direction's length: so
+# much comes from the end of the search.
+APART = 1e-2
+
+
 def _variances(H, J):
-    """Return the diagonal of H⁻¹ J H⁻¹ for matrices (d, d), infinite for what a flat direction of H moves.
+    """Return the diagonal of H⁻¹ J H⁻¹ (d,) for matrices (d, d), infinite for what a flat direction of H moves.
 
     H are the second derivatives of -log L, J is the covariance of its gradient: H itself if the model is right.
     """
@@ -404,7 +280,7 @@ def _variances(H, J):
     return np.where(moved > APART**2, math.inf, np.diag(inverse @ J @ inverse))
 
 
-def _covariance_of_scores(scores):
+def covariance_of_scores(scores: Array) -> Array:
     """Return J (d, d) from the scores of blocks (d, B), which sum to zero, with Student's factor for few blocks."""
     count = scores.shape[1]
     student = stdtrit(count - 1, 0.975) / ndtri(0.975)
@@ -419,7 +295,13 @@ def _runs_to_zero(surprise, best, i):
 
 
 def _log_errors(surprise, best, known, blocks):
-    """Return the standard errors of the logarithms of some parameters, the others as they are; theirs are infinite."""
+    """Return the standard errors of the logarithms of all parameters (d,), infinite but for those that are `known`.
+
+    known are the indices of the parameters that are moved; the others stay at their best values. The errors are the
+    roots of the diagonal of H⁻¹ J H⁻¹, the sandwich: H are the second derivatives of -log L, J the covariance of its
+    gradient, as it shows in the scores of the blocks. Where the model is right, J is H, and the errors are the
+    curvature's.
+    """
 
     def of_known(point):
         moved = best.copy()
@@ -429,11 +311,18 @@ def _log_errors(surprise, best, known, blocks):
     errors = np.full(len(best), math.inf)
     if len(known) == 0:
         return errors
-    _, scores, H = _differences(of_known, best[known])
+    _, scores, H = differences(of_known, best[known])  # scores (d, B), H (d, d, B) of B blocks
     H = H.sum(axis=-1)
-    J = H if blocks.count == 1 else _covariance_of_scores(scores)
+    J = H if blocks.count == 1 else covariance_of_scores(scores)
     errors[known] = np.sqrt(_variances(H, J))
     return errors
+
+
+# A parameter so many times its guess, or less than that part of it, may be of other units: kilometres for metres make
+# 1e-6 of q and r, milliseconds for seconds 1e-9 of q, degrees 1e-10 of both.
+OTHER_UNITS = 1e5
+# A parameter known to no better than this factor is not known.
+VAGUE = math.log(10)
 
 
 def _warn_of_data(suspicions, values, log_errors, guess):
@@ -460,6 +349,14 @@ def _warn_of_what_is_not_known(log_errors, to_zero, ended):
             _warn(f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known")
         elif error > VAGUE:
             _warn(f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters")
+
+
+# Squared distances from the start to the first measurement, over the variance: a fit is refused from the first on, and
+# warned of from the second on, since it explains the distance by a wrong q.
+ANOTHER_PLACE, FAR = 1e6, 100.0
+# A start may have been explained by so large a noise that it seems near. Then it is still beyond three standard
+# deviations, where one start in 370 is, and its square stands out from the usual ones, which are a thousandth of it.
+SUSPECT, STANDS_OUT = 9.0, 1000.0
 
 
 def _require_a_start_near(estimator, z):
@@ -497,19 +394,23 @@ def _squared_distance_of_the_start(estimator: Filter, z: ArrayLike) -> float:
 
 
 def _warn(text):
-    warnings.warn(f"fit: {text}", UserWarning, stacklevel=4)
+    checks.warn(f"fit: {text}")
+
+
+# Q is rescaled until the band changes by less than this, in logarithms of its variance, and so many times at most.
+CLOSE, MOST_RESCALINGS = 1e-2, 50
 
 
 def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:
     """Return the filter with Q times a factor under which the band that it states holds a share `level` of z.
 
     The likelihood judges by the next fix, and recorded tracks turn and stop more than it expects: ten seconds ahead,
-    the fitted filter's own 95 % band is too narrow. Here the errors of `metrics.ahead` decide, all axes together: the
+    the fitted filter's own 95 % band is too narrow. Here the errors of `bands.ahead` decide, all axes together: the
     quantile of |error| / sigma becomes that of the normal distribution. R, and with it what is known of the noise,
-    stays. Fit, rescale, and judge on what neither has seen; `metrics.following` adapts further, and costs a call more.
+    stays. Fit, rescale, and judge on what neither has seen; `bands.following` adapts further, and costs a call more.
 
-    estimator is a Kalman filter that `metrics.ahead` takes, z is (N, m) or (N, m, M), seconds is the horizon. Raises
-    as `metrics.ahead`, TypeError for another filter, and ValueError where no Q gives such a band: where the noise of
+    estimator is a Kalman filter that `bands.ahead` takes, z is (N, m) or (N, m, M), seconds is the horizon. Raises
+    as `bands.ahead`, TypeError for another filter, and ValueError where no Q gives such a band: where the noise of
     the measurements alone, or a start that is not known, is more than the errors.
 
     >>> from mpt_helpers.model import constant_velocity, simulate
@@ -520,12 +421,12 @@ def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: flo
     True
     """
     checks.instance("estimator", estimator, KalmanFilter)
-    level = checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)
+    level = checks.level(level)
     normal = float(ndtri((1 + level) / 2))
     log_c = 0.0
     for _ in range(MOST_RESCALINGS):
         scaled = replace(estimator, model=replace(estimator.model, Q=math.exp(log_c) * estimator.model.Q))
-        a = metrics.ahead(scaled, z, seconds)
+        a = bands.ahead(scaled, z, seconds)
         reached = max(float(np.nanquantile(np.abs(a.errors / a.sigma), level)), LEAST_SCALE)
         change = 2 * math.log(reached / normal)
         if abs(change) < CLOSE:

@@ -1,4 +1,4 @@
-"""Which fixes of a recorded track are faults: one pass of a Kalman filter in sequence, which makes a mask.
+"""The faults among the fixes of a recorded track: one pass of a Kalman filter in sequence, which makes a mask.
 
 A receiver errs in two ways that no filter expects. Single fixes, or a few in a row, lie far off; and the whole track
 jumps, as when the signal comes back, and goes on from elsewhere. The gate tells one from the other:
@@ -18,12 +18,13 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import checks
-from .filters import KalmanFilter, LainiotisFilter
+from .filters import KalmanFilter, LainiotisFilter, lengths_of
 
 # Two pieces are joined, without a jump, where the way between them is at most so many times as fast as the fastest
 # twentieth of all steps: between consecutive fixes of a clean track none was.
@@ -95,23 +96,32 @@ def pieces(kf, z, begins, limit, patience):
             "kf", "covariances that doubles can hold over these epochs", "an overflow, or none that is positive"
         )
     unit = z / np.sqrt(np.diag(kf.model.R))
-    times = _times_of(kf, len(z))
     recording = np.zeros(len(z), dtype=int)
     recording[list(begins)] = 1
     recording = np.cumsum(recording)
     number = np.full(len(z), -1)
     if not found:
         return number
-    way = _Way(found, unit, times, recording)
+    way = _Way(found, unit, kf.times_of(len(z)), recording)
     for k, rows in enumerate(_cheapest_chain(_without_stuck_ones(found, way), way, recording)):
         number[rows] = k
     return number
 
 
+class _Candidate(NamedTuple):
+    """A new start that refused fixes make which agree: the state after them, their rows, and how surprising the last
+    of them was to it, which the first one cannot be.
+    """
+
+    state: Any
+    rows: list[int]
+    surprise: float | None = None
+
+
 def _in_sequence(steps, fixes, begins, limit, patience):
     """Return the rows of each piece, in order of their first rows, by rules 1 and 2."""
     found, rows = [], []
-    state, candidates = steps.origin(), []  # a candidate: its state and its rows, all refused and in agreement
+    state, candidates = steps.origin(), []
     for k in range(len(fixes)):
         if k in begins:
             found.append(rows)
@@ -123,23 +133,24 @@ def _in_sequence(steps, fixes, begins, limit, patience):
         nis, predicted = steps.look(state, k)
         if not fixes[k]:
             state = predicted
-            candidates = [(steps.look(each, k)[1], own) for each, own in candidates]
+            candidates = [each._replace(state=steps.look(each.state, k)[1]) for each in candidates]
             continue
         agreed = []
-        for each, own in candidates:
-            other_nis, other = steps.look(each, k)
+        for each in candidates:
+            other_nis, other = steps.look(each.state, k)
             if other_nis <= limit:
-                agreed.append((steps.take(other, k), [*own, k], steps.surprise(other_nis, other)))
+                agreed.append(_Candidate(steps.take(other, k), [*each.rows, k], steps.surprise(other_nis, other)))
         surprise = steps.surprise(nis, predicted) if agreed else -math.inf
-        if nis <= limit and all(surprise <= each + RARE for *_, each in agreed):
+        if nis <= limit and all(surprise <= each.surprise + RARE for each in agreed):
             state, candidates = steps.take(predicted, k), []
             rows.append(k)
             continue
         state = predicted
-        candidates = [(each, own) for each, own, _ in agreed] + [(steps.start(k), [k])]
-        if len(candidates[0][1]) == patience:
+        candidates = [*agreed, _Candidate(steps.start(k), [k])]
+        oldest = candidates[0]
+        if len(oldest.rows) == patience:
             found.append(rows)
-            (state, rows), candidates = candidates[0], []
+            state, rows, candidates = oldest.state, oldest.rows, []
     found.append(rows)
     return [rows for rows in found if rows]
 
@@ -148,7 +159,16 @@ def _without_stuck_ones(found, way):
     """Return the rows of the pieces without those where a receiver without signal has stood still.
 
     That is before a step that is too fast, if it would be none from where the fixes began to stay in one place, and if
-    the mobile came there at such a speed: one that rested there has not gone on, and the step is a jump.
+    the mobile came there at such a speed: one that rested there has not gone on, and the step is a jump. An example, in
+    the middle of a track that moves 1 m a second:
+
+        time (s)          0   1   2   3   4   5   6   7   8
+        true position     0   1   2   3   4   5   6   7   8
+        recorded          0   1   2   3   3   3   3   7   8
+                             before  tail ...    k   k + 1
+
+    The step of 4 m from k is too fast. The fixes from `tail` to k lie within a tenth of it. From the fix before them
+    the way to k + 1 is 5 m in 5 s, which is usual, and the mobile came at 1 m/s: the four fixes of 3 m are refused.
     """
     rows = np.concatenate(found)
     stuck = np.zeros(len(rows), dtype=bool)
@@ -159,8 +179,9 @@ def _without_stuck_ones(found, way):
             tail -= 1
         if tail == 0 or k + 1 - tail < STUCK or way.too_fast(rows[tail - 1 : tail], rows[k + 1 : k + 2])[0]:
             continue
-        arrived = way.speed(rows[max(tail - 1 - STUCK, 0)], rows[tail - 1])
-        gone_on = way.speed(rows[tail - 1], rows[k + 1])
+        before = tail - 1
+        arrived = way.speed(rows[max(before - STUCK, 0)], rows[before])
+        gone_on = way.speed(rows[before], rows[k + 1])
         if ARRIVED * gone_on <= arrived <= gone_on / WENT_ON:
             stuck[tail : k + 1] = True
     refused = set(rows[stuck].tolist())
@@ -183,13 +204,13 @@ class _Way:
         self._fast = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
 
     def too_fast(self, a, b, at_most=FASTER):
-        """Tell of each way from a row of a to a row of b whether it is so many times as fast as a track usually is."""
+        """Tell which ways, from rows of a to those of b, are over `at_most` times as fast as a track usually is."""
         a, b = np.array(a, dtype=int), np.array(b, dtype=int)
         seconds = np.maximum(self._times[b] - self._times[a], 1e-9)
         return (self._recording[a] == self._recording[b]) & (self._lengths(a, b) > at_most * self._fast * seconds)
 
     def distance(self, a, b):
-        """Return how far two fixes are apart, in what both of them have measured."""
+        """Return the distance between two fixes, along the axes that both of them have measured."""
         return float(self._lengths(a, b))
 
     def speed(self, a, b):
@@ -204,7 +225,10 @@ def _cheapest_chain(found, way, recording):
     """Return the rows of the pieces that are kept, those without a jump between them as one, by rule 3.
 
     A piece is dropped by parts: what stands between refused fixes, and its first and its last fix, which may be faults
-    that agreed with the others by chance.
+    that agreed with the others by chance. The cheapest way to keep part j, after part i or as the first one, costs
+
+        cost[j] = to_keep[j] + min over i of (cost[i] + fixes of the parts between i and j + JUMP if there is one)
+        cost[j] = to_keep[j] + fixes of all parts before j
     """
     parts, of_piece = [], []
     for k, rows in enumerate(found):
@@ -212,7 +236,7 @@ def _cheapest_chain(found, way, recording):
         parts += own
         of_piece += [k] * len(own)
     firsts, lasts = [rows[0] for rows in parts], [rows[-1] for rows in parts]
-    dropped = np.concatenate([[0], np.cumsum([len(rows) for rows in parts])]).tolist()  # the fixes of the first ones
+    dropped = np.concatenate([[0], np.cumsum([len(rows) for rows in parts])]).tolist()  # [j]: fixes of all before j
     jumps = {}
 
     def jump(i, j):
@@ -227,13 +251,12 @@ def _cheapest_chain(found, way, recording):
 
     too_fast = [int(way.too_fast(rows[:-1], rows[1:]).sum()) for rows in parts]
     to_keep = [JUMP * min(steps, MOST_TOO_FAST) for steps in too_fast]
-    # The cost of all parts up to j, where j is the last that is kept; and the one that is kept before it.
-    cost, before = [], []
+    cost, before = [], []  # before[j]: the part that is kept before j, or None
     for j in range(len(parts)):
-        ways = [(dropped[j], 0, None)] if j < LOOK_BACK else []
+        ways = [(dropped[j], 0, None)] if j < LOOK_BACK else []  # cost, how far back i is, and i
         for i in range(max(j - LOOK_BACK, 0), j):
             ways.append((cost[i] + dropped[j] - dropped[i + 1] + JUMP * jump(i, j), j - i, i))
-        least, _, i = min(ways, key=lambda each: each[:2])
+        least, _, i = min(ways, key=lambda each: each[:2])  # of equal costs the nearest
         cost.append(least + to_keep[j])
         before.append(i)
     ends = range(max(0, len(parts) - LOOK_BACK), len(parts))
@@ -259,25 +282,14 @@ def _parts(rows):
     return [rows[begin:end] for begin, end in pairwise(cuts.tolist()) if end > begin]
 
 
-def _times_of(kf, N):
-    """Return the times of the rows; in steps where the model does not say how long they are."""
-    if getattr(kf, "t", None) is None:
-        return np.arange(N) * (kf.model.dt or 1.0)
-    if kf.t.shape != (N,):
-        checks.refuse("kf", f"a time of each of the {N} rows of z", f"times of shape {kf.t.shape}")
-    return kf.t
-
-
-def _variances_of(kf, z, seen):
-    """Return the variances of the measurements (N, m), or None where they are the model's R."""
-    r = getattr(kf, "r", None)
-    if r is None:
-        return None
-    if r.shape != z.shape:
-        checks.refuse("kf", f"variances of the shape of z, {z.shape}", f"shape {r.shape}")
-    if not (np.isfinite(r[seen]) & (r[seen] > 0)).all():
-        checks.refuse("r", "a positive variance of every measurement that is there", "another")
-    return r
+def _require_own_conditions(kf, z, seen):
+    """Raise a ValueError where the times and variances of the filter are not those of the rows of z (N, m)."""
+    if kf.t is not None and kf.t.shape != (len(z),):
+        checks.refuse("kf", f"a time of each of the {len(z)} rows of z", f"times of shape {kf.t.shape}")
+    if kf.r is not None:
+        if kf.r.shape != z.shape:
+            checks.refuse("kf", f"variances of the shape of z, {z.shape}", f"shape {kf.r.shape}")
+        checks.used_variances("r", kf.r[seen])
 
 
 # What follows is all that knows how a filter takes a step. Both classes do the same:
@@ -289,13 +301,11 @@ def _variances_of(kf, z, seen):
 
 
 def _steps_of(kf, z, seen):
-    times, variances = _times_of(kf, len(z)), _variances_of(kf, z, seen)
-    lengths = np.ones(len(z))
-    if getattr(kf, "t", None) is not None:
-        lengths[1:] = np.diff(times) / kf.model.dt
-    if _is_a_stack_of_equal_axes(kf.model, variances, seen):
-        return _EqualAxes(kf.model, lengths, variances, z)
-    return _AnyModel(kf.model, lengths, variances, z, seen)
+    _require_own_conditions(kf, z, seen)
+    lengths = np.ones(len(z)) if kf.t is None else lengths_of(kf.t, kf.model.dt)
+    if _is_a_stack_of_equal_axes(kf.model, kf.r, seen):
+        return _EqualAxes(kf.model, lengths, kf.r, z)
+    return _AnyModel(kf.model, lengths, kf.r, z, seen)
 
 
 class _AnyModel:
@@ -372,7 +382,8 @@ def _is_a_stack_of_equal_axes(model, variances, seen):
 class _EqualAxes:
     """The same for equal axes of position and velocity: plain numbers, some ten times as fast.
 
-    A state is P11, P12, P22 of one axis, and the positions and the velocities of all.
+    A state is P11, P12, P22 of one axis (a, b, c), and the positions and the velocities of all. With H = [1 0] the gain
+    of a position is a / S, that of a velocity b / S, and P - K H P is a r / S, b r / S, c - b² / S.
     """
 
     def __init__(self, model, lengths, variances, z):
@@ -400,10 +411,10 @@ class _EqualAxes:
 
     def take(self, predicted, k):
         a, b, c, positions, velocities, off, S = predicted
-        K, L, kept = a / S, b / S, self._r[k] / S
-        positions = [s + K * e for s, e in zip(positions, off, strict=True)]
-        velocities = [v + L * e for v, e in zip(velocities, off, strict=True)]
-        return a * kept, b * kept, c - b * L, positions, velocities
+        K_s, K_v, left = a / S, b / S, self._r[k] / S
+        positions = [s + K_s * e for s, e in zip(positions, off, strict=True)]
+        velocities = [v + K_v * e for v, e in zip(velocities, off, strict=True)]
+        return a * left, b * left, c - b * K_v, positions, velocities
 
     def _look(self, state, k, length):
         a, b, c, positions, velocities, *_ = state

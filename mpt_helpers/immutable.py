@@ -1,4 +1,4 @@
-"""Values that nobody can write to: what models, motions and filters have in common."""
+"""The common base of models, motions and filters: values that nobody can write to."""
 
 from __future__ import annotations
 

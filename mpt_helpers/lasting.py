@@ -17,7 +17,7 @@ from .fitting import fit
 from .model import LinearModel
 from .recursive import Filter
 
-MOST_FIXES = 1500  # of a log that is fitted: a day, one a minute; more tell little of what lasts and take longer
+MOST_ROWS = 1500  # of a log that is fitted: a day, one a minute; more tell little of what lasts and take longer
 PARAMETERS = ("r", "sigma", "tau")
 UNKNOWN = 0.5  # a standard error of log tau: from there on its span of 95 % covers a factor of e², seven
 LEAST_FIXES = 100  # a log of fewer says nothing of three unknowns
@@ -68,7 +68,7 @@ def _step_of(model, dt):
     """Return the time step of a model in seconds: its own, or dt where it has none, or raise."""
     if dt is None and model.dt is None:
         checks.refuse("dt", "the time step in seconds, which this model does not say", "none")
-    step = checks.positive("dt", checks.as_seconds(model.dt if dt is None else dt))
+    step = checks.duration("dt", model.dt if dt is None else dt)
     if model.dt not in (None, step):
         checks.refuse("dt", f"the model's own time step, {model.dt:g} s", f"{step:g} s")
     return step
@@ -105,18 +105,18 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     A log is a pair (t, z): times (N,) in seconds, at one step, and positions (N,) or (N, m) in metres, about any
     point; missing fixes are left out, or NaN. Days may be given one by one, `fit_lasting(day1, day2)`: they share r,
     sigma and tau, and each has its own unknown mean. No true position is needed: the three are those that make the
-    fixes most probable (`fit`), one axis after the other. Of a log of more than 1,500 fixes every second or third is
-    taken, or fewer.
+    fixes most probable (`fit`), one axis after the other. Of a log of more than 1,500 steps, gaps counted, every second
+    or third step is taken, or fewer: give parts that are far apart as logs of their own.
 
     What lasts is larger in some hours than in others, and fades differently. So `known` is the wider of two spans: the
     one of `fit`, by how much blocks of a log differ, and the one between the halves of the log (of several logs,
     between the first and the last of them), each fitted apart. Where a standard error of log tau is above 0.5, the logs
-    do not determine it: a UserWarning gives the span, and asks for more days. The floor is the root mean square about
-    the log's mean, less r, in the worst half of a log: a filter should state no less. A constant error is in no number
-    here: it looks like another position. To a floor add that of your receiver, in squares.
+    do not determine it: a UserWarning gives the span, and asks for more days. The floor is the root of the mean square
+    about the log's mean less r, in the worst half of a log: a filter should state no less. A constant error is in no
+    number here: it looks like another position. To a floor add that of your receiver, in squares.
 
-    Raises ValueError for a log of fewer than 100 fixes, for times that do not increase or have no common step, and for
-    logs that differ in step or axes.
+    Raises ValueError for a log of fewer than 100 fixes on an axis, or of which so few are left where every second step
+    or fewer is taken, for times that do not increase or have no common step, and for logs that differ in step or axes.
 
     >>> from mpt_helpers.model import LinearModel, simulate
     >>> still = LinearModel(F=[[1]], H=[[1]], Q=[[0]], R=[[0.25]])
@@ -134,8 +134,12 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     if max(steps) > 1.01 * min(steps) or len(axes) > 1:
         got = f"steps of {min(steps):g} to {max(steps):g} s and {', '.join(map(str, sorted(axes)))} axes"
         checks.refuse("logs", "one step and one number of axes", got)
-    every = math.ceil(max(len(z) for _, z in grids) / MOST_FIXES)
+    every = math.ceil(max(len(z) for _, z in grids) / MOST_ROWS)
     step = every * steps[0]
+    least = min(_fixes_on_an_axis(z[::every]) for _, z in grids)
+    if least < LEAST_FIXES:
+        need = f"at least {LEAST_FIXES} fixes on each axis where 1 of {every} steps is taken"
+        checks.refuse("log", need, f"{least}; give parts that are far apart as logs of their own")
     centred = [z - np.nanmean(z, axis=0) for _, z in grids]
     thinned = np.full((max(len(z[::every]) for z in centred), len(centred), axes.pop()), np.nan)
     for j, z in enumerate(centred):
@@ -150,11 +154,9 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
         floors.append(max(_of_lasting(half[:, axis], best[0]) for z in centred for half in np.array_split(z, 2)))
         if errors[2] > UNKNOWN:
             low, high = spans[-1][:, 2] / 60
-            warnings.warn(
+            checks.warn(
                 f"fit_lasting: axis {axis}: tau is {low:.0f} to {high:.0f} min, which the logs do not determine: "
-                "give more days",
-                UserWarning,
-                stacklevel=2,
+                "give more days"
             )
     r, sigma, tau = np.transpose(values)
     known = dict(zip(PARAMETERS, np.transpose(spans, (2, 0, 1)), strict=True))
@@ -204,12 +206,12 @@ class _AtRest(Filter):
 
     def _innovations_of_one(self, z):
         """Return the innovations of one log, a list of N numbers, and their variances."""
-        fades, gains, r = float(self.model.F[1, 1]), float(self.model.Q[1, 1]), float(self.model.R[0, 0])
-        (p, both), (_, e) = self.model.P0.tolist()  # variances of position and lasting error, and their covariance
+        fades, added, r = float(self.model.F[1, 1]), float(self.model.Q[1, 1]), float(self.model.R[0, 0])
+        (p, both), (_, e) = self.model.P0.tolist()  # p: variance of the position, e: of what lasts, both: covariance
         position = lasting = 0.0
         values, variances = [], []
         for z_k in z:
-            lasting, both, e = fades * lasting, fades * both, fades * fades * e + gains
+            lasting, both, e = fades * lasting, fades * both, fades * fades * e + added
             new, S = z_k - position - lasting, p + 2 * both + e + r
             values.append(new)
             variances.append(S)
@@ -221,12 +223,12 @@ class _AtRest(Filter):
 
 
 def _of_lasting(errors, r):
-    """Return the size of what lasts in errors (N,) of which r (m²) is new at each fix."""
+    """Return the size of what lasts in errors (N,) of which r (m²) is new at each fix, 0 where that explains them."""
     return math.sqrt(max(float(np.nanmean(np.square(errors))) - r, 0.0))
 
 
 class Memory(NamedTuple):
-    """How much of an error is left after a span: the result of `memory`.
+    """The part of an error that is left after a span: the result of `memory`.
 
     correlation is that of two errors a span apart. mean is the error of the mean of the fixes of a span, newest that of
     the newest point of a line through them, both over the error of one fix.
@@ -238,14 +240,15 @@ class Memory(NamedTuple):
 
 
 def memory(log: tuple[ArrayLike, ArrayLike], span: float) -> Memory:
-    """Return how much an average over `span` seconds leaves of the errors of a receiver that did not move.
+    """Return the part of the errors of a receiver at rest that an average over `span` seconds leaves, as a Memory.
 
     The log is a pair (t, z) as in `fit_lasting`; errors count from its mean, all axes together. A span of n fixes whose
     errors are independent has a correlation of 0, a mean of 1/√n and a newest point of nearly 2/√n. One whose errors
     last has 1 for all three: then no average of that length gains anything. The log should be ten times as long as the
     span, or its own mean has taken the error along. Averages use stretches without a missing fix.
 
-    Raises ValueError for a span of fewer than two fixes, and for a log without a stretch of that length.
+    Raises ValueError for a span of fewer than two fixes, and for a log without two fixes that are a span apart or
+    without a stretch of that length.
 
     >>> t, rng = np.arange(5000.0), np.random.default_rng(1)
     >>> new = memory((t, rng.standard_normal(5000)), 100.0)
@@ -258,15 +261,25 @@ def memory(log: tuple[ArrayLike, ArrayLike], span: float) -> Memory:
     if n < 2:
         checks.refuse("span", f"at least two fixes, of {step:g} s each", f"{span:g} s")
     errors = z - np.nanmean(z, axis=0)
+    if not _are_apart(errors, n):
+        checks.refuse("log", f"two fixes {n * step:g} s apart", "none")
+    # A line through n fixes at i = -(n - 1) / 2 ... (n - 1) / 2 has their mean at 0 and the slope Σ i e / Σ i², where
+    # Σ i² = n (n² - 1) / 12; its newest point is that of the last i.
     i = np.arange(1, n + 1) - (n + 1) / 2
     weights = {"mean": np.full(n, 1 / n), "newest": 1 / n + 12 * i[-1] * i / (n * (n**2 - 1))}
     ratios = {name: _averaged(errors, each) for name, each in weights.items()}
     return Memory(_correlation(errors, n), **ratios)
 
 
+def _are_apart(errors, lag):
+    """Tell whether two errors (N, m) of one axis are that many steps apart."""
+    there = np.isfinite(errors)
+    return bool((there[:-lag] & there[lag:]).any())
+
+
 def _averaged(errors, weights):
     """Return the size of weighted sums of successive errors (N, m) over that of their last ones."""
-    sums = np.transpose([np.convolve(axis, weights[::-1], "valid") for axis in errors.T])
+    sums = np.transpose([np.convolve(axis, weights[::-1], "valid") for axis in errors.T])  # "valid": of whole spans
     whole = np.isfinite(sums).all(axis=1)
     if not whole.any():
         checks.refuse("log", f"a stretch of {len(weights)} fixes without a gap", "none")
@@ -288,13 +301,13 @@ def _on_a_grid(log):
         checks.refuse("log", "a pair (t, z)", type(log).__name__, TypeError)
     t, z = checks.real_numbers("t", t, "times in seconds"), checks.real_numbers("z", z, "positions in metres")
     z = z[:, None] if z.ndim == 1 else z
-    if t.ndim != 1 or z.ndim != 2 or len(t) != len(z):
+    if t.ndim != 1 or z.ndim != 2 or z.shape[1] == 0 or len(t) != len(z):
         checks.refuse("log", "times (N,) and positions (N,) or (N, m)", f"shapes {t.shape} and {z.shape}")
     checks.no_infinity(z)
     if not np.isfinite(t).all():
         checks.refuse("t", "a time of each fix", "nan or infinity")
-    if len(t) < LEAST_FIXES:
-        checks.refuse("log", f"at least {LEAST_FIXES} fixes", len(t))
+    if _fixes_on_an_axis(z) < LEAST_FIXES:
+        checks.refuse("log", f"at least {LEAST_FIXES} fixes on each axis", _fixes_on_an_axis(z))
     gaps = np.diff(t)
     if not (gaps > 0).all():
         checks.refuse("t", "times that increase", f"{t[gaps.argmin()]:g} and then {t[gaps.argmin() + 1]:g}")
@@ -305,6 +318,9 @@ def _on_a_grid(log):
         checks.refuse("t", f"times at one step, here {step:g} s", f"{t[k]:g} and {t[k + 1]:g}")
     rows = np.full((row[-1] + 1, z.shape[1]), np.nan)
     rows[row] = z
-    if not np.isfinite(rows).any(axis=0).all():
-        checks.refuse("z", "fixes on each axis", "none")
     return step, rows
+
+
+def _fixes_on_an_axis(z):
+    """Return the number of fixes on the axis of z (N, m) that has the fewest."""
+    return int(np.isfinite(z).sum(axis=0).min())

@@ -1,4 +1,4 @@
-"""How far estimates lie from each other and from the truth, and how far they should."""
+"""The distances of estimates from each other and from the truth, and the sizes that they should have."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from scipy.special import gammaincinv
 
 from . import checks
 from .algebra import whitened
-from .bands import ahead as ahead  # what a filter's covariance is worth, under the names that it has had here
+from .bands import ahead as ahead  # these four stood here once, and users may still find them here
 from .bands import coverage as coverage
 from .bands import following as following
 from .bands import interval_score as interval_score
 from .checks import Array
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
-from .recursive import Filter
+from .recursive import Filter, one_or_many
 from .steady import SteadyStateFilter
 from .steps import epochs_at_a_time
 
@@ -26,7 +26,7 @@ from .steps import epochs_at_a_time
 # ten recorded tracks fitted filters had 0.2 to 1.4, first guesses 0.04 to 120, and degrees, kilometres and
 # milliseconds 1e-11 to 1e-4.
 FAR_TOO_SMALL, FAR_TOO_LARGE = 2e-4, 1e4
-# One fix stands out if its NIS is so many times the median one. On the same tracks the largest one was below 1.3e3
+# A number stands out if its NIS is so many times the median one. On the same tracks the largest one was below 1.3e3
 # times the median, and with one fix 10,000 km away above 7e4 times, however q and r were fitted to it.
 STANDS_OUT = 1e4
 # Innovations of a true model are uncorrelated. Those of nine of the ten fits were so to 0.3, and with q and r exchanged
@@ -67,11 +67,12 @@ class Innovations(NamedTuple):
 def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
     """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N of a filter over measurements z.
 
-    `estimator` is a recursive filter, z is (N, m) or (N, m, M). `values` has the shape of z, with NaN where z has NaN.
-    S is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many tracks.
+    `estimator` is any filter but a predictor and a FIR filter, z is (N, m) or (N, m, M). `values` has the shape of z,
+    with NaN where z has NaN. S is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many
+    tracks.
 
-    Raises ValueError or TypeError for measurements of another kind, and TypeError for a filter that has no innovations:
-    a predictor or a FIR filter.
+    Raises ValueError or TypeError for measurements of another kind, and TypeError for a predictor or a FIR filter: they
+    have no innovations.
 
     >>> from mpt_helpers.model import constant_velocity
     >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -79,10 +80,8 @@ def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
     array([[1.   ],
            [1.239]])
     """
-    z, many, values, S = _of(estimator, z)
-    if not many:
-        return Innovations(values[..., 0], S[..., 0])
-    return Innovations(values, S if S.shape[3] == z.shape[2] else np.repeat(S, z.shape[2], axis=3))
+    _, many, values, S = _of(estimator, z)
+    return Innovations(*one_or_many(values, S, many))
 
 
 def _of(estimator, z):
@@ -110,7 +109,7 @@ def _squares(values, C):
 
 
 class Squares(NamedTuple):
-    """What each row tells of how probable it was, (N, M): νᵀ S⁻¹ ν, log det S, and how many numbers it holds."""
+    """The terms of the log likelihood of each row, (N, M): νᵀ S⁻¹ ν, log det S, and the count of its numbers."""
 
     squares: Array
     log_det: Array
@@ -158,16 +157,17 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
 
 
 def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
-    """Return what looks wrong with measurements, or with the filter for them: sentences by kind, none if all is well.
+    """Return warnings, by kind, of what looks wrong with measurements or with the filter for them; none if all is well.
 
-    It knows nothing but the innovations and the times, and cannot tell metres from feet. The kinds are
+    It knows nothing but the innovations and the times, and cannot tell metres from feet. Each number measured is looked
+    at alone here: its NIS is the square of its innovation over the variance of that. The kinds are
 
     - "units": the median NIS is some 1e-4 of what it should be, or 1e4 times that;
-    - "far off": the NIS of one fix is more than 1e4 times the median one;
+    - "far off": the NIS of one number is more than 1e4 times the median one;
     - "correlated": innovations follow one another, as where q is too small or too large beside r, or exchanged with it;
-    - "same time": fixes of a track have the time of the one before, although both measure the same.
+    - "same time": fixes of a track have the time of the one before, although both measure the same axis.
 
-    estimator is a recursive filter, z is (N, m) or (N, m, M). A fix that repeats the one before it does not count in
+    estimator and z are those of `innovations`. A number that repeats the one before it on its axis does not count in
     the medians. Raises as `innovations`.
 
     >>> from mpt_helpers.filters import KalmanFilter
@@ -186,7 +186,7 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     repeats[1:] = z[1:] == z[:-1]
     squares = np.square(np.where(repeats, np.nan, unit))
     usual = float(np.nanmedian(squares)) if np.isfinite(squares).any() else 0.0
-    found = {"same time": _said_of_equal_times(getattr(estimator, "t", None), z)}
+    found = {"same time": _said_of_equal_times(estimator.t, z)}
     if usual > 0:
         found["units"] = _said_of_units(usual / MEDIAN_OF_A_SQUARE)
         found["far off"] = _said_of_the_farthest(squares / usual)
@@ -203,7 +203,7 @@ def _said_of_units(ratio):
 
 
 def _said_of_the_farthest(ratios):
-    """Say which NIS (N, m, M), over the median one, stands out."""
+    """Name the largest NIS of `ratios` (N, m, M), over the median one, where it stands out."""
     worst = np.unravel_index(np.nanargmax(ratios), ratios.shape)
     if ratios[worst] <= STANDS_OUT:
         return ""
@@ -226,6 +226,7 @@ def _said_of_equal_times(t, z):
     if t is None:
         return ""
     seen = np.isfinite(z)
+    # Both rows must have one axis of z (N, m, M): the axes of one fix may come in a row each.
     again = ((np.diff(t.reshape(len(t), -1), axis=0) == 0) & (seen[1:] & seen[:-1]).any(axis=1)).any(axis=1)
     if not again.any():
         return ""
@@ -277,7 +278,7 @@ def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, fl
     (1.63, 2.41)
     """
     total = checks.count("dof", dof) * checks.count("runs", runs)
-    level = checks.number("level", level, "a number in (0, 1)", lambda level: 0 < level < 1)
+    level = checks.level(level)
     low, high = 2 * gammaincinv(total / 2, [(1 - level) / 2, (1 + level) / 2]) / runs
     return float(low), float(high)
 

@@ -15,7 +15,7 @@ from . import checks
 from .checks import Array, Seconds
 from .equations import square_root
 from .immutable import Immutable
-from .motion import Motion, OneLength, Powers, checked, joined, refuse_other_lengths
+from .motion import Motion, OneLength, Powers, checked, joined, powers_of, refuse_other_lengths
 from .steps import Step, products_for, run
 
 # The longest time step (s): its fifth power, in the Q of constant acceleration, is a double.
@@ -75,7 +75,7 @@ class LinearModel(Immutable):
     ):
         if motion is not None and F is None and Q is None:
             F, Q = checked(motion)
-            dt, powers = motion.dt, getattr(motion, "powers", None)  # those of `Powers`; others have none
+            dt, powers = motion.dt, powers_of(motion)
         elif F is None or Q is None:
             lacking, other = ("F", "Q") if F is None else ("Q", "F")
             checks.refuse(lacking, f"a matrix, as {other} does, or a motion in place of both", None, TypeError)
@@ -88,10 +88,10 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
         }
-        dt = None if dt is None else checks.positive("dt", checks.as_seconds(dt))
+        dt = None if dt is None else checks.duration("dt", dt)
         powers = None if powers is None else checks.array("powers", powers, (n,))
         found = _motion(given["F"], given["Q"], dt, powers, motion)
-        given |= {"dt": found.dt, "powers": found.powers if isinstance(found, Powers) else None, "motion": found}
+        given |= {"dt": found.dt, "powers": powers_of(found), "motion": found}
         for name, value in given.items():
             object.__setattr__(self, name, value)
 
@@ -249,14 +249,14 @@ def gps_ins(
     if not isinstance(variances, list) or len(variances) not in (2, 3):
         checks.refuse("r", "two or three variances", f"{r!r:.60}")
     R = np.diag([checks.positive("r", variance) for variance in variances])
-    dt, q = checks.positive("dt", checks.as_seconds(dt)), checks.not_negative("q", q)
+    dt, q = checks.duration("dt", dt), checks.not_negative("q", q)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
     return LinearModel(F=F, H=H[: len(R)], Q=np.diag([0, q, 0]), R=R, x0=x0, P0=P0)
 
 
 def _checked(dt, q, r):
-    dt = checks.positive("dt", checks.as_seconds(dt))
+    dt = checks.duration("dt", dt)
     if dt > LONGEST:
         checks.refuse("dt", f"at most {LONGEST:g} s, whose powers are doubles", f"{dt:g} s")
     return dt, checks.not_negative("q", q), checks.positive("r", r)
@@ -298,7 +298,7 @@ def stack(*models: LinearModel) -> LinearModel:
         x0=x0,
         P0=P0,
         dt=motion.dt,
-        powers=motion.powers if isinstance(motion, Powers) else None,
+        powers=powers_of(motion),
         motion=motion,
     )
 

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from . import checks
 
-# Runs that share a stream of random numbers and are filtered together. Changing this changes the results of a seed.
+# Runs that share a stream of random numbers and are drawn together. Changing this changes the results of a seed.
 BLOCK = 200
 RESULT = f"a result of M = {BLOCK} columns, (..., M)"
 
@@ -81,7 +81,7 @@ def _run_block(experiment, stream):
 
 @contextmanager
 def _mapper(workers):
-    """Give a callable like `map`. The map of threads drops the blocks that have not begun when it is left."""
+    """Give a callable like `map`. On the way out, by an error too, the threads drop the blocks that have not begun."""
     if callable(workers):
         yield workers
     elif checks.count("workers", workers) == 1:

@@ -1,4 +1,4 @@
-"""What a step does to the state: F and Q, over one step of the model's dt or over steps of any length.
+"""Motions: F and Q, by which a step changes the state, over one dt of the model or over steps of any length.
 
     x <- F x,   P <- F P Fᵀ + Q
 
@@ -44,6 +44,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -106,7 +107,7 @@ class Motion:
 
         The noises are new in each epoch, however long the step: they have an F of zero, and the Q of every step is R.
         """
-        return SideBySide((self, Noises(R, self.dt)))
+        return joined([self, Noises(R, self.dt)])
 
     def with_matrices(self, F: Array, Q: Array) -> Motion | None:
         """Return the motion of this kind whose step of one dt has this F and Q, or None where there is none.
@@ -127,7 +128,7 @@ class Motion:
     # The three below are what `Powers` does in fewer operations.
 
     def _made(self, lengths):
-        """Return what `_state` and `_covariance` need of the lengths."""
+        """Return the matrices or numbers of the lengths that `_state` and `_covariance` need."""
         # F and Q may be dear, as those of a matrix exponential: those of equal lengths are made once.
         of_each, which = np.unique(lengths, return_inverse=True)
         which = which.reshape(np.shape(lengths))  # numpy 2.0 returned another shape than 1.26 and 2.1
@@ -155,10 +156,15 @@ def matrices(rows: ArrayLike) -> Array:
     return np.stack(entries, axis=-1).reshape(*entries[0].shape, len(rows), len(rows[0]))
 
 
-def refuse_other_lengths() -> None:
+def refuse_other_lengths() -> NoReturn:
     """Raise the ValueError of a model that knows steps of one length only."""
     need = "powers that say what a step of another length is, or a motion that does"
     checks.refuse("model", need, "an F and a Q of one length only")
+
+
+def powers_of(motion: Motion) -> Array | None:
+    """Return the powers (n,) of `Powers`, and None of any other motion, whose own `powers` may be anything."""
+    return motion.powers if isinstance(motion, Powers) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +181,6 @@ class OneLength(Immutable, Motion):
         if np.any(np.asarray(length) != 1):
             refuse_other_lengths()
         return self.F, self.Q
-
-    def with_noises(self, R: Array) -> Motion:
-        """Return the motion of the state and the noises, as `Motion.with_noises`."""
-        return OneLength(block_diag(self.F, np.zeros_like(R)), block_diag(self.Q, R))
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,10 +219,9 @@ class Powers(Immutable, Motion):
         # F = F½ F½ and Q = F½ Q½ F½ᵀ + Q½, with F½ and Q½ of half a step, to the rounding of these products.
         half, noise = F * 0.5**differences, Q * 0.5**sums
         with np.errstate(over="ignore"):  # beside the largest doubles the size is infinite
-            size = np.abs(half) @ np.abs(Q) @ np.abs(half.T) + np.abs(Q)
-            same_F = np.abs(half @ half - F) <= MISSED_BY_POWERS * np.abs(half) @ np.abs(half)
-            same_Q = np.abs(half @ noise @ half.T + noise - Q) <= MISSED_BY_POWERS * size
-        return bool(same_F.all() and same_Q.all())
+            sizes = _two_steps(np.abs(half), np.abs(Q))
+            pairs = zip((F, Q), _two_steps(half, noise), sizes, strict=True)
+            return all((np.abs(twice - whole) <= MISSED_BY_POWERS * size).all() for whole, twice, size in pairs)
 
     def with_noises(self, R: Array) -> Motion:
         """Return the motion of the state and the noises, as `Motion.with_noises`: noises have powers of zero."""
@@ -295,7 +296,7 @@ class Noises(Immutable, Motion):
     """
 
     R: Array
-    dt: float
+    dt: float | None
 
     def over(self, length: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q as `Motion.over`, but those of a step of length zero, which are zero and R too."""
@@ -337,7 +338,7 @@ class SideBySide(Immutable, Motion):
         return _blocks(F), _blocks(Q)
 
     def with_matrices(self, F: Array, Q: Array) -> Motion | None:
-        """Return as `Motion.with_matrices`: some of the motions may lose their noise, and others keep it."""
+        """Return the motion as `Motion.with_matrices`: some of its parts may lose their noise, and others keep it."""
         made, start = [], 0
         for motion in self.motions:
             here = slice(start, start + len(motion.one_step[0]))
@@ -363,7 +364,7 @@ def _blocks(parts):
 def joined(motions: list[Motion]) -> Motion:
     """Return the motion of states that follow one another, of one length only where one of them is.
 
-    Raises ValueError where two know steps of any length, and their dt differ.
+    Those that know steps of any length have one dt: `stack` refuses others.
     """
     steps = [motion.dt for motion in motions]
     F, Q = (block_diag(*each) for each in zip(*(motion.one_step for motion in motions), strict=True))
@@ -372,6 +373,11 @@ def joined(motions: list[Motion]) -> Motion:
     if all(isinstance(motion, Powers) for motion in motions):
         return Powers(F, Q, np.concatenate([motion.powers for motion in motions]), steps[0])
     return SideBySide(tuple(motions))
+
+
+def _two_steps(F, Q):
+    """Return F F and F Q Fᵀ + Q, the F and Q of two steps in a row."""
+    return F @ F, F @ Q @ F.T + Q
 
 
 def checked(motion: Motion) -> tuple[Array, Array]:
@@ -395,10 +401,9 @@ def checked(motion: Motion) -> tuple[Array, Array]:
     (F_0, half, _), (Q_0, noise, _) = of_many
     if not np.array_equal(F_0, np.eye(n)) or Q_0.any():
         checks.refuse("motion", "F = I and Q = 0 over a step of length zero", "others")
-    twice = half @ noise @ half.T + noise
-    sizes = np.abs(half) @ np.abs(half), np.abs(half) @ np.abs(noise) @ np.abs(half.T) + np.abs(noise)
-    for name, whole, of_halves, size in zip("FQ", (F, Q), (half @ half, twice), sizes, strict=True):
-        missed = np.abs(of_halves - whole)
+    sizes = _two_steps(np.abs(half), np.abs(noise))
+    for name, whole, twice, size in zip("FQ", (F, Q), _two_steps(half, noise), sizes, strict=True):
+        missed = np.abs(twice - whole)
         if not (missed <= MISSED * size).all():
             got = f"a {name} that they miss by {np.nanmax(missed):.3g}"
             checks.refuse("motion", "two steps of half a length to be one of the whole", got)

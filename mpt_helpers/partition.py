@@ -32,7 +32,7 @@ NARROWEST = 1e-7
 
 
 def rows_per_piece(N, tracks):
-    """Return K, how many rows a piece has: N where cutting does not pay.
+    """Return K, the number of rows of a piece: N where cutting does not pay.
 
     >>> rows_per_piece(12_000, tracks=1), rows_per_piece(12_000, tracks=1000)
     (55, 12000)
@@ -43,7 +43,7 @@ def rows_per_piece(N, tracks):
 
 
 def count_of_pieces(N, K):
-    """Return C, how many pieces of K rows hold N rows; the last one may have room for more.
+    """Return C, the number of pieces of K rows that hold N rows; the last one may have room for more.
 
     >>> count_of_pieces(5, K=2)
     3
@@ -76,7 +76,7 @@ def uncut(array, N, M):
 
 
 def next_starts(start, last):
-    """Return where pieces side by side start, (..., C M), if each starts where the one before ends; last (..., C M).
+    """Return the starts of pieces side by side, (..., C M), if each starts where the one before ends; last (..., C M).
 
     The first one starts at start (..., M).
     """
@@ -85,7 +85,7 @@ def next_starts(start, last):
 
 
 def starts(advance, pieces, count, x0, P0):
-    """Return where each piece starts: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
+    """Return the start of each piece: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
 
     pieces are rows that were cut into `count` pieces, C. advance is that of a filter (`engine`).
 

@@ -1,4 +1,7 @@
-"""Predictions some steps ahead: of any filter, and of the steady-state filter as 2016 prints it."""
+"""Predictions some steps ahead: of any filter, and of the steady-state filter as 2016 prints it.
+
+2016 is a paper of Assimakis and others; `mpt_helpers` has its title.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from .steady import SteadyStateFilter
 
 
 class _Ahead(Filter):
-    """The states of an `estimator` so many `steps` ahead."""
+    """The states of an `estimator` so many `steps` ahead: what both predictors share."""
 
     @property
     def model(self) -> LinearModel:
@@ -46,7 +49,7 @@ class _Ahead(Filter):
             x_k[:] = F_N @ x_k
         if not covariances:
             return None
-        P = np.moveaxis(P, 0, 2)
+        P = np.moveaxis(P, 0, 2)  # (n, n, N, M or 1), as a motion takes it
         for _ in range(self.steps):
             P = self.model.motion.covariance(P)
         return np.moveaxis(P, 2, 0)

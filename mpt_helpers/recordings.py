@@ -1,4 +1,4 @@
-"""Recorded tracks as files: GPX is read and written without other packages, and a CSV by the names of its columns."""
+"""Recorded tracks from files: GPX is read without other packages, and a CSV by the names of its columns."""
 
 from __future__ import annotations
 
@@ -108,6 +108,11 @@ def microseconds(text: str) -> int:
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=UTC)
     return (moment - EPOCH) // timedelta(microseconds=1) + leap * 1_000_000
+
+
+def moment_of(time: int) -> datetime:
+    """Return microseconds since 1970 as a datetime."""
+    return EPOCH + timedelta(microseconds=int(time))
 
 
 def read(path: str | PathLike[str], columns: dict[str, str] | None = None) -> Recording:
@@ -312,7 +317,7 @@ def _times(texts, name, comma):
 
 
 def _unit(numbers, name):
-    """Return how many microseconds a number of a time column stands for, and what was taken for what."""
+    """Return the microseconds that one unit of a time column stands for, and a sentence that says so."""
     usual = float(np.median(np.abs(numbers)))
     for least, microseconds_each, unit in UNITS:
         if usual > least:

@@ -1,4 +1,4 @@
-"""What every filter offers its users, and what the package asks of a filter: the base classes of all of them.
+"""The base classes of all filters: the methods for users, and those that the rest of the package calls.
 
 A user has `filter`, `estimates`, `covariances`, `smooth` and `step`. The rest of the package (metrics, bands, joint and
 separate filters, predictors) asks less, of measurements z (N, m, M) that are checked:
@@ -52,6 +52,17 @@ class Estimates(NamedTuple):
 
     x: Array
     P: Array
+
+
+def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, Array]:
+    """Return values (N, d, M) and covariances (N, d, d, M or 1) of one track without the axis of tracks.
+
+    Of `many` tracks they keep it, and each track gets its covariances.
+    """
+    if not many:
+        return values[..., 0], covariances[..., 0]
+    M = values.shape[2]
+    return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
 
 
 class Filter(Immutable):
@@ -117,6 +128,15 @@ class Filter(Immutable):
         """The filters that it is made of; none but for joint and separate filters and predictors."""
         return ()
 
+    def times_of(self, N: int) -> Array:
+        """Return the times of N epochs in s: its t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
+
+        A model without a dt has steps of one second.
+        """
+        if self.t is not None:
+            return self.t
+        return (1.0 if self.model.dt is None else self.model.dt) * np.arange(N)
+
     def epochs_of(self, z: Array) -> Epochs:
         """Return z (N, m, M) with the conditions of its epochs; raises ValueError where those are of other epochs."""
         return Epochs(z)
@@ -154,10 +174,7 @@ class Filter(Immutable):
         """Return the Estimates that function(z (N, m, M)) returns, for one track or many, as z was given."""
         z, many = self.as_tracks(z)
         checks.no_infinity(z)
-        x, P = function(z)
-        if not many:
-            return Estimates(x[..., 0], P[..., 0])
-        return Estimates(x, P if P.shape[3] == z.shape[2] else np.repeat(P, z.shape[2], axis=3))
+        return Estimates(*one_or_many(*function(z), many))
 
     def _not_recursive(self):
         return TypeError(f"needs a filter with P0, covariances and step, got a {type(self).__name__}")

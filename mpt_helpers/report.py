@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import re
-from datetime import timedelta
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import geodesy
-from .recordings import EPOCH, places_of
+from .recordings import moment_of, places_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -277,8 +276,7 @@ def _plain_gpx(c, lat, lon, new_segments):
         fix = c.source.rows[row]
         height = recording.height[fix]
         ele = f"<ele>{height:.2f}</ele>" if math.isfinite(height) else ""
-        moment = EPOCH + timedelta(microseconds=int(recording.time[fix]))
-        time = moment.isoformat().replace("+00:00", "Z")
+        time = moment_of(recording.time[fix]).isoformat().replace("+00:00", "Z")
         lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
     lines.append("</trkseg></trk></gpx>\n")
     return _signed("\n".join(lines).encode())
@@ -302,13 +300,14 @@ def figure(c: Cleaned) -> Figure:
     import matplotlib
     from matplotlib.figure import Figure
 
-    from .plots import STYLE
+    from .plots import COLOURS, STYLE
 
     with matplotlib.rc_context(STYLE):
         fig = Figure(figsize=(WIDTH, MAP_HEIGHT + SPEED_HEIGHT), layout="constrained")
         axes = fig.subplots(2, 1, height_ratios=[MAP_HEIGHT, SPEED_HEIGHT])
-        _draw_map(axes[0], c)
-        _draw_speed(axes[1], c)
+        blue, orange, green, pink = COLOURS[:4]
+        _draw_map(axes[0], c, line=blue, refused=orange, start=green)
+        _draw_speed(axes[1], c, line=blue, refused=orange, band=pink)
         handles, labels = (a + b for a, b in zip(*(ax.get_legend_handles_labels() for ax in axes), strict=True))
         fig.legend(handles, labels, loc="outside lower center", ncols=3)
     return fig
@@ -330,14 +329,14 @@ def _thinned(rows):
     return rows[:: max(1, len(rows) // LONGEST_LINE)]
 
 
-def _draw_map(ax, c):
+def _draw_map(ax, c, line, refused, start):
     position = _on_one_map(c, c.x[:, :4:2])
     if position.shape[1] < 2:
         position = np.column_stack([position, np.zeros(len(position))])
     number = _stretch_of_rows(c)
     for k in range(c.stretches):
         rows = _thinned(np.flatnonzero(number == k))
-        ax.plot(*position[rows].T, color="#0060A0", linewidth=1.4, label="smoothed" if k == 0 else None)
+        ax.plot(*position[rows].T, color=line, linewidth=1.4, label="smoothed" if k == 0 else None)
     inside = np.isfinite(position[:, 0])
     for k, row in enumerate(c.starts):
         before = np.flatnonzero(inside[:row])[-1]
@@ -350,9 +349,9 @@ def _draw_map(ax, c):
         near = ((recorded >= low - margin) & (recorded <= high + margin)).all(axis=1)
         off = f", {np.sum(~near)} off the map" if not near.all() else ""
         label = f"refused: {len(c.refused)}{off}"
-        ax.plot(*recorded[near].T, "x", color="#D55E00", markersize=6, linestyle="none", label=label)
+        ax.plot(*recorded[near].T, "x", color=refused, markersize=6, linestyle="none", label=label)
     first, last = np.flatnonzero(inside)[[0, -1]]
-    ax.plot(*position[first], "o", color="#008060", markersize=7, linestyle="none", label="start")
+    ax.plot(*position[first], "o", color=start, markersize=7, linestyle="none", label="start")
     ax.plot(*position[last], "s", color="0.2", markersize=6, linestyle="none", label="end")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("east (km)")
@@ -366,7 +365,7 @@ def _title(c):
     return f"{name}: {_numbers_of_the_way(c)[0]:.1f} km"
 
 
-def _draw_speed(ax, c):
+def _draw_speed(ax, c, line, refused, band):
     speed = np.hypot(c.x[:, 1], c.x[:, 3]) if c.x.shape[1] >= 4 else np.abs(c.x[:, 1])
     sigma = np.sqrt(c.P[:, 1, 1])
     unit, seconds = ("h", 3600) if c.t[-1] - c.t[0] > LONG else ("min", 60)
@@ -376,14 +375,14 @@ def _draw_speed(ax, c):
         rows = _thinned(np.flatnonzero(number == k))
         low, high = (np.maximum(speed[rows] + sign * 1.96 * sigma[rows], 0) * KM_H for sign in (-1, 1))
         ax.fill_between(
-            time[rows], low, high, color="#CC79A7", alpha=0.6, linewidth=0, label="95 % band" if k == 0 else None
+            time[rows], low, high, color=band, alpha=0.6, linewidth=0, label="95 % band" if k == 0 else None
         )
-        ax.plot(time[rows], speed[rows] * KM_H, color="#0060A0", linewidth=0.9)
+        ax.plot(time[rows], speed[rows] * KM_H, color=line, linewidth=0.9)
     known = speed[np.isfinite(speed)]
     top = 1.25 * max(float(np.quantile(known, 0.999)), 0.1) * KM_H
     ax.set_ylim(0, top)
     if len(c.refused):
         bottom = np.full(len(c.refused), 0.02 * top)
-        ax.plot(time[c.refused], bottom, "|", color="#D55E00", markersize=9)
+        ax.plot(time[c.refused], bottom, "|", color=refused, markersize=9)
     ax.set_xlabel(f"time ({unit})")
     ax.set_title("speed (km/h)", loc="left")

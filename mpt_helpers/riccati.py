@@ -1,7 +1,10 @@
 """Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
 
-The two solvers share no algorithm, so their agreement is a real check. Each checks its solution against its own
-equation and refuses a model that has no steady state.
+`rekf` takes scipy's solution, by a generalized Schur decomposition, and refines it; `relf` composes longer and longer
+stretches of the filter. As one finds P without the other, their agreement is a real check. Each checks its solution
+against its own equation; a model that has no steady state is refused by the same test for both.
+
+2014 and 2015 are papers of Assimakis & Adam; `mpt_helpers` has their titles.
 """
 
 from __future__ import annotations
@@ -117,7 +120,8 @@ def _solve_rekf(model):
     P = P + change
     sigma = np.sqrt(np.maximum(np.diag(P), 1))  # no less than 1, the noise of n steps in these units
     solved = (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all()
-    # A state that nothing drives is known exactly in the end: what is left of its variance is the rounding of zero.
+    # A state that nothing drives is known exactly in the end: what is left of its variance is the rounding of zero. In
+    # these units that of a standard deviation is eps, so that of a variance is the square of it.
     known = np.diag(P) <= np.finfo(float).eps ** 2
     P = np.where(known[:, None] | known, 0.0, (P + P.T) / 2)
     return P * unit[:, None] * unit, solved
@@ -126,22 +130,37 @@ def _solve_rekf(model):
 def require_resolved(model: LinearModel, P: Array) -> None:
     """Raise a ValueError where P (n×n), a steady-state estimation error covariance, has no digit left in doubles.
 
-    A residual cannot see that, since it is rounded as P is. So P must stand a step of the other filter, the Kalman
-    filter's (I - K H) P_p (I - K H)ᵀ + K R Kᵀ with P_p = F P Fᵀ + Q, and the rounding of P_p and I - K H must not carry
-    farther than P.
+    The equation that P solves cannot tell that, since it is rounded as P is. So two more things are asked of P. A step
+    of the Kalman filter, (I - K H) P_p (I - K H)ᵀ + K R Kᵀ with P_p = F P Fᵀ + Q, must leave P nearly as it is. And the
+    rounding of that step must be small beside P.
     """
     P_p = predicted_covariance(model, P)
     K = gain(P_p, model.H, model.R)
     sigma = np.sqrt(np.maximum(np.diag(P_p), 0))
     eps = model.n * np.finfo(float).eps
-    keep = np.eye(model.n) - K @ model.H
-    terms = np.eye(model.n) + np.abs(K) @ np.abs(model.H)
-    rounding = eps * (np.abs(keep) @ sigma) ** 2 + (eps * terms @ sigma) ** 2
     variance = np.diag(P)
     change = np.abs(corrected_covariance(P_p, K, model.H, model.R) - P)
     allowed = RESOLVED * np.sqrt(np.outer(variance, variance)) + eps * np.outer(sigma, sigma)
+    rounding = _rounding_of_a_step(model.H, K, sigma, eps)
     if (change > allowed).any() or (rounding > RESOLVED * variance).any():
         raise ValueError("model: needs a steady state that double precision can resolve; in a variance no digit holds")
+
+
+def _rounding_of_a_step(H, K, sigma, eps):
+    """Return the rounding (n,) of the variances that (I - K H) P_p (I - K H)ᵀ leaves of the variances sigma² of P_p.
+
+    eps is n times the machine precision. Two things are rounded:
+
+        P_p      by at most eps sigma_i sigma_j, which adds         eps (|I - K H| sigma)²
+        I - K H  by at most D = eps (I + |K| |H|), which adds       (D sigma)²
+
+    So the error of I - K H counts by its square. It adds a linear term too, D P_p (I - K H)ᵀ, but with the best gain
+    that is D P, which is small beside P.
+    """
+    identity = np.eye(len(K))
+    keep = identity - K @ H
+    terms = identity + np.abs(K) @ np.abs(H)
+    return eps * (np.abs(keep) @ sigma) ** 2 + (eps * terms @ sigma) ** 2
 
 
 def _newton_step(P, F, H, Q):
@@ -182,7 +201,7 @@ def _solve_relf(model):
 
 
 def _units(model):
-    """Return how far the noise of n steps moves each state, rounded to a power of two so that scaling is exact.
+    """Return the distance that the noise of n steps moves each state, rounded to a power of two: then scaling is exact.
 
     In these units the entries of a matrix can be compared.
     """
@@ -213,7 +232,7 @@ def _margins(model):
 
 
 def _distance_from_rank_loss(pencil):
-    """Return how far a matrix is from losing rank, relative to its size."""
+    """Return the distance of a matrix from losing rank, relative to its size."""
     singular = np.linalg.svd(pencil, compute_uv=False)
     return singular[-1] / singular[0] if singular[0] else 0.0
 

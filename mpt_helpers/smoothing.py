@@ -3,8 +3,12 @@
     x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
     P(k/N) = C_k [P(k+1/N) + Q] C_kᵀ + (I - C_k F) P(k/k) (I - C_k F)ᵀ
 
-Only x(k+1/N) and P(k+1/N) are taken one after the other; all else is computed for all epochs at once. So the way back
-of a long track is cut into pieces, as the way there is.
+A step back is x <- C x + d, P <- C P Cᵀ + D, with d = (I - C F) x(k/k) and D = C Q Cᵀ + (I - C F) P(k/k) (I - C F)ᵀ.
+C, d and D depend on the filter's results alone: they are computed first, of many epochs in each call. Then the steps
+are taken one after the other, and a long track is cut into pieces, as by the filter.
+
+N is the number of epochs, n that of states. c tracks that share their covariances are a column, and there are M columns
+(`engine`). In x (N, n, M) and P (N, n, n, M or 1) of the filter, M is the number of all tracks.
 """
 
 from dataclasses import dataclass
@@ -25,9 +29,10 @@ UNDRIVEN = 1e-12
 
 @dataclass(frozen=True)
 class Backwards:
-    """The coefficients of N steps back: x <- C x + d, P <- C P Cᵀ + D, for columns.
+    """The coefficients of N steps back over N + 1 epochs, last epoch first: x <- C x + d, P <- C P Cᵀ + D.
 
-    C and D are (N, n, n, M), d is (N, n, c, M).
+    They are those of columns: C and D are (N, n, n, M), d is (N, n, c, M). `engine.through` takes them in the place of
+    rows of measurements, and `partition` cuts them.
     """
 
     C: np.ndarray
@@ -43,7 +48,10 @@ class Backwards:
         return Backwards(function(self.C), function(self.d), function(self.D))
 
     def with_tracks_of_zeros(self, count):
-        """Return the steps with `count` more tracks in each column, of no d."""
+        """Return the steps with `count` more tracks in each column, whose d is zero.
+
+        `partition` sees by them where a piece ends that starts at a unit vector: at the product of its C.
+        """
         N, n, _, M = self.d.shape
         return Backwards(self.C, np.concatenate([self.d, np.zeros((N, n, count, M))], axis=2), self.D)
 
@@ -51,8 +59,8 @@ class Backwards:
 def smoothed(motion, epochs, x, P):
     """Return x(k/N) (N, n, M) and P(k/N) (N, n, n, M or 1) from x(k/k) and P(k/k) of the same shapes.
 
-    motion is that of the states, epochs are the Epochs that x and P are estimates of. One covariance may be that of all
-    tracks.
+    motion is that of the states, epochs are the Epochs that x and P are estimates of. P has one covariance for all
+    tracks (1) or one for each.
     """
     modes = _undriven(*motion.one_step, P[0])
     if modes:
@@ -67,12 +75,17 @@ def smoothed(motion, epochs, x, P):
     if N > 1:
         as_columns = epochs.layout.as_columns
         back = Backwards(C[::-1], as_columns(d[::-1]), D[::-1])
+        # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
         through(_advance, back, as_columns(x[-1]), P[-1], as_columns(x[-2::-1]), P[-2::-1])
     return x, P
 
 
 def _undriven(F, Q, P):
-    """Return the damped modes of F that Q does not drive beside P (n, n, M), as texts."""
+    """Return the damped modes of F that Q does not drive, as texts.
+
+    A mode is y = lᴴ x, with a left eigenvector l of F. Q adds lᴴ Q l to its variance in a step, which is compared with
+    the variance lᴴ P l of the first epoch, P (n, n, M or 1).
+    """
     modes, left = eig(F, left=True, right=False)
     added = np.einsum("im,ij,jm->m", left.conj(), Q, left).real
     known = np.einsum("im,ijt,jm->mt", left.conj(), P, left).real.max(axis=1)
@@ -80,10 +93,10 @@ def _undriven(F, Q, P):
 
 
 def _coefficients(motion, lengths, x, P):
-    """Return C, d = (I - C F) x and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ of some epochs: the step back to each of them.
+    """Return C (N, n, n, M or 1), d = (I - C F) x (N, n, M) and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ of N epochs.
 
-    x (N, n, M), P (N, n, n, M or 1) and the results have the axes of `Backwards`; lengths are those of the steps
-    after the epochs.
+    They are those of the step back to each epoch, from its x (N, n, M) and P (N, n, n, M or 1). lengths are those of
+    the steps that follow the epochs, None where all are one step of the model.
     """
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
     lengths = None if lengths is None else np.broadcast_to(lengths, P.shape[2:])
@@ -109,7 +122,8 @@ def _times_noise(motion, lengths, C):
 def _advance(step, x, P):
     """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts.
 
-    It keeps the promises of `engine`, so that the way back may be cut into pieces too.
+    It is an `advance` of `engine`: x comes out linear in x and d, P does not depend on them, and both are left as they
+    were. So the way back may be cut into pieces.
     """
     C, d, D = step
     return product(C, x) + d, product(product(C, P), transposed(C)) + D, np.zeros((0, *x.shape[1:]))

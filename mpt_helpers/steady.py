@@ -1,4 +1,7 @@
-"""Filters with constant coefficients: the steady-state filter and its FIR form."""
+"""Filters with constant coefficients: the steady-state filter and its FIR form.
+
+2014 and 2015 are papers of Assimakis & Adam, 2016 is one of Assimakis and others; `mpt_helpers` has their titles.
+"""
 
 from __future__ import annotations
 
@@ -45,6 +48,7 @@ class SteadyStateFilter(RecursiveFilter):
     B: Array
     P: Array
 
+    # The gain stays when P does not: after a gap P is not that of the best estimate. So it has no smoother and no gate.
     optimal = False
 
     def __init__(self, model: LinearModel, A: ArrayLike, B: ArrayLike, P: ArrayLike):
@@ -55,7 +59,7 @@ class SteadyStateFilter(RecursiveFilter):
         object.__setattr__(self, "P", checks.covariance("P", P, n, rounding=checks.SOLVED))
         gap = np.abs(self.A - (F - self.B @ H @ F))
         size = np.abs(F) + np.abs(self.B) @ np.abs(H) @ np.abs(F)
-        rounding = n * np.finfo(float).eps * size.max()  # where a term is zero
+        rounding = n * np.finfo(float).eps * size.max()  # where an entry of A is zero, and computed as nearly zero
         if (gap > SAME_A * size + rounding).any():
             checks.refuse("A", "(I - B H) F, as in every filter of the papers", f"a gap of {gap.max():.6g}")
 
@@ -125,7 +129,7 @@ def fir_order(A: ArrayLike, tol: float, norm: float | str = 2) -> int:
     if norm not in (1, 2, np.inf, "fro", "nuc"):
         checks.refuse("norm", "1, 2, inf, 'fro' or 'nuc'", repr(norm))
     tol = checks.number("tol", tol, "a number in (0, 1]", lambda tol: 0 < tol <= 1)
-    radius = np.abs(np.linalg.eigvals(A)).max()
+    radius = np.abs(np.linalg.eigvals(A)).max()  # ρ: the powers of A fall by it in each step, in the end
     if radius >= 1:
         checks.refuse("A", "a spectral radius below 1", f"{radius:.6g}")
     # With spectral radius ρ, ‖Aᴹ‖ ≥ ρᴹ ≥ tol for every M ≤ log tol / log ρ, so the search starts there. One part in 1e9

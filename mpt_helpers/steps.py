@@ -165,7 +165,7 @@ def run(products, x0, z, x):
 
 
 def steps_per_product(size):
-    """Return how many steps to take in one product when the state of all tracks holds `size` floats.
+    """Return the number of steps to take in one product when the state of all tracks holds `size` floats.
 
     >>> [steps_per_product(size) for size in (2, 200, 400, 20_000, 200_000)]
     [32, 16, 8, 4, 2]

@@ -16,7 +16,7 @@ from .files import write_together
 # How a file begins that this command has written: it may be replaced.
 SIGNATURE, LOOKED_AT = b"mpt_helpers", 400
 # Above this size (bytes) a word is said beforehand: a million fixes take a minute and 1.8 GB.
-LARGE, BYTES_OF_A_FIX, FIXES_A_SECOND, MEMORY_OF_A_FIX = 20e6, 100, 20_000, 1.8e3
+LARGE, BYTES_OF_A_FIX, FIXES_A_SECOND = 20e6, 100, 20_000
 DPI = 130
 DESCRIPTION = (
     "Read a recorded track (GPX, or CSV with a line of names), refuse its faults, smooth it, test how far ahead it can "

@@ -1,16 +1,15 @@
 """Recorded tracks: from a file, or from latitudes and longitudes, to times in seconds and positions in metres.
 
 `track` does all that there is to do with one: it reads a file, refuses faults, fits, smooths and judges. `clean` does
-the same with numbers. `gpx` only reads, and refuses a file whose times are not in order.
+the same with numbers. `gpx` only reads, and refuses a file whose times are not in order, or skips such fixes.
 """
 
 from __future__ import annotations
 
 import bisect
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -21,13 +20,13 @@ from numpy.typing import ArrayLike
 from . import checks, geodesy
 from .checks import Array, Seconds
 from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
-from .recordings import EPOCH, NO_TIME, Recording, read, read_gpx
+from .recordings import NO_TIME, Recording, moment_of, read, read_gpx
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
 
-# Latitudes and longitudes (°) and heights (m) are not beyond these, nor are heights below the lowest: what is, as the
-# -32768 that stands for none in some files, is none.
+# Latitudes and longitudes (°) and heights (m) are not beyond these, and no height is below the lowest. A number that
+# is counts as missing: some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 # Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
 ONE_PLANE = 500e3
@@ -80,14 +79,13 @@ def gpx(
     origin that is none.
     """
     if pause is not None:
-        pause = checks.positive("pause", checks.as_seconds(pause))
+        pause = checks.duration("pause", pause)
     if origin is not None:
         origin = _origin(origin)
     recording = read_gpx(path)
     if (recording.time == NO_TIME).all():
-        unread = next(iter(recording.unread.values()), None)
-        times = "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
-        raise ValueError(f"{path}: needs a recorded track, got {recording.segments} track segments and {times}")
+        got = f"{recording.segments} track segments and {_no_times(recording)}"
+        raise ValueError(f"{path}: needs a recorded track, got {got}")
     kept, left_out = [], 0
     for number in range(1, recording.segments + 1):
         rows = np.flatnonzero(recording.segment == number)
@@ -102,7 +100,7 @@ def gpx(
         if len(in_order):
             kept.append(rows[in_order])
     if left_out:
-        warnings.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase", stacklevel=2)
+        checks.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase")
     if pause is not None:
         kept = [part for rows in kept for part in np.split(rows, _pauses(recording.time[rows], pause))]
     start = kept[0][0]
@@ -124,7 +122,7 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
     if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
         checks.refuse("lat, lon", "as many latitudes as longitudes, in one dimension", f"{lat.shape} and {lon.shape}")
     (there,) = np.nonzero(~np.isnan(lat) & ~np.isnan(lon))
-    if not there.size or np.abs(lat[there]).max() > 90 or np.abs(lon[there]).max() > 360:
+    if not there.size or not _on_earth(lat[there], lon[there]).all():
         checks.refuse("lat, lon", "degrees of at most 90 and 360", _no_degrees(lat[there], lon[there]))
     origin = _origin((lat[there[0]], lon[there[0]]) if origin is None else origin)
     return geodesy.to_plane(lat, lon, origin)
@@ -157,7 +155,10 @@ def longest_in_order(time: Array) -> Array:
     if (np.diff(time[known]) > 0).all():
         return known
     turned = (-time).tolist()
-    starts, starts_of, after = [], [], {}  # for each length the latest start, -time and row; the row that follows each
+    # Entry k of `starts` and `starts_of` is of all orders of k + 1 rows the one that starts latest: -time of its first
+    # row, turned since bisect wants numbers that increase, and that row. `after` has the row that follows each one.
+    # Times 1, 9, 2, 3 make, from the end, starts of [-3], [-3, -2], [-9, -2], [-9, -2, -1]: the order is 1, 2, 3.
+    starts, starts_of, after = [], [], {}
     for row in known[::-1].tolist():
         length = bisect.bisect_left(starts, turned[row])
         after[row] = starts_of[length - 1] if length else None
@@ -171,7 +172,7 @@ def longest_in_order(time: Array) -> Array:
 
 
 def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) -> str:
-    """Return why fix k of some rows was left out of those that are in order."""
+    """Return the reason why fix k of some rows was left out of those that are in order."""
     time = recording.time[rows]
     if time[k] == NO_TIME:
         unread = recording.unread.get(int(rows[k]))
@@ -184,13 +185,19 @@ def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) ->
     return f"{moment:%Y-%m-%d %H:%M:%S} {'again' if last == time[k] else 'after a later time'}"
 
 
-def moment_of(time: int) -> datetime:
-    """Return microseconds since 1970 as a datetime."""
-    return EPOCH + timedelta(microseconds=int(time))
+def _no_times(recording):
+    """Say what stands in place of times."""
+    unread = next(iter(recording.unread.values()), None)
+    return "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
+
+
+def _on_earth(lat, lon):
+    """Tell which latitudes and longitudes are degrees; NaN is none."""
+    return (np.abs(lat) <= MOST[0]) & (np.abs(lon) <= MOST[1])
 
 
 def _no_degrees(lat, lon):
-    """Say what numbers are that are no degrees."""
+    """Say what stands in place of degrees."""
     if not len(lat):
         return "none"
     if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
@@ -209,7 +216,7 @@ def _origin(origin):
 def _check_degrees(path, recording, number, rows):
     """Refuse a segment with a fix that lies nowhere on the Earth."""
     lat, lon = recording.lat[rows], recording.lon[rows]
-    on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 360)  # nor is NaN
+    on_earth = _on_earth(lat, lon)
     if not on_earth.all():
         k = int(np.argmin(on_earth))
         got = f"{lat[k]:g} and {lon[k]:g} in fix {k + 1} of segment {number}"
@@ -292,7 +299,7 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
         raise ValueError(f"{path}: needs a recorded track, got {recording.segments} track segments and no fixes")
     if recording.metres is None:
         lat, lon = recording.lat, recording.lon
-        somewhere = (np.abs(lat) <= 90) & (np.abs(lon) <= 360)
+        somewhere = _on_earth(lat, lon)
         if not somewhere.any() or np.mean(somewhere) < 0.5:
             there = np.isfinite(lat) & np.isfinite(lon)
             raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat[there], lon[there])}")
@@ -300,9 +307,7 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
         somewhere = np.isfinite(recording.metres).all(axis=1)
     timed = time != NO_TIME
     if not timed.any():
-        unread = next(iter(recording.unread.values()), None)
-        times = "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
-        raise ValueError(f"{path}: needs a recorded track, got {N} fixes and {times}")
+        raise ValueError(f"{path}: needs a recorded track, got {N} fixes and {_no_times(recording)}")
     if N > 1 and np.ptp(time[timed]) == 0:
         raise ValueError(f"{path}: needs times that increase, got {moment_of(time[timed][0]):%Y-%m-%d %H:%M:%S} in all")
     kept = []
@@ -313,11 +318,11 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
     rows = np.concatenate(kept) if kept else np.empty(0, dtype=int)
     if len(rows) < FEWEST:
         raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {len(rows)} of {N}")
-    unread = len(recording.unread)
-    reasons = {
+    unread = ~timed & np.isin(np.arange(N), list(recording.unread))
+    reasons = {  # each row counts for one
         "no position on the Earth": int((~somewhere).sum()),
-        "no time": int((somewhere & ~timed).sum()) - unread,
-        "a time that cannot be read": unread,
+        "no time": int((somewhere & ~timed & ~unread).sum()),
+        "a time that cannot be read": int((somewhere & unread).sum()),
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
     return rows, {reason: count for reason, count in reasons.items() if count > 0}
@@ -376,7 +381,7 @@ def _precision(recording, rows):
 
 
 def unusual(t: Array, z: Array) -> list[str]:
-    """Return what is unusual for a recorded track, in words: it may be in other units."""
+    """Return warnings of a track that is too fast or too slow for a recorded one: it may be in other units."""
     seconds = np.diff(t)
     moved = np.linalg.norm(np.diff(z, axis=0), axis=1)[seconds > 0]
     speed = float(np.quantile(moved / seconds[seconds > 0], 0.99))

@@ -14,7 +14,7 @@ LONGEST_SOCKET = 98  # bytes of a path; with the number that Jupyter adds, macOS
 
 
 def through_files(folder):
-    """Return what lets a kernel talk through sockets in a folder, as arguments of its manager; {} where it cannot.
+    """Return the arguments by which a kernel's manager talks through sockets in a folder; {} where it cannot.
 
     Jupyter would choose free ports before the kernel opens them, and another program may take one in between: one run
     in some twenty, four at a time, waited for ever.
@@ -62,6 +62,8 @@ def execute(path):
 
     Returns nothing, or what is to be said of the cell that fails; then the file is left as it was.
     """
+    # Or jsonschema, which nbformat imports, takes 0.9 s to make a grammar of web addresses: notebooks need none.
+    sys.modules.setdefault("rfc3987_syntax", None)
     import nbformat
     from jupyter_client import AsyncKernelManager
     from nbclient import NotebookClient

@@ -14,6 +14,7 @@ import threading
 import time
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -42,9 +43,9 @@ def reproduce(some):
     are kept in reproduced/, the others are written), ValueError for verdicts that do not cover the paper,
     ModuleNotFoundError without Jupyter.
     """
-    import nbclient  # noqa: F401  # said before anything is copied, as the next
-    import nbformat  # noqa: F401
-
+    for name in ("nbclient", "nbformat"):  # only the processes that run notebooks import them, which takes a second
+        if find_spec(name) is None:
+            raise ModuleNotFoundError(name=name)
     root = project()
     paths = chosen_notebooks(root, some)
     if root.joinpath(LEDGER).is_dir() and not root.joinpath(LEDGER).samefile(ledger.paper.FOLDER):
@@ -183,7 +184,7 @@ def remove_left_over(root):
 
 
 def _code_cells(key, source):
-    """Return how many code cells the notebook has that the bytes of a file hold; raises CommandError without one."""
+    """Return the number of code cells in the bytes of a notebook; raises CommandError for another file."""
     try:
         return sum(cell["cell_type"] == "code" for cell in json.loads(source.decode("utf-8"))["cells"])
     except (ValueError, LookupError, TypeError) as error:
@@ -191,7 +192,7 @@ def _code_cells(key, source):
 
 
 def _made(root, key, stage):
-    """Return what a notebook has made, {path from the root: bytes}: its figures, itself, the verdicts on a paper."""
+    """Return the files that a notebook has made, {path from the root: bytes}: figures, itself, its verdicts."""
     executed = stage / NOTEBOOKS / f"{key}.ipynb"
     made = {FIGURES / path.name: path.read_bytes() for path in stage.joinpath(FIGURES).iterdir()}
     made[NOTEBOOKS / executed.name] = executed.read_bytes()

@@ -18,6 +18,7 @@ talk_through_files()
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
+GIVES_A_VERDICT = re.compile(r"\bpaper\.(check|claim|cannot_check|report)\(")
 AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
 MODELS_2016 = {"cv": mpt.constant_velocity(1.0, 0.01, 0.1), "ca": mpt.constant_acceleration(1.0, 0.01, 0.1)}
 
@@ -53,9 +54,24 @@ def z(model):
     return mpt.simulate(model, 60, np.random.default_rng(7))[1]
 
 
+def cells_of(path):
+    """The cells of a notebook in a file."""
+    return json.loads(path.read_text(encoding="utf-8"))["cells"]
+
+
 def source(cell):
     """The text of a notebook's cell."""
     return "".join(cell["source"])
+
+
+def prose(cells):
+    """The text of the cells of Markdown."""
+    return "\n\n".join(source(cell) for cell in cells if cell["cell_type"] == "markdown")
+
+
+def shown(cell):
+    """What a cell of code prints or shows, as text."""
+    return "\n".join("".join(out.get("text", out.get("data", {}).get("text/plain", ""))) for out in cell["outputs"])
 
 
 def parts(cells):
@@ -68,14 +84,14 @@ def parts(cells):
 
 def part_one(path):
     """The text of Part I of a notebook in a file."""
-    article, _ = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
-    return "\n\n".join(source(cell) for cell in article if cell["cell_type"] == "markdown")
+    article, _ = parts(cells_of(path))
+    return prose(article)
 
 
 @pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
 def notebook(request):
     """A committed notebook: its key and its cells."""
-    return request.param.stem, json.loads(request.param.read_text(encoding="utf-8"))["cells"]
+    return request.param.stem, cells_of(request.param)
 
 
 # A made-up paper: what the tests of the ledger, the command line and the seeds work on.

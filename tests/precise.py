@@ -95,7 +95,7 @@ def two_doubles(reference):
 
 
 def digits(ours, reference, unit):
-    """How many decimal digits of an array hold, relative to a unit for each entry: 17 where all bits do.
+    """The number of decimal digits of an array that hold, relative to a unit for each entry: 17 where all bits do.
 
     The reference has 60 digits, or is that of `two_doubles`, which is sooner compared if that is done often.
     """

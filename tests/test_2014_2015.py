@@ -1,10 +1,8 @@
 """The filters and recursions that the notebooks on 2014 and 2015 write out, against what shares nothing with them."""
 
-import json
-
 import numpy as np
 import pytest
-from conftest import ROOT, source
+from reading import Article
 from scipy.linalg import solve_discrete_are
 
 import mpt_helpers as mpt
@@ -12,22 +10,15 @@ import mpt_helpers as mpt
 TRACKS, STEPS = 20_000, 60
 
 
-def cells_of(key):
-    return json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8"))["cells"]
-
-
-def code_of(id):
-    (cell,) = (cell for cell in cells_of("2014_gsm_2d") if cell["id"] == id)
-    return source(cell)
+code_of = Article("2014_gsm_2d").code_of
 
 
 @pytest.fixture(scope="module")
 def taught():
     """The names that the teaching cells of the notebook on 2014 define."""
     wanted = ["setup", "model", "kalman", "lainiotis", "run", "steady", "conditional", "fir", "four", "joint"]
-    code = {cell["id"]: source(cell) for cell in cells_of("2014_gsm_2d")}
     names = {}
-    exec("\n".join(code[id] for id in wanted), names)
+    exec("\n".join(map(code_of, wanted)), names)
     return names
 
 

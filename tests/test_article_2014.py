@@ -1,6 +1,6 @@
 """The article on 2014: every number in its prose is computed here or printed by a cell, and its filters are checked.
 
-A text in `says` has its numbers put in by the test, so that a number that changes makes it fail.
+A text in `says` or `adds` has its numbers put in by the test, so that a number that changes makes it fail.
 """
 
 import json
@@ -10,7 +10,8 @@ import tomllib
 
 import numpy as np
 import pytest
-from conftest import ROOT, part_one, parts, source
+from conftest import ROOT, parts, source
+from reading import Article
 from scipy.linalg import solve_discrete_are
 
 import mpt_helpers as mpt
@@ -19,37 +20,17 @@ from reproduction import burden
 from reproduction.ledger import stored_verdicts
 from reproduction.papers_2014_2015 import article_2014
 
-NOTEBOOK = ROOT / "notebooks" / "2014_gsm_2d.ipynb"
-CELLS = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
-
 
 def plain(text):
     """A text without markup, in one line; [1\\ \\ 0] is [1 0]."""
     return re.sub(r"\s+", " ", re.sub(r"\\ ", " ", re.sub(r"[*$]", "", text)))
 
 
-TEXT = plain(part_one(NOTEBOOK))
-EVIDENCE = plain("\n".join(source(cell) for cell in parts(CELLS)[1] if cell["cell_type"] == "markdown"))
+ARTICLE = Article("2014_gsm_2d", plain)
+says, adds, code_of, printed_by = ARTICLE.says, ARTICLE.adds, ARTICLE.code_of, ARTICLE.printed_by
 RESULTS = json.loads((ROOT / "benchmarks" / "results.json").read_text(encoding="utf-8"))
 NOW, NEXT = np.array([[1.0, 0.0]]), np.array([[1.0, 1.0]])
 PACE = 1.5
-
-
-def says(text, where=TEXT):
-    """Require that the article says this, or its evidence."""
-    assert re.sub(r"\s+", " ", text) in where, text
-
-
-def code_of(id):
-    (cell,) = (cell for cell in CELLS if cell["id"] == id)
-    return source(cell)
-
-
-def output_of(id):
-    """What a cell prints or shows as text."""
-    (cell,) = (cell for cell in CELLS if cell["id"] == id)
-    texts = ["".join(out.get("text", out.get("data", {}).get("text/plain", ""))) for out in cell["outputs"]]
-    return "\n".join(texts)
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +107,13 @@ def test_a_walk_of_positions_is_late_by_its_pace_and_its_innovations_lie_within_
 
 
 def test_the_four_positions():
-    answer = re.search(r"H = \[1 1\]: the phone is at ([\d.]+) m", output_of("four-positions"))[1]
+    answer = re.search(r"H = \[1 1\]: the phone is at ([\d.]+) m", printed_by("four-positions"))[1]
     says(f"The last measurement was 4.0. The paper's filter answers {answer}")
     assert abs(float(answer) - 2.9) < 0.17  # "where the phone was one measurement earlier": the third was 2.9
 
 
 def test_the_usual_test_hardly_sees_the_delay():
-    nis = float(re.search(r"mean NIS ([\d.]+)", output_of("late-test"))[1])
+    nis = float(re.search(r"mean NIS ([\d.]+)", printed_by("late-test"))[1])
     says(f"The late filter has a NIS of {nis:.2f}")
     says("The average of N such squares scatters by \\sqrt{2/N}.")  # a square of variance 2
     long = np.sqrt(2 / 10_000)
@@ -141,7 +122,7 @@ def test_the_usual_test_hardly_sees_the_delay():
     assert (1 - nis) / long == pytest.approx(4, abs=0.1)
     says(f"The {nis:.2f} and")
     says(f"in the usual test it gets {nis:.2f}, where 1 is perfect")
-    found = re.findall(r"gap (\S+) m, (\S+) s late, mean NIS ([\d.]+)", output_of("nis-turns"))
+    found = re.findall(r"gap (\S+) m, (\S+) s late, mean NIS ([\d.]+)", printed_by("nis-turns"))
     late, right, of_late, of_right = (each[2] for each in found)
     says(f"NIS is {late} in the late filter and {right} in the right one")
     says(f"these filters expect no such turns (NIS is {late} and {right})")
@@ -180,7 +161,7 @@ def test_noise_and_turns_are_told_apart_by_a_phone_that_stands_still():
 def test_the_ramp_tells_the_filters_apart():
     """A wrong H shows in the position, a wrong Δt in F in the velocity only."""
     says("The first filter is at the wrong place, the third has the wrong speed. Only the second passes")
-    found = re.findall(r"([\d.]+) m at ([\d.]+) m/s; the filter says ([\d.]+) m at ([\d.]+) m/s", output_of("ramp"))
+    found = re.findall(r"([\d.]+) m at ([\d.]+) m/s; the filter says ([\d.]+) m at ([\d.]+) m/s", printed_by("ramp"))
     late, right, stiff = np.array(found, float)
     assert late[0] - late[2] == PACE
     assert late[1] == late[3] == PACE
@@ -210,7 +191,7 @@ def test_seconds_late_leaves_out_what_is_missing(taught):
 
 def test_the_table_of_walkers_is_that_of_the_evidence():
     says("On 2,000 simulated walks of each kind, 200 seconds at 1.5 m/s, this gave on average")
-    rows = [re.split(r" {2,}", line) for line in output_of("lateness").splitlines()[1:]]
+    rows = [re.split(r" {2,}", line) for line in printed_by("lateness").splitlines()[1:]]
     by_kind = {kind: [row for row in rows if row[0] == kind] for kind in article_2014.WALKERS}
     del by_kind["stops every 30 s, for 30 s"]  # stands in the evidence only
     for kind, (late, right) in by_kind.items():
@@ -226,9 +207,9 @@ def test_the_condition_of_the_fit_tells_who_moves():
     says(
         f"(the root of the last entry of P): {3 * late:.2f} m/s for the late filter, {3 * right:.2f} for the right one"
     )
-    for line in output_of("lateness").splitlines()[1:]:
+    for line in printed_by("lateness").splitlines()[1:]:
         assert (float(line.split()[-1]) > 3) == (not line.startswith("never moves")), line
-    for line in output_of("lateness-slow").splitlines()[1:]:
+    for line in printed_by("lateness-slow").splitlines()[1:]:
         cells = re.split(r" {2,}", line)
         if cells[3] != "-":  # where the condition is met, the late filter lies near 1 and the right one near 0
             low, high = map(float, cells[3].split(" to "))
@@ -237,7 +218,7 @@ def test_the_condition_of_the_fit_tells_who_moves():
 
 def test_a_stiff_filter_looks_late_too():
     """The fit alone cannot tell; NIS does."""
-    thirty, one, hundredth, _ = (line.split() for line in output_of("lateness-stiff").splitlines()[1:])
+    thirty, one, hundredth, _ = (line.split() for line in printed_by("lateness-stiff").splitlines()[1:])
     says(f"With a hundredth of Q the right H looks {hundredth[2]} seconds late for the walker who turns")
     says(f"and NIS is {hundredth[4]}. So find out first what is wrong")
     assert float(hundredth[3]) > 3  # the velocities look real
@@ -247,9 +228,9 @@ def test_a_stiff_filter_looks_late_too():
 
 
 def test_a_far_origin_is_subtracted_first(taught):
-    (far,) = re.findall(r"without subtracting: ([\d.]+) m", output_of("lfilter"))
+    (far,) = re.findall(r"without subtracting: ([\d.]+) m", printed_by("lfilter"))
     says(f"10 km from the origin, row 21 is still {far} m off")
-    (near,) = re.findall(r"within ([\d.]+) m of the Kalman filter", output_of("one-call"))
+    (near,) = re.findall(r"within ([\d.]+) m of the Kalman filter", printed_by("one-call"))
     assert float(near) < 0.1 * np.sqrt(settled(NOW)[2][0, 0])
     says("`in_pieces` starts at 0, give or take 10 m: subtract the first measurement that is not missing")
     assert code_of("pieces").count("100 * np.eye(2)") == 1
@@ -267,7 +248,7 @@ def test_the_speed_of_the_simulated_track(taught):
 
 def test_in_numpy_a_fir_sum_is_faster_than_a_step():
     """Minima of many runs; the step takes about twice as long."""
-    says("In numpy, where calls cost more, one FIR sum is faster than a step", EVIDENCE)
+    adds("In numpy, where calls cost more, one FIR sum is faster than a step")
     A, K, taps = np.eye(4), np.ones((4, 2)), np.ones((4, 34))
     x, z = np.ones(4), np.ones((100, 2))
     fir = min(timeit.repeat(lambda: taps @ z[50:67].ravel(), number=2000, repeat=15))
@@ -283,7 +264,7 @@ def test_a_car_is_as_far_behind_as_it_drives_in_a_step():
 
 def test_late_by_one_step_of_any_length(taught):
     """With steps of one length it is that length; with steps that change, about the last of them."""
-    says("With another Δt it is one step of that length; when steps change, about the last of them.", EVIDENCE)
+    adds("With another Δt it is one step of that length; when steps change, about the last of them.")
 
     def late(steps):
         x, P = np.zeros(2), 100 * np.eye(2)
@@ -301,21 +282,17 @@ def test_late_by_one_step_of_any_length(taught):
 
 def test_part_two_has_what_part_one_refers_to():
     says("(Part II, section 6)")
-    section = EVIDENCE.split("### 6. ")[1].split("### 7. ")[0]
-    says("Together 268.", section)
+    section = ARTICLE.evidence.split("### 6. ")[1].split("### 7. ")[0]
+    assert "Together 268." in section
     says("Three exercises, which say how far off you are, stand at the end of Part II.")
-    assert [cell["id"] for cell in CELLS[-3:]] == list(SOLUTIONS)
+    assert [cell["id"] for cell in ARTICLE.cells[-3:]] == list(SOLUTIONS)
 
 
 def test_to_report_the_prediction_repairs_the_late_filter():
-    row = next(line for line in output_of("four").splitlines() if "F x(k/k)" in line)
+    row = next(line for line in printed_by("four").splitlines() if "F x(k/k)" in line)
     assert re.search(r"0 Δt v +(0\.23)", row)
     states = float(row.split()[-1])
-    says(
-        f"Its covariance is F @ P @ F.T + Q, which states {states:.2f} m".replace(
-            "F @ P @ F.T + Q", "`F @ P @ F.T + Q`"
-        )
-    )
+    says(f"Its covariance is `F @ P @ F.T + Q`, which states {states:.2f} m")
     says("report `F @ x` instead of `x`; the error is 0.23 m too")
 
 
@@ -362,7 +339,7 @@ def test_pieces_refuse_two_axes(taught):
 
 
 def test_pieces_bear_a_very_uncertain_start(taught):
-    says("P = 10^{12}\\,I instead of 100\\,I costs no accuracy", EVIDENCE)
+    adds("P = 10^{12}\\,I instead of 100\\,I costs no accuracy")
     _, z = article_2014.walk(300)
     wide = dict(taught)
     for id in ("pieces", "one-by-one"):
@@ -384,7 +361,7 @@ def test_a_piece_of_one_measurement_is_the_filter_of_the_paper(taught):
 
 
 def test_the_cell_that_compares_says_that_all_agree():
-    assert re.findall(r"the same to a nanometre, (\d+) km from the start: (\w+)", output_of("same")) == [
+    assert re.findall(r"the same to a nanometre, (\d+) km from the start: (\w+)", printed_by("same")) == [
         ("66", "True"),
         ("66", "True"),
     ]
@@ -426,7 +403,7 @@ def measured(against):
     ],
 )
 def test_the_times_of_the_article_are_the_measured_ones(line, against):
-    (said,) = re.findall(line, EVIDENCE if against == "C" else TEXT)
+    (said,) = re.findall(line, ARTICLE.evidence if against == "C" else ARTICLE.text)
     assert 1 / ROUGHLY < measured(against) / float(said.replace(",", "")) < ROUGHLY
 
 
@@ -437,8 +414,8 @@ def test_what_the_article_says_of_times_is_measured():
         assert measured(faster) / measured("in pieces") > 60
     says("plain Python numbers are faster than pieces")
     assert measured("Python numbers") > 1.5 * measured("in pieces")
-    says("With four unknowns, where few would write out the matrices, our package runs 12,000 rows", EVIDENCE)
-    (said,) = re.findall(r"our package runs 12,000 rows (\d+) times as fast as a loop over", EVIDENCE)
+    adds("With four unknowns, where few would write out the matrices, our package runs 12,000 rows")
+    (said,) = re.findall(r"our package runs 12,000 rows (\d+) times as fast as a loop over", ARTICLE.evidence)
     (four,) = (
         row
         for row in RESULTS["rows"]
@@ -469,15 +446,15 @@ def test_the_cost_of_fir_is_taken_apart_as_it_is_counted():
     says(f"With the paper's H, M is {M}, and a result takes")
     term = burden.product(4, 2, 1)
     total = burden.total(burden.fir(4, 2, M))
-    says(f"In model A a term is a 4 × 2 matrix times two measurements: {term} operations", EVIDENCE)
-    says(f"and {M} of them take {M * term}. The {M - 1} sums take {4 * (M - 1)}. Together {total}.", EVIDENCE)
+    adds(f"In model A a term is a 4 × 2 matrix times two measurements: {term} operations")
+    adds(f"and {M} of them take {M * term}. The {M - 1} sums take {4 * (M - 1)}. Together {total}.")
     one = burden.total(burden.steady_state(4, 2))
     says(f"a result takes {total} operations where the paper counts 108")
     assert one + 4 * (M - 1) == 108
     with_A = burden.product(4, 4, 1)
-    says(f"a step of constant gain, {one}: one term ({term}), the product with A ({with_A}) and a sum (4)", EVIDENCE)
+    adds(f"a step of constant gain, {one}: one term ({term}), the product with A ({with_A}) and a sum (4)")
     assert one == term + with_A + 4
-    says(f"108 + {M - 1} \\cdot {term} - {with_A} - 4 = {total}", EVIDENCE)
+    adds(f"108 + {M - 1} \\cdot {term} - {with_A} - 4 = {total}")
     assert total == 108 + (M - 1) * term - with_A - 4
 
 
@@ -487,9 +464,9 @@ def test_from_which_step_on_fir_pays():
     several = {L: burden.total(burden.lifted(4, 2, L)) for L in range(1, 40)}
     assert all(cost == 28 + 16 * L for L, cost in several.items())
     equal = next(L for L, cost in several.items() if cost >= total)
-    says(f"take 28 + 16 L operations, which reach {total} at L = {equal}", EVIDENCE)
+    adds(f"take 28 + 16 L operations, which reach {total} at L = {equal}")
     assert (int(np.ceil(108 / one)), int(np.ceil(total / one))) == (3, 7)
-    says(f"FIR pays from every 7th step on, not every 3rd; if steps are collected, from every {equal}th", EVIDENCE)
+    adds(f"FIR pays from every 7th step on, not every 3rd; if steps are collected, from every {equal}th")
     says("So, in operations, FIR pays for a result at every seventh step, not at every third")
     says("(for one filter for each axis, not at every fifth)")
     per_axis = burden.total(burden.steady_state(2, 1))
@@ -520,7 +497,7 @@ def test_a_fir_filter_that_subtracts_the_oldest_measurement_leaves_out_little():
 def test_the_constant_gain_may_be_used_after_20_rows():
     says("Drop the first 20 rows, in which the gain should not yet have been constant")
     says("`lfilter`, without its first 20 rows | subtract the first position, add it back")
-    before, after = re.search(r"up to ([\d.]+) m .* ([\d.]+) mm after", output_of("lfilter")).groups()
+    before, after = re.search(r"up to ([\d.]+) m .* ([\d.]+) mm after", printed_by("lfilter")).groups()
     assert float(before) > 0.5
     assert float(after) / 1000 < 0.1 * np.sqrt(settled(NOW)[2][0, 0])  # a tenth of σ
 
@@ -529,13 +506,13 @@ def test_the_constant_gain_may_be_used_after_20_rows():
 
 
 def test_what_is_printed_wrong_is_what_the_verdicts_say():
-    wrong = [each for each in stored_verdicts(NOTEBOOK) if each.verdict == "erratum"]
+    wrong = [each for each in stored_verdicts(ARTICLE.path) if each.verdict == "erratum"]
     ratios = [each for each in wrong if each.id.startswith("table4.")]
-    legible = [each for each in stored_verdicts(NOTEBOOK) if each.id.startswith("table4.") and each.printed != "?"]
+    legible = [each for each in stored_verdicts(ARTICLE.path) if each.id.startswith("table4.") and each.printed != "?"]
     totals = [f"{each.printed} where {each.computed} is right" for each in wrong if each.id.startswith("table3.")]
     says(f"two totals of operations in Table 3 ({', '.join(totals)}), the cost of FIR")
     says("four totals behind the speedups of Table 4 (1191, 118, 640 and 98 where 1207, 96, 336 and 48 are right)")
-    found = re.findall(r"\w+ [AB]: \[(\d+)\]; Table 3 prints \d+, counted (\d+)", output_of("table4-origin"))
+    found = re.findall(r"\w+ [AB]: \[(\d+)\]; Table 3 prints \d+, counted (\d+)", printed_by("table4-origin"))
     assert found == [("1191", "1207"), ("118", "96"), ("640", "336"), ("98", "48")]
     says(f"which make {len(ratios)} wrong of the {len(legible)} speedups that we could place")
     assert len(ratios) > len(legible) / 2
@@ -545,7 +522,7 @@ def test_what_is_printed_wrong_is_what_the_verdicts_say():
 
 def test_the_counts_that_fit_table_4_are_those_that_its_causes_name():
     causes = reproduction.published("2014_gsm_2d").causes
-    found = re.findall(r"(\w+ [AB]): \[(\d+)\]; Table 3 prints \d+, counted (\d+)", output_of("table4-origin"))
+    found = re.findall(r"(\w+ [AB]): \[(\d+)\]; Table 3 prints \d+, counted (\d+)", printed_by("table4-origin"))
     said = [
         re.search(r"involve (\w+), model ([AB]), fit (\d+) .* it takes (\d+)\.", each.sentence)
         for id, each in causes.items()
@@ -558,9 +535,7 @@ def test_the_counts_that_fit_table_4_are_those_that_its_causes_name():
     assert f"{right['KF A']} + {right['LF A']} + 3n with n = 4" in question["table4.1.3"]
     assert right["KF A"] + right["LF A"] + 3 * 4 == int(said[0][3])
     one, two = (taken * (right["KF B"] + right["LF B"]) + 2 * 3 * 2 for taken in (1, 2))
-    says(
-        f"the same in model B would make {one}, or {two} with both filters taken twice, and not {said[2][3]}", EVIDENCE
-    )
+    adds(f"the same in model B would make {one}, or {two} with both filters taken twice, and not {said[2][3]}")
     fit = {name: int(number) / int(right) for name, number, right in found}
     assert "off by 1 % only" in causes["table4-1191"].meaning
     assert fit["JKLF A"] == pytest.approx(0.99, abs=0.005)
@@ -568,7 +543,7 @@ def test_the_counts_that_fit_table_4_are_those_that_its_causes_name():
     assert "twice as slow" in causes["table4-98"].meaning
     assert fit["JSSKLF B"] == pytest.approx(2, abs=0.1)
     assert "Two of them reverse" in causes["table4-640"].meaning
-    assert re.search(r"counted .* 2$", output_of("table4-size"), re.MULTILINE)
+    assert re.search(r"counted .* 2$", printed_by("table4-size"), re.MULTILINE)
 
 
 SOLUTIONS = {
@@ -616,7 +591,7 @@ def test_an_exercise_is_kind_to_answers_of_another_form(judge, answer, said):
 
 
 def test_every_name_of_a_figure_is_a_figure_of_its_part():
-    for part, names in zip(parts(CELLS), ({"late", "pieces"}, {"fir_cost"}), strict=True):
+    for part, names in zip(parts(ARTICLE.cells), ({"late", "pieces"}, {"fir_cost"}), strict=True):
         drawn = set(re.findall(r'save_figure\(fig, "2014_gsm_2d_(\w+)"\)', "\n".join(map(source, part))))
         assert names <= drawn
         assert set(re.findall(r"Figure `(\w+)`", "\n".join(map(source, part)))) <= drawn

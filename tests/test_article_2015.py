@@ -5,48 +5,28 @@ import re
 
 import numpy as np
 import pytest
-from conftest import ROOT, part_one, parts, source
+from conftest import ROOT, shown
+from reading import Article
 
 import mpt_helpers as mpt
 from reproduction import burden
 from reproduction.papers_2014_2015 import article_2015 as article
 
-NOTEBOOK = ROOT / "notebooks" / "2015_mpt_3d.ipynb"
-TEXT = re.sub(r"\s+", " ", part_one(NOTEBOOK).replace("*", ""))
-CELLS = {cell["id"]: cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]}
+ARTICLE = Article("2015_mpt_3d")
+says, adds, code_of, printed_by = ARTICLE.says, ARTICLE.adds, ARTICLE.code_of, ARTICLE.printed_by
 CLOCK = {
     each["name"]: each
     for each in json.loads((ROOT / "benchmarks" / "results.json").read_text(encoding="utf-8"))["three axes"]
 }
-_, evidence = parts(list(CELLS.values()))
-PART_TWO = " ".join(
-    " ".join(source(cell) for cell in evidence if cell["cell_type"] == "markdown").replace("*", "").split()
-)
 F, G = article.AXIS.F, np.array([[0.5], [1.0]])
-
-
-def says(text):
-    """Require that the article says this; numbers in it are computed by the test."""
-    assert text in TEXT, text
-
-
-def adds(text):
-    """Require that Part II says this beside its cells; numbers in it are computed by the test."""
-    assert text in PART_TWO, text
-
-
-def printed_by(id):
-    """What a cell of the notebook prints or shows as text."""
-    texts = ["".join(out.get("text", out.get("data", {}).get("text/plain", ""))) for out in CELLS[id]["outputs"]]
-    return "\n".join(texts)
 
 
 @pytest.fixture(scope="module")
 def taught():
     """The names that the teaching cells of Part I define: step and step_with_gaps, F, H, Q, r."""
     names = {}
-    exec(source(CELLS["filter"]), names)
-    exec(source(CELLS["step-gaps"]).partition("\nX_own, P_own")[0], names)
+    exec(code_of("filter"), names)
+    exec(code_of("step-gaps").partition("\nX_own, P_own")[0], names)
     return names
 
 
@@ -102,7 +82,7 @@ def settled():
     ],
 )
 def test_a_number_of_the_article_is_printed_by_a_cell(said, id, computed):
-    (number,) = re.findall(said, TEXT)
+    (number,) = re.findall(said, ARTICLE.text)
     assert re.search(computed, printed_by(id))[1] == number
 
 
@@ -116,7 +96,7 @@ def test_a_number_of_the_article_is_printed_by_a_cell(said, id, computed):
     ],
 )
 def test_a_slip_that_part_two_names_is_printed_by_its_table(said, computed):
-    (number,) = re.findall(said, PART_TWO)
+    (number,) = re.findall(said, ARTICLE.evidence)
     assert re.search(computed, printed_by("table3"))[1] == number
 
 
@@ -275,7 +255,7 @@ def test_the_phone_of_the_ride_is_lost_four_times_as_fast():
 
 
 def test_silence_lasts_as_long_as_the_advice_says():
-    (seconds, metres) = re.findall(r"after (\d+) s of silence if you need (\d+) m", TEXT)[0]
+    (seconds, metres) = re.findall(r"after (\d+) s of silence if you need (\d+) m", ARTICLE.text)[0]
     assert article.sigma_after(int(seconds)) < int(metres) < article.sigma_after(int(seconds) + 1)
 
 
@@ -442,7 +422,7 @@ def test_the_constant_gain_costs_what_the_article_says():
 
 def test_the_frozen_filter_that_is_taught_is_the_packages(taught):
     """Its three lines, as they stand in the text, with the X of the columns and a P that has come to rest."""
-    (block,) = re.findall(r"```python\n(.*?)```", source(CELLS["save"]), flags=re.DOTALL)
+    (block,) = re.findall(r"```python\n(.*?)```", code_of("save"), flags=re.DOTALL)
     says("Then only one line of the filter is left")
     names = dict(taught) | {"P": article.covariance(200)[:2, :2], "X": np.zeros((2, 3))}
     _, z = mpt.simulate(mpt.stack(*[article.AXIS] * 3), 30, np.random.default_rng(11))
@@ -512,7 +492,7 @@ def test_an_axis_may_share_P_again_after_eight_measurements(taught):
 
 
 def test_the_stacked_axes_go_back_into_columns(taught):
-    assert "X_columns, P_shared = X_own[:, :, 0].T, P_own[0]" in source(CELLS["step-gaps"])
+    assert "X_columns, P_shared = X_own[:, :, 0].T, P_own[0]" in code_of("step-gaps")
     rng, X, P = np.random.default_rng(9), np.zeros((2, 3)), np.eye(2)
     X_own, P_own = X.T[:, :, None], np.stack([P] * 3)
     for z in rng.normal(size=(5, 3)):
@@ -556,7 +536,7 @@ def test_one_more_prediction_cures_the_papers_lag():
 
 def test_the_Q_of_an_uneven_pace_adds_up_and_is_nearly_the_papers(taught):
     motion = dict(taught)
-    exec(source(CELLS["uneven"]).partition("\nP = ")[0], motion)
+    exec(code_of("uneven").partition("\nP = ")[0], motion)
     (F_first, Q_first), (F_then, Q_then), (F_both, Q_both) = map(motion["motion"], (1.8, 0.7, 2.5))
     adds("the $Q$ of a step is the same however the step is cut")
     np.testing.assert_allclose(F_then @ Q_first @ F_then.T + Q_then, Q_both, rtol=1e-12)
@@ -573,7 +553,7 @@ def test_step_takes_the_F_and_Q_of_an_uneven_pace(taught):
     """What the cell prints is what `step` makes of the same F and Q, and step_with_gaps too."""
     says("| seconds that are not even | either, with an `F` and a `Q` for each step: `motion` in Part II |")
     motion = dict(taught)
-    exec(source(CELLS["uneven"]).partition("\nP = ")[0], motion)
+    exec(code_of("uneven").partition("\nP = ")[0], motion)
     P, sigmas, steps = article.covariance()[:2, :2], [], (0.4, 1.0, 2.6)
     P_own = np.stack([P] * 3)
     for dt in steps:
@@ -721,7 +701,7 @@ KALMAN = """\
     ],
 )
 def test_an_exercise_says_what_was_expected(taught, capsys, id, placeholder, answer, said):
-    cell = source(CELLS[id])
+    cell = code_of(id)
     assert cell.count(placeholder) == 1
     exec(cell.replace(placeholder, answer), dict(taught) | {"article": article})
     assert said in capsys.readouterr().out
@@ -743,9 +723,9 @@ ELSEWHERE = {
 
 def test_no_number_of_the_article_is_untested():
     """Each of two digits or more is printed by a cell, or listed above."""
-    outputs = " ".join(map(printed_by, (id for id, cell in CELLS.items() if cell["cell_type"] == "code")))
+    outputs = " ".join(shown(cell) for cell in ARTICLE.cells if cell["cell_type"] == "code")
     known = set(re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", outputs)) | ELSEWHERE
-    prose = re.sub(r"\]\([^)]*\)", "]", TEXT)  # links
+    prose = re.sub(r"\]\([^)]*\)", "]", ARTICLE.text)  # links
     said = re.findall(r"(?<![\w.])\d+(?:[.,]\d+)*(?:e-?\d+)?", prose)
     untested = {each for each in said if len(each) > 1 and each not in known}
     assert untested == set()

@@ -1,6 +1,5 @@
 """The article on 2016: every number in its prose is computed here, and its drawings rest on what oracles confirm."""
 
-import json
 import re
 from dataclasses import replace
 from difflib import SequenceMatcher
@@ -9,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, part_one, parts, source
+from conftest import parts, source
+from counting import Counted
+from reading import Article
 from scipy.linalg import solve_discrete_are
 from scipy.stats import multivariate_normal, norm
 
@@ -21,31 +22,10 @@ from reproduction.ledger import stored_verdicts
 from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, FAILS, HOLDS, IN_PART
 from reproduction.paper_2016 import article, readings, table1
 
-NOTEBOOK = ROOT / "notebooks" / "2016_prediction.ipynb"
-TEXT = re.sub(r"\s+", " ", part_one(NOTEBOOK).replace("*", ""))
-EVIDENCE = parts(json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"])[1]
-MARKDOWN = " ".join(source(each) for each in EVIDENCE if each["cell_type"] == "markdown")
-PART_2 = re.sub(r"\s+", " ", MARKDOWN.replace("*", ""))
+ARTICLE = Article("2016_prediction")
+says, adds, printed_by = ARTICLE.says, ARTICLE.adds, ARTICLE.printed_by
 COLUMNS = table1.columns()
 STEPS = 10_000
-
-
-def says(text):
-    """Tell whether the article says this; numbers in it are computed by the test."""
-    assert text in TEXT, text
-
-
-def part_2_says(text):
-    """Tell whether Part II says this."""
-    assert text in PART_2, text
-
-
-def printed_by(id):
-    """Return what a cell of the notebook prints."""
-    (cell,) = (each for each in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if each["id"] == id)
-    return "".join(
-        "".join(out.get("text", out.get("data", {}).get("text/plain", ""))) + "\n" for out in cell["outputs"]
-    )
 
 
 def plural(low, high):
@@ -60,7 +40,7 @@ def log_p():
 @pytest.fixture(scope="module")
 def taught():
     """The names that the code cells of the article define, but for its figures."""
-    article_cells, _ = parts(json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"])
+    article_cells, _ = parts(ARTICLE.cells)
     names = {"article": article}
     for cell in article_cells:
         if cell["cell_type"] == "code" and "save_figure(" not in source(cell):
@@ -82,7 +62,7 @@ def test_the_claim_is_told_with_the_papers_numbers():
     assert [start[-1] for start in table1.STARTS["ca"]] == [2, 3]
     printed = [number for numbers in table1.PRINTED.values() for number in numbers]
     says(f"average errors of Table 1 lie between {min(printed):.3f} and {max(printed):.3f} percent")
-    assert sum(each.id.startswith("table1.") and each.verdict in HOLDS for each in stored_verdicts(NOTEBOOK)) == 12
+    assert sum(each.id.startswith("table1.") and each.verdict in HOLDS for each in stored_verdicts(ARTICLE.path)) == 12
     says("They pass with 10,000 steps")
 
 
@@ -101,7 +81,7 @@ def test_table_1_beside_what_is_computed():
             )
             total += (folded / column.positions(axis, STEPS)).mean(axis=1) / 2
         np.testing.assert_allclose([float(each) for each in rows[row][1:]], 100 * total, atol=0.00005)
-    part_2_says(f"The pair that looks worst, {rows[2][1]} and {rows[3][1]}")
+    adds(f"The pair that looks worst, {rows[2][1]} and {rows[3][1]}")
     gaps = [abs(float(a) - float(b)) for i in (0, 2) for a, b in zip(rows[i][1:], rows[i + 1][1:], strict=True)]
     assert max(gaps) == pytest.approx(float(rows[2][1]) - float(rows[3][1]))
 
@@ -276,7 +256,7 @@ def test_the_sum_that_makes_the_first_number():
     says(f"take the first number, {table1.PRINTED['cv'][0]} percent, and remove all noise")
     assert f"{ca[-1] / STEPS:.4f}" == "0.0065"
     runs = 100 * table1.averages(COLUMNS["ca"], readings.simulated(COLUMNS, 0, 2000, 7)["ca"]["both"], [STEPS])[0]
-    part_2_says("from run to run that number has a standard deviation of 0.0015")
+    adds("from run to run that number has a standard deviation of 0.0015")
     assert runs[0].std() == pytest.approx(0.0015, abs=0.0001)
 
 
@@ -298,7 +278,7 @@ def test_the_table_would_be_smaller_had_the_filter_settled():
             settled = (error / column.positions(axis, STEPS)).mean(axis=1)
             by_axis.append(table1.expected_averages(column, axis, STEPS)[:, -1] / settled)
     (cv, ca) = np.array(by_axis[:2]), np.array(by_axis[2:])
-    part_2_says(f"By axis these are {cv.min():.1f} to {cv.max():.1f} and {ca.min():.1f} to {ca.max():.1f}")
+    adds(f"By axis these are {cv.min():.1f} to {cv.max():.1f} and {ca.min():.1f} to {ca.max():.1f}")
 
 
 def test_what_remains_without_noise():
@@ -345,7 +325,7 @@ def test_table_1_with_a_true_start_and_with_a_gain_that_varies_first():
     says(f"Given the true start, its numbers would be {plural(np.min(true), np.max(true))} times smaller")
     says(f"varied first they would be {np.min(varied):.1f} to {np.max(varied):.0f} times smaller")
     share = table1.share_of_the_start(with_true_start(COLUMNS["ca"]).mean(axis=0))[0]
-    part_2_says(f"they have {100 * share:.0f} % of the sum even for a filter with the true start")
+    adds(f"they have {100 * share:.0f} % of the sum even for a filter with the true start")
 
 
 def test_the_dashed_curve_falls_though_the_error_grows():
@@ -355,28 +335,6 @@ def test_the_dashed_curve_falls_though_the_error_grows():
 
 
 # What predictions cost
-
-
-class Counted(float):
-    """A number that counts the additions and multiplications that it takes part in."""
-
-    done = 0
-
-    def _after(self, result):
-        Counted.done += 1
-        return Counted(result)
-
-    def __add__(self, other):
-        return self._after(float(self) + float(other))
-
-    def __sub__(self, other):
-        return self._after(float(self) - float(other))
-
-    def __mul__(self, other):
-        return self._after(float(self) * float(other))
-
-    def __truediv__(self, other):
-        return self._after(float(self) / float(other))
 
 
 @pytest.mark.parametrize(("key", "expected"), [("cv", 7), ("ca", 13)])
@@ -423,9 +381,7 @@ def test_a_predictor_written_out_costs_what_filter_and_prediction_cost(key, expe
     _, (_, frozen, one, predictor, _) = article.cost_table()
     assert frozen[at] + any_position == one[at] == predictor[at] == expected
     says("costs what estimate and prediction cost together, 9 operations")
-    part_2_says(
-        "a predictor costs 9 operations, or 17 with acceleration: as much as the estimate and any one prediction"
-    )
+    adds("a predictor costs 9 operations, or 17 with acceleration: as much as the estimate and any one prediction")
 
 
 @pytest.mark.parametrize(("key", "steps", "expected"), [("cv", 1, 2), ("cv", 5, 6), ("ca", 1, 4), ("ca", 5, 13)])
@@ -577,7 +533,7 @@ def test_the_time_step_counted_in_steps_and_in_seconds():
         one_step.append(f"{ahead:.2f}")
         seconds.append(f"{later:.2f}")
         assert f"steps of {dt:g} s: {later:.2f} m" in printed_by("dt")
-    part_2_says(f"one *step* ahead: {one_step[0]}, {one_step[1]} and {one_step[2]} m".replace("*", ""))
+    adds(f"one step ahead: {one_step[0]}, {one_step[1]} and {one_step[2]} m")
     says(f"five seconds ahead goes from {seconds[0]} to {seconds[2]} m, a fifth more")
     now = [sigma_by_hand("cv", 0, dt, 0) for dt in (0.5, 2.0)]
     says(f"Today's goes from {now[0]:.2f} to {now[1]:.2f} m, half more")
@@ -597,7 +553,7 @@ def test_two_half_steps_make_one():
 
 def test_why_the_time_step_hardly_matters():
     short, double = (np.sqrt(long_loop(dt)[1, 1]) for dt in (0.01, 0.02))
-    part_2_says("as its eighth root: 9 % for a step twice as long")
+    adds("as its eighth root: 9 % for a step twice as long")
     assert double / short == pytest.approx(2 ** (1 / 8), rel=0.005)
     assert f"{100 * (2 ** (1 / 8) - 1):.0f}" == "9"
     most = {}
@@ -605,8 +561,8 @@ def test_why_the_time_step_hardly_matters():
         sigma = [article.settled_sigma(table1.columns(dt=dt, r=table1.R / dt)[key], [5])[0] for dt in (0.5, 1, 2)]
         assert sigma[0] > sigma[1] > sigma[2]
         most[key] = 100 * (max(sigma[0] / sigma[1], sigma[1] / sigma[2]) - 1)
-    part_2_says(f"the other way round, by {most['cv']:.0f} % at most, and by {most['ca']:.0f} % with acceleration")
-    part_2_says(f"tells the middle of its interval: at 20 m/s and 2 s, {20 * 2 / 2:.0f} m behind")
+    adds(f"the other way round, by {most['cv']:.0f} % at most, and by {most['ca']:.0f} % with acceleration")
+    adds(f"tells the middle of its interval: at 20 m/s and 2 s, {20 * 2 / 2:.0f} m behind")
 
 
 def long_loop(dt):
@@ -629,14 +585,14 @@ def test_the_odds_of_percent(log_p):
     ratio = article.odds(log_p)
     of_axes = [article.odds(log_p, [axis]) for axis in table1.AXES]
     assert ratio == pytest.approx(30, rel=0.3)
-    assert re.search(r"one rule for both columns, axis and length open +30\n", printed_by("odds"))
+    assert re.search(r"(?m)one rule for both columns, axis and length open +30$", printed_by("odds"))
     assert 6 / 1.3 < min(of_axes) < 6 * 1.3
     assert 80 / 1.3 < max(of_axes) < 80 * 1.3
-    part_2_says("If each column may have its own axis, length and noise, it is an even bet")
-    assert re.search(r"each column its own axis, length and noise +1\n", printed_by("odds"))
+    adds("If each column may have its own axis, length and noise, it is an even bet")
+    assert re.search(r"(?m)each column its own axis, length and noise +1$", printed_by("odds"))
     own = np.prod([article.odds(log_p, keys=[key]) for key in COLUMNS])
     assert 3 < own < 8  # with the process noise as it is for each unit: no even bet
-    part_2_says("or reaches 20 km/s at 2 m/s²")
+    adds("or reaches 20 km/s at 2 m/s²")
     assert 2 * STEPS * table1.DT == 20_000
 
 
@@ -736,7 +692,7 @@ def test_probability_is_a_mean_over_axes_and_lengths():
 
 
 def test_the_formulas_that_fail_are_those_that_the_article_names():
-    wrong = {each.id for each in stored_verdicts(NOTEBOOK) if each.kind == "formula" and each.verdict in FAILS}
+    wrong = {each.id for each in stored_verdicts(ARTICLE.path) if each.kind == "formula" and each.verdict in FAILS}
     assert wrong == {"table2.operation.1", "table2.operation.2"}
     says(
         "since Table 2 multiplies $A_N$ by the wrong $x$ for $N$ above 1, and in one row $B_N$ by the next measurement"
@@ -745,7 +701,7 @@ def test_the_formulas_that_fail_are_those_that_the_article_names():
 
 def test_what_rests_on_one_character_has_no_verdict():
     """Each printed text is one character away from what is right: alike for all four, and for P_k of 2007."""
-    verdicts = {each.id: each for each in stored_verdicts(NOTEBOOK)}
+    verdicts = {each.id: each for each in stored_verdicts(ARTICLE.path)}
     items = reproduction.published("2016_prediction").items
     right = {"eq6.q": items["sec52.q"].printed}
     right["pairs"] = items["pairs"].printed.replace("Fᵀ Q", "F Q")
@@ -762,7 +718,7 @@ def test_what_rests_on_one_character_has_no_verdict():
 
 def test_the_finding_of_the_ledger_has_the_number_of_the_notebook():
     """The sentence on the time step, against the verdict's own factors; the other three hold by the same rule."""
-    verdicts = {each.id: each for each in stored_verdicts(NOTEBOOK)}
+    verdicts = {each.id: each for each in stored_verdicts(ARTICLE.path)}
     sentence = reproduction.published("2016_prediction").causes["time-step"].sentence
     for key, part in product(COLUMNS, ("estimation", "prediction")):
         given = verdicts[f"{key}.{part}.dt"]

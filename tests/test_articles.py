@@ -5,11 +5,10 @@ import dis
 import re
 
 import pytest
-from conftest import parts, source
+from conftest import GIVES_A_VERDICT, parts, source
 
 DRAWS = re.compile(r"\b(plt|ax|axes|panel)\s*[.\[]|\bplots\.(panels|finish|legend_below)\b|\bmatplotlib\b")
 COUNTS = re.compile(r"\b\d+ (slip|wording|finding|cell)s?\b|\b\d+ of \d+ claims\b")
-GIVES_A_VERDICT = re.compile(r"\bpaper\.(check|claim|cannot_check|report)\(")
 
 
 @pytest.fixture
@@ -17,10 +16,6 @@ def article(notebook):
     """The key of a notebook in two parts, and both."""
     key, cells = notebook
     return key, *parts(cells)
-
-
-def prose(cells):
-    return [source(cell) for cell in cells if cell["cell_type"] == "markdown"]
 
 
 def code(cells):

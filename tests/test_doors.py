@@ -31,7 +31,7 @@ NO_STEADY = [*NO_FILTER, KF, AHEAD, FIR]
 
 
 def no_array(good):
-    """What is no array of finite numbers of this shape."""
+    """Values that are no array of finite numbers of this shape."""
     good = np.array(good, float)
     lost, infinite = good.copy(), good.copy()
     lost.flat[-1], infinite.flat[0] = NAN, -INF
@@ -225,7 +225,7 @@ def test_there_are_hundreds_of_cases():
 
 
 class NullableColumn:
-    """What a pandas DataFrame of type Float64 shows of itself: objects, NA where a number is missing."""
+    """A pandas DataFrame of type Float64 as it shows itself: objects, NA where a number is missing."""
 
     def __init__(self, values):
         self.values = values
@@ -249,7 +249,7 @@ def test_pandas_itself():
 
 
 class Times:
-    """What pandas shows of times with a zone, which it also turns into whole numbers since 1970."""
+    """Times with a zone as pandas shows them; it also turns them into whole numbers since 1970."""
 
     def __array__(self, dtype=None, copy=None):
         return np.array([datetime(2024, 1, 1, tzinfo=UTC), datetime(2024, 1, 2, tzinfo=UTC)], dtype=object)

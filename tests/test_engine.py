@@ -244,7 +244,7 @@ def test_a_gain_that_never_settles_takes_a_track_without_gaps_through_columns(ma
 @pytest.mark.parametrize("P0", [0.0, 1.0])
 @pytest.mark.parametrize("name", ["gps_ins", "gsm", "dense"])
 def test_the_smoother_is_dense_conditioning(name, P0):
-    """Where P(k+1/k) is singular too: a start known exactly, a constant bias, noise of one direction."""
+    """Also where P(k+1/k) is singular: a start known exactly, a constant bias, noise of one direction."""
     model = {"gps_ins": mpt.gps_ins(1.0, 0.01, (1.0, 0.1)), "gsm": AXIS, "dense": dense_model(2)}[name]
     model = replace(model, P0=P0 * np.eye(model.n), x0=np.ones(model.n))
     F, H, Q, R, x0, _ = matrices(model)
@@ -434,6 +434,34 @@ def test_a_step_of_two_filters_of_different_gains_is_refused():
     for join in (mpt.JoinFilter(kf, steady), mpt.JoinFilter(steady, other)):
         with pytest.raises(TypeError, match="step: needs two filters of the same gain"):
             join.step(np.zeros(2), np.eye(2), [0.0])
+
+
+UNSEEN = mpt.LinearModel(
+    F=np.diag([1, 0.5]), H=[[1, 0]], Q=np.eye(2), R=[[1]]
+)  # of the second state nothing is measured
+EQUAL_BUT_FOR_ROUNDING = {"two axes": (AXIS, AXIS), "an unseen state and an axis": (UNSEEN, AXIS)}
+
+
+@pytest.mark.parametrize("models", EQUAL_BUT_FOR_ROUNDING.values(), ids=EQUAL_BUT_FOR_ROUNDING)
+def test_gains_are_equal_where_one_solver_has_zero_and_the_other_its_rounding(models):
+    """Of two axes the gain of one for the measurement of the other is zero by one solver, 2e-48 by the other."""
+    model = mpt.stack(*models)
+    joint = mpt.six_filters(model)["JSSKLF"]
+    z = np.ones(model.m)
+    x, P = joint.step(model.x0, joint.P0, z)
+    np.testing.assert_allclose(x, joint.filter([z])[0], rtol=1e-12)
+    np.testing.assert_allclose(P, joint.covariances(1)[0], rtol=1e-12, atol=1e-15)
+
+
+def test_gains_are_compared_state_by_state():
+    """A state in km has a gain a thousandth of that in m: a tenth more of it is a tenth more."""
+    unit = np.array([1.0, 1e7])
+    model = mpt.LinearModel(F=AXIS.F * unit / unit[:, None], H=AXIS.H * unit, Q=AXIS.Q / np.outer(unit, unit), R=AXIS.R)
+    steady = mpt.SteadyStateFilter.from_kalman(model)
+    B = steady.B * [[1.0], [1.1]]
+    other = mpt.SteadyStateFilter(model, A=(np.eye(2) - B @ model.H) @ model.F, B=B, P=steady.P)
+    with pytest.raises(TypeError, match="step: needs two filters of the same gain"):
+        mpt.JoinFilter(steady, other).step(np.zeros(2), steady.P, [0.0])
 
 
 def wrappers(kf):

@@ -9,7 +9,7 @@ import sys
 
 import nbformat
 import pytest
-from conftest import NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT, cells_of
 
 from reproduction.__main__ import main
 from reproduction.ledger import keys, published, stored_verdicts
@@ -28,6 +28,10 @@ import sys
 sys.path.insert(0, "docs")
 import pages
 pages.main()"""
+# What `make reproduce` does, for the new paper only: one process imports all that it needs.
+MAKES = f"""\
+from reproduction.__main__ import main
+assert main(["reproduce", "{KEY}"]) == main(["readme"]) == 0"""
 
 
 def blocks(kind):
@@ -62,8 +66,7 @@ def copy(tmp_path_factory):
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("\n\n**Everything again", f"\n{line}\n**Everything again", 1), encoding="utf-8")
     write_the_notebook(copy / "notebooks" / f"{KEY}.ipynb")
-    run(copy, "-m", "reproduction", "reproduce", KEY)
-    run(copy, "-m", "reproduction", "readme")
+    run(copy, "-c", MAKES)
     return copy
 
 
@@ -81,7 +84,7 @@ def write_the_notebook(path):
 
 @pytest.fixture
 def said(copy, monkeypatch, capsys):
-    """What the command line says of the copy's verdicts."""
+    """A function that returns the words of the command line on the copy's verdicts."""
 
     def said(*arguments):
         monkeypatch.setattr("reproduction.ledger.paper.FOLDER", copy / "reproduction" / "ledger")
@@ -136,7 +139,7 @@ def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
 
 
 def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
-    cells = [cell for path in NOTEBOOKS for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]]
+    cells = [cell for path in NOTEBOOKS for cell in cells_of(path)]
     folded = [cell["metadata"] for cell in cells if "ledger" in cell["metadata"].get("tags", [])]
     assert [each for each in folded if each != FOLDED] == []
 

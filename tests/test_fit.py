@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mpt_helpers as mpt
-from mpt_helpers import fitting, metrics, tracks
+from mpt_helpers import fitting, metrics, search, tracks
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -51,7 +51,7 @@ def said_by(call):
 @settings(max_examples=25, deadline=None)
 @given(SEEDS)
 def test_twice_all_covariances_leave_the_estimates_and_make_S_twice_as_large(seed):
-    """What the search along a ratio rests on, with times, gaps and variances of each fix."""
+    """The search along a ratio rests on it; with times, gaps and variances of each fix."""
     rng = np.random.default_rng(seed)
     n, m, N = 2 * rng.integers(1, 3), 2, 30
     one = mpt.constant_velocity(1.0, *rng.uniform(0.1, 2, 2), x0=rng.standard_normal(2), P0=np.eye(2))
@@ -99,8 +99,8 @@ def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(name, m
     make, scales = MAKES[name]
     z = mpt.simulate(axis(0.04, 0.5), 300, np.random.default_rng(4))[1]
     start = []
-    search = fitting._start_of_the_search
-    monkeypatch.setattr(fitting, "_start_of_the_search", lambda *each: start.append(search(*each)) or start[0])
+    find = fitting._start_of_the_search
+    monkeypatch.setattr(fitting, "_start_of_the_search", lambda *each: start.append(find(*each)) or start[0])
     found = quiet_fit(make, z, q=1.0, r=1.0)
     assert (start[0] is not None) == scales
     monkeypatch.setattr(fitting, "_start_of_the_search", lambda *_: None)
@@ -182,7 +182,7 @@ def test_differences_are_the_derivatives_of_a_quadratic_function(seed):
     def function(x):
         return np.array([g @ x + x @ H @ x / 2, 1.0, -x.sum()])
 
-    here, gradient, second = fitting._differences(function, point)
+    here, gradient, second = search.differences(function, point)
     np.testing.assert_array_equal(here, function(point))
     np.testing.assert_allclose(gradient, np.stack([g + H @ point, np.zeros(d), -np.ones(d)], axis=1), atol=1e-9)
     np.testing.assert_allclose(second[..., 0], H, atol=1e-7)
@@ -193,7 +193,7 @@ def test_the_covariance_of_scores_is_that_of_their_sum():
     """Of the sums of 20 independent scores, over 4000 of them, apart from Student's factor (2.093 / 1.960)."""
     scores = np.random.default_rng(1).standard_normal((4000, 2, 20)) * np.array([[1.0], [3.0]])
     scores -= scores.mean(axis=2, keepdims=True)
-    J = np.mean([fitting._covariance_of_scores(each) for each in scores], axis=0)
+    J = np.mean([fitting.covariance_of_scores(each) for each in scores], axis=0)
     np.testing.assert_allclose(np.diag(J), 20 * np.array([1.0, 9.0]) * (2.093 / 1.960) ** 2, rtol=0.03)
 
 
@@ -226,6 +226,17 @@ def test_blocks_hold_as_many_fixes_each_whatever_is_missing():
         sizes = np.unique(blocks.of_rows[:, track][seen[:, track]], return_counts=True)[1]
         assert sizes.max() - sizes.min() <= 1
     assert len(np.unique(blocks.of_rows[seen])) == blocks.count
+
+
+@pytest.mark.parametrize(
+    ("N", "M", "count"), [(2000, 19, 38), (2000, 11, 22), (3000, 3, 21), (360, 5, 10), (360, 20, 20)]
+)
+def test_tracks_are_cut_into_equally_many_blocks_the_fewest_that_make_as_many_as_one_track(N, M, count):
+    blocks = blocks_of(np.zeros((N, 1, M)))
+    assert blocks.count == count
+    of_one = blocks_of(np.zeros((N * M, 1))).count
+    assert count - M < of_one <= count  # one less in each track would not do
+    assert {len(np.unique(blocks.of_rows[:, track])) for track in range(M)} == {count // M}
 
 
 def test_an_hour_between_two_stretches_makes_no_empty_block():

@@ -67,6 +67,15 @@ def test_a_receiver_that_stood_still_and_caught_up_is_refused_where_it_stood(tra
     assert number.max() == 0
 
 
+def test_the_example_of_a_receiver_that_stood_still():
+    """The fixes of 30 m, at 30 to 33 s, in the middle of a track that moves 1 m a second."""
+    z, times = np.arange(80.0)[:, None], np.arange(80.0)
+    z[30:34] = 30.0
+    way = gate._Way([list(range(80))], z, times, np.zeros(80, dtype=int))
+    (left,) = gate._without_stuck_ones([list(range(80))], way)
+    assert left == [*range(30), *range(34, 80)]
+
+
 @pytest.mark.parametrize(("rest", "braking"), [(15, 40), (150, 1)])
 def test_a_rest_before_a_jump_is_not_taken_for_a_receiver_without_signal(rest, braking):
     """It had slowed down before; or it came far faster than it would have gone on."""

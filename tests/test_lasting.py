@@ -182,7 +182,7 @@ def test_a_bad_half_makes_the_floor_and_widens_what_is_known():
 
 @pytest.mark.filterwarnings("ignore:fit_lasting")
 def test_a_long_log_is_thinned(monkeypatch):
-    monkeypatch.setattr(mpt.lasting, "MOST_FIXES", 200)
+    monkeypatch.setattr(mpt.lasting, "MOST_ROWS", 200)
     t, z = log_at_rest(5, N=600)
     found, every_third = fit_lasting((t, z)), fit_lasting((t[::3], (z - z.mean() + z[::3].mean())[::3]))
     np.testing.assert_allclose(found.tau, every_third.tau, rtol=1e-3)
@@ -221,10 +221,40 @@ def test_an_average_skips_stretches_with_a_missing_fix():
         memory((t, cut), 200)
 
 
+@pytest.mark.parametrize("span", [200, 201, 300])
+def test_a_log_as_short_as_the_span_is_refused(span):
+    with pytest.raises(ValueError, match=f"log: needs two fixes {span} s apart, got none"):
+        memory((np.arange(200.0), np.sin(np.arange(200.0))), span)
+
+
+def test_a_log_without_two_fixes_a_span_apart_is_refused():
+    t = np.append(np.arange(150.0), 400.0)  # a stretch of 150 fixes, but none 150 s after another
+    with pytest.raises(ValueError, match="log: needs two fixes 150 s apart, got none"):
+        memory((t, np.sin(t)), 150)
+
+
+def test_missing_fixes_are_no_fixes():
+    t, z = log_at_rest(3, N=150)
+    z[99:] = np.nan
+    with pytest.raises(ValueError, match="log: needs at least 100 fixes on each axis, got 99"):
+        fit_lasting((t, z))
+
+
+@pytest.mark.filterwarnings("ignore:fit_lasting")
+def test_a_gap_that_would_thin_a_log_to_nothing_is_refused_with_the_way_out():
+    """800 fixes and a week between two halves of them: of 20,560 rows every 14th is taken, and 58 fixes remain."""
+    t, z = log_at_rest(1, N=800, dt=30.0)
+    apart = np.where(np.arange(800) < 400, t, t + 7 * 86400)
+    with pytest.raises(ValueError, match=r"log: needs at least 100 fixes .*, got 58; give parts .* as logs"):
+        fit_lasting((apart, z))
+    found = fit_lasting((apart[:400], z[:400]), (apart[400:], z[400:]))
+    np.testing.assert_array_equal(found.r, fit_lasting((t[:400], z[:400]), (t[400:], z[400:])).r)
+
+
 BAD_LOGS = [
     ((), "logs: needs at least one pair"),
     (([1, 2, 3],), r"log: needs a pair \(t, z\), got list"),
-    (((np.arange(50.0), np.ones(50)),), "log: needs at least 100 fixes, got 50"),
+    (((np.arange(50.0), np.ones(50)),), "log: needs at least 100 fixes on each axis, got 50"),
     (
         ((np.arange(200.0), np.ones(100)),),
         r"log: needs times \(N,\) and positions .* got shapes \(200,\) and \(100, 1\)",
@@ -232,7 +262,7 @@ BAD_LOGS = [
     (((np.arange(200.0)[::-1], np.ones(200)),), "t: needs times that increase, got 199 and then 198"),
     (((np.where(np.arange(200) == 7, np.nan, np.arange(200)), np.ones(200)),), "t: needs a time of each fix"),
     (((np.cumsum(np.where(np.arange(200) == 50, 0.1, 1.0)), np.ones(200)),), "t: needs times at one step, here 1 s"),
-    (((np.arange(200.0), np.full(200, np.nan)),), "z: needs fixes on each axis"),
+    (((np.arange(200.0), np.full(200, np.nan)),), "log: needs at least 100 fixes on each axis, got 0"),
     ((log_at_rest(0), log_at_rest(0, dt=30.0)), "logs: needs one step and one number of axes, got steps of 30 to 60 s"),
 ]
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import NOTEBOOKS, PAPER, ROOT, parts, source
+from conftest import NOTEBOOKS, PAPER, ROOT, cells_of, parts, source
 
 import reproduction
 from reproduction.ledger import Item, Verdicts, keys, read_paper, shipped_verdicts, stored_verdicts
-from reproduction.ledger.verdicts import BASES, HOLDS, MIME
+from reproduction.ledger.verdicts import BASES, HOLDS, MIME, OF_CLAIMS
 
 GRID = """
 items = []
@@ -226,16 +226,17 @@ def test_causes_are_counted_with_their_cells_and_claims_apart(paper):
     assert Verdicts([]).tally().causes_text() == "nothing wrong"
 
 
-def test_the_bar_of_claims_has_every_claim_once(paper):
+def test_a_tally_has_every_claim_once(paper):
     given = []
     for holds in (True, True, False, {"x": True, "y": False}):
         given.append(paper.claim("equal", holds, "", basis="exact", cause="one-missing"))
     paper.check("count", 17)
     given.append(paper.claim("equal", False, "", basis="exact", cause="one-missing", against=["count"]))
     given.append(paper.cannot_check("equal", "It does not say when."))
-    bar = Verdicts(given, paper.report().causes).tally().claims_bar()
+    claims = Verdicts(given, paper.report().causes).tally().claims
     words = ["hold", "hold under a condition", "fail", "contradict their own paper", "cannot be checked"]
-    assert bar == list(zip(words, [2, 1, 1, 1, 1], strict=True))
+    counts = {OF_CLAIMS[verdict]: count for verdict, count in claims.items()}
+    assert counts == dict(zip(words, [2, 1, 1, 1, 1], strict=True))
 
 
 def test_a_grid_is_one_item_for_each_cell_that_holds_one():
@@ -406,7 +407,7 @@ def test_every_item_has_a_verdict_and_the_package_ships_what_the_notebook_stores
 def test_the_notebook_counts_causes_with_their_cells_and_claims_apart(key):
     """In the cell that opens Part II, or in the text of a notebook that has one part."""
     shipped = shipped_verdicts(key)
-    article, evidence = parts(json.loads((ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8"))["cells"])
+    article, evidence = parts(cells_of(ROOT / "notebooks" / f"{key}.ipynb"))
     places = evidence[:1] or [cell for cell in article if cell["cell_type"] == "markdown"]
     said = "\n\n".join(map(source, places)).replace("*", "")
     tally = shipped.tally()

@@ -6,43 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from motions import TAU, Forgetful, Singer
 from oracles import gaussian_conditioning_of_steps, plain_loop, van_loan
 
 import mpt_helpers as mpt
 from mpt_helpers import bands, engine, metrics
 from mpt_helpers.immutable import Immutable
 from mpt_helpers.motion import Motion, OneLength, Powers, SideBySide, matrices
-
-TAU = 4.0
-
-
-@dataclass(frozen=True)
-class Forgetful(Motion):
-    """A velocity that is forgotten within tau seconds (Ornstein-Uhlenbeck), as in the docstring of `motion`."""
-
-    dt: float
-    tau: float
-    q: float
-
-    def over(self, length):
-        T = np.asarray(length) * self.dt
-        a, b = np.exp(-T / self.tau), -np.expm1(-T / self.tau)
-        Q_sv = self.tau**2 * b**2 / 2
-        Q = [[self.tau**2 * (T - self.tau * (b + b**2 / 2)), Q_sv], [Q_sv, self.tau * b * (1 + a) / 2]]
-        return matrices([[1, self.tau * b], [0, a]]), self.q * matrices(Q)
-
-
-@dataclass(frozen=True)
-class Singer(Motion):
-    """An acceleration that is forgotten within tau seconds: F and Q by van Loan's exponential of one matrix."""
-
-    dt: float
-    tau: float
-    q: float
-
-    def over(self, length):
-        A = np.array([[0, 1, 0], [0, 0, 1], [0, 0, -1 / self.tau]])
-        return van_loan(A, [0, 0, self.q], np.asarray(length)[..., None, None] * self.dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,3 +380,22 @@ def test_a_motion_of_no_lengths_has_no_matrices():
 def test_the_motion_of_a_model_makes_it_again(model):
     again = mpt.LinearModel(motion=model.motion, H=model.H, R=model.R, x0=model.x0, P0=model.P0)
     assert again == model
+
+
+@dataclass(frozen=True)
+class Powerful(Motion):
+    """A motion of a user's own with a field that happens to be called `powers`."""
+
+    dt: float
+    powers: float
+
+    def over(self, length):
+        return mpt.constant_velocity(self.dt, self.powers, 1.0).over(length)
+
+
+def test_powers_of_ones_own_are_no_powers_of_the_length():
+    model = mpt.LinearModel(motion=Powerful(0.5, 3.0), H=[[1, 0]], R=[[1]])
+    assert model.powers is None
+    assert replace(model, x0=[1, 2]).motion == Powerful(0.5, 3.0)
+    assert mpt.stack(model, model).powers is None
+    np.testing.assert_array_equal(model.Q, mpt.constant_velocity(0.5, 3.0, 1.0).Q)

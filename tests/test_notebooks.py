@@ -7,7 +7,7 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
-from conftest import NOTEBOOKS, ROOT, source
+from conftest import GIVES_A_VERDICT, NOTEBOOKS, ROOT, cells_of, source
 from matplotlib.image import imread
 
 from reproduction.execute import tidied
@@ -16,7 +16,6 @@ from reproduction.ledger.verdicts import MIME
 
 FIGURES = ROOT / "figures"
 WIDTH = 110  # characters of a line that a reader must read
-GIVES_A_VERDICT = re.compile(r"\bpaper\.(check|claim|cannot_check|report)\(")
 
 
 def code(cells):
@@ -88,7 +87,7 @@ def test_every_figure_in_a_notebook_is_saved_and_committed(notebook):
 
 
 def test_every_committed_figure_is_made_by_a_notebook():
-    made = {name for path in NOTEBOOKS for name in figure_names(json.loads(path.read_text(encoding="utf-8"))["cells"])}
+    made = {name for path in NOTEBOOKS for name in figure_names(cells_of(path))}
     files = {f"{name}.{kind}" for name in made for kind in ("png", "svg")}
     assert files == {path.name for path in FIGURES.iterdir()}
     if not (ROOT / ".git").exists():

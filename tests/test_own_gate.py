@@ -22,7 +22,7 @@ def impatient():
 
 
 def a_loop(model, t, z, r):
-    """Which rows of one track (N, 2) a plain Kalman filter with this gate takes."""
+    """A mask of the rows of one track (N, 2) that a plain Kalman filter with this gate takes."""
     x, P, at, refused, mask = model.x0, model.P0, t[0] - model.dt, 0, []
     for t_k, z_k, r_k in zip(t, z, r, strict=True):
         F, Q = model.over((t_k - at) / model.dt)

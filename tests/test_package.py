@@ -24,10 +24,10 @@ PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
 CORE = ["checks", "immutable", "algebra", "steps", "equations", "motion", "epochs", "columns", "partition", "engine"]
 CORE += ["smoothing", "model", "riccati", "recursive", "filters", "steady", "predictor", "combined", "bands"]
-CORE += ["metrics", "fitting", "lasting"]
+CORE += ["metrics", "search", "fitting", "lasting"]
 OF_THE_CORE = {name: {each for each in CORE if CORE.index(each) < CORE.index(name)} for name in CORE}
 ARRAYS_ONLY = {"algebra": set(), "steps": set(), "equations": set(), "epochs": set(), "columns": {"algebra"}}
-ARRAYS_ONLY |= {"partition": {"equations", "steps"}}
+ARRAYS_ONLY |= {"partition": {"equations", "steps"}, "search": set()}
 OF_THE_CORE |= ARRAYS_ONLY | {"monte_carlo": {"checks"}}
 OTHERS = {
     "plots": set(),
@@ -36,7 +36,7 @@ OTHERS = {
     "recordings": {"checks"},
     "geodesy": {"checks"},
     "report": {"recordings", "geodesy", "plots"},
-    "cleaning": {"checks", "gate", "bands", "metrics", "report", "files", "filters", "model", "recordings"},
+    "cleaning": {"checks", "gate", "bands", "metrics", "report", "files", "filters", "fitting", "model", "recordings"},
     "tracks": {"checks", "geodesy", "cleaning", "recordings"},
     "track_command": {"tracks", "report", "recordings", "files"},
 }
@@ -134,7 +134,7 @@ print((now() - start) / libraries, *sys.modules)"""
 
 
 def imported():
-    """Return how many times its libraries' processor time an import of the package takes, and all that is loaded."""
+    """Return the processor time of an import of the package over that of its libraries, and all that is loaded."""
     run = subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True)
     cost, *loaded = run.stdout.split()
     return float(cost), set(loaded)

@@ -12,7 +12,7 @@ import numpy as np
 import pages
 import pytest
 import speed
-from conftest import NOTEBOOKS, ROOT
+from conftest import NOTEBOOKS, ROOT, cells_of, prose
 
 import mpt_helpers as mpt
 from reproduction import burden
@@ -164,7 +164,8 @@ def test_the_table_of_filters_counts_the_operations_of_the_papers(by_id):
 def test_a_corrected_formula_is_what_the_operations_give(given):
     """The formulas of papers.toml, which no verdict holds: against the operations counted one by one."""
     corrected = pages.texts(given)["corrected"]["2014_gsm_2d"]
-    right = {f"{id}": re.split("≥|=|for", corrected[id])[0 if id.startswith("mu") else -1] for id in corrected}
+    formulas = {id: each for id, each in corrected.items() if isinstance(each, str)}
+    right = {id: re.split("≥|=|for", formulas[id])[0 if id.startswith("mu") else -1] for id in formulas}
     for M in range(1, 30):
         a, b = (count * burden.total(burden.fir(n, m, M)) for count, n, m in ((1, 4, 2), (2, 2, 1)))
         steady = [count * burden.total(burden.steady_state(n, m)) for count, n, m in ((1, 4, 2), (2, 2, 1))]
@@ -194,6 +195,9 @@ def test_a_cell_that_our_copy_has_lost_shows_what_was_counted_and_why_it_is_lost
     assert corrections.entry(gone, {})[:3] == ("row 1", "[0.206]", "")
     assert corrections.entry(unknown, {})[:3] == ("row 1", "?", "")
     assert corrections.lost(Verdicts([gone, verdict("t")], cause)) == {"Table 4": "Our copy has lost a cell."}
+    doubtful = corrections.entry(gone, {"g": corrections.Patch("0.3", "0.2")})
+    assert doubtful[:3] == ("row 1", "0.3", "0.2")
+    assert doubtful.if_printed
 
 
 def test_a_page_of_corrections_has_the_tables_whole_and_what_is_wrong_beside_what_is_right():
@@ -219,24 +223,145 @@ def test_a_page_of_corrections_has_the_tables_whole_and_what_is_wrong_beside_wha
     assert corrections.names_of_rows([fine, wrong]) == {1: "A, KF", 2: "B, LF"}
 
 
-def test_what_a_paper_leaves_out_is_asked_and_what_our_copy_lost_is_not():
+def test_rows_of_one_slip_in_one_table_are_struck_one_by_one():
+    cause = {("p", "operands"): Cause("operands", "slip", "Two operands are late.", "Count on.")}
+    fails = {"kind": "formula", "cause": "operands"}
+    rows = [
+        verdict(f"r.{i}", f"Table 2, prediction, row {i}", outcome, printed=printed, **fails)
+        for i, (outcome, printed) in enumerate([("holds in part", "A x"), ("erratum", "B y"), ("erratum", "C")], 1)
+    ]
+    fine = verdict("size", "Table 2, estimation, row 1", kind="formula", printed="n")
+    right = {"r.1": "A x(k-1)", "r.2": "B y(k)", "r.3": "C(k)"}
+    given = Verdicts([fine, *rows], cause)
+    (section,) = corrections.sections(given, corrections.read(given, right))
+    ((title, entries, columns),) = section.tables
+    assert (title, columns) == ("Table 2", 0)
+    assert [each[:3] for each in entries] == [
+        ("prediction, row 1", "A x", "A x(k-1)"),
+        ("prediction, row 2", "B y", "B y(k)"),
+        ("prediction, row 3", "C", "C(k)"),
+    ]
+
+
+def test_a_word_is_struck_where_it_stands_and_under_a_condition_where_it_cannot_be_checked():
+    causes = {
+        ("p", "count"): Cause("count", "wording", "Two for three.", "Nothing."),
+        ("p", "copy"): Cause("copy", "copy", "One letter.", "Nothing."),
+    }
+    wrong = verdict("b", "Section 5", "erratum", "count", kind="claim", printed="it needs two filters")
+    unread = verdict("p", "After Eq. 11", "cannot be checked", "copy", kind="claim", printed="P_k is the noise's")
+    fine = verdict("f", kind="claim", printed="one of two")
+    lost = verdict("g", "Table 4, row 1", "cannot be checked", "copy", printed="?", computed="0.206")
+    given = Verdicts([wrong, unread, fine, lost], causes)
+    written = {
+        "g": {"printed": "0.3", "right": "0.206"},
+        "p": {"printed": "P_k", "right": "R_k"},
+        "b": {"before": "it needs", "printed": "two", "right": "three", "after": "filters"},
+        "f": {"printed": "two", "right": "three"},
+    }
+    corrected = corrections.read(given, written)
+    assert list(corrected) == ["b", "p", "f", "g"]
+    assert corrections.in_text(given, corrected) == [(("two", "three", "it needs", "filters", ""), wrong)]
+    assert corrections.if_printed(given, corrected) == [(("P_k", "R_k", "", "", ""), unread)]
+    assert corrections.sections(given, corrected) == []
+
+
+def test_a_correction_that_strikes_what_is_not_printed_or_lacks_a_part_stops_the_build():
+    given = Verdicts([verdict("b", "Section 5", kind="claim", printed="it needs two filters")])
+    for wrong, said in (
+        ({"printed": "four", "right": "three"}, "'b' strikes 'four', not found in 'it needs two filters'"),
+        ({"printed": "two"}, "'b' needs printed and right, which differ"),
+        ({"printed": "two", "right": "two"}, "'b' needs printed and right, which differ"),
+        ({"printed": "two", "right": "three", "because": "so"}, "'b' needs printed and right, which differ"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            corrections.read(given, {"b": wrong})
+    with pytest.raises(KeyError, match="gone"):
+        corrections.read(given, {"gone": "x"})
+
+
+def test_a_lost_cell_is_struck_under_a_condition_only_where_its_twin_in_print_is_wrong(given, by_id):
+    """Columns 4 and 5 of Table 4 are of filters with as many operations: what is printed in one stands in the other."""
+    key = "2014_gsm_2d"
+    corrected = corrections.read(given.of(key), pages.texts(given)["corrected"][key])
+    lost = [each for each in given.of(key) if re.fullmatch(r"table4\.\d+\.5", each.id) and each.printed == "?"]
+    assert lost
+    for each in lost:
+        twin = by_id[key, f"{each.id[:-1]}4"]
+        expected = (twin.printed, corrections.rounded(twin)) if twin.verdict in FAILS else None
+        assert (corrected[each.id][:2] if each.id in corrected else None) == expected, each.id
+
+
+def test_nothing_is_both_asked_and_corrected(given):
+    """A conditional correction says what a question would: the reader answers it once."""
+    about = pages.texts(given)
+    for key in keys():
+        corrected = corrections.read(given.of(key), about["corrected"].get(key, {}))
+        patched = [id for id, right in corrected.items() if isinstance(right, corrections.Patch)]
+        assert not set(patched) & set(about["questions"].get(key, {}))
+
+
+def test_a_remark_stands_once_with_all_its_claims_and_repeats_no_question_and_no_correction():
+    causes = {
+        ("p", "join"): Cause("join", "slip", "One is missing.", "Count two."),
+        ("p", "late"): Cause("late", "finding", "One step late.", "Mind H."),
+    }
+    same = [verdict(id, beyond="In metres, a factor of 2.") for id in "ab"]
+    asked = verdict("c", beyond="The paper does not say.")
+    wrong = verdict("d", "Table 3", "erratum", "join", beyond="Not as in Table 5.")
+    part = verdict("e", "Section 5", "holds in part", "late", beyond="Over as many steps, 4.11.")
+    found = corrections.remarks(Verdicts([*same, asked, wrong, part, verdict("f")], causes), {"c": "Which?"})
+    assert found == [("In metres, a factor of 2.", same), ("Over as many steps, 4.11.", [part])]
+
+
+def test_the_contents_of_a_page_are_what_it_shows(given):
+    """The index counts causes and cells as the sections have them, not findings, which no page shows."""
+    about = pages.texts(given)
+    for key in keys():
+        own, asked = given.of(key), about["questions"].get(key, {})
+        corrected = corrections.read(own, about["corrected"].get(key, {}))
+        sections = corrections.sections(own, corrected)
+        entries = [
+            each for section in sections for _, cells, _ in section.tables for each in cells if each and each.new
+        ]
+        text = corrections.contents(own, corrected, asked)
+        cells = sum(map(int, re.findall(r"(\d+) cells?", text)))
+        sure = [each for each in entries if not each.if_printed]
+        assert cells == len(sure) + len(corrections.in_text(own, corrected))
+        causes = {each.cause for each in own if corrections.is_corrected(own, each)}
+        assert sum(map(int, re.findall(r"(\d+) (?:slip|wording)", text))) == len(causes)
+        doubtful = len(entries) - len(sure) + len(corrections.if_printed(own, corrected))
+        assert sum(map(int, re.findall(r"(\d+) corrections? if", text))) == doubtful
+        assert sum(map(int, re.findall(r"(\d+) question", text))) == len(asked)
+        assert ("no certain correction" in text) is (not causes)
+        assert "finding" not in text
+
+
+def test_what_a_paper_leaves_out_is_asked_or_listed_and_what_our_copy_lost_is_neither():
     lacking = verdict("a", "Section 1", "cannot be checked", reason="how time was measured", printed="more rapid")
     lost = verdict("b", "Figure 1", "cannot be checked", cause="copy", reason="our copy has no pictures")
     wrong, right = verdict("c", verdict="differs", cause="x"), verdict("d")
     unread = verdict("e", verdict="cannot be checked", reason="one letter", printed="P")
-    asked = corrections.questions([lacking, lost, wrong, right, unread], {"c": "Why?", "d": "When?", "e": "P or R?"})
-    assert [text for text, _ in asked] == ["Why?", "When?", "P or R?", "more rapid. Left open: how time was measured."]
+    given, asked = [lacking, lost, wrong, right, unread], {"c": "Why?", "d": "When?", "e": "P or R?"}
+    assert corrections.questions(given, asked) == [("Why?", wrong), ("When?", right), ("P or R?", unread)]
+    assert corrections.unchecked(given, asked, {}) == [lacking]
+    assert corrections.unchecked(given, asked | {"a": "Than what?"}, {}) == []
+    assert corrections.unchecked(given, asked, {"a": corrections.Patch("more", "less")}) == []
     with pytest.raises(KeyError):
         corrections.questions([right], {"gone": "Asked of no item."})
 
 
 def test_every_slip_and_wording_has_its_corrected_text(given):
-    """Or the page would show what is wrong without what is right."""
-    corrected = pages.texts(given)["corrected"]
+    """Or the page would show what is wrong without what is right: a claim is never struck, only a word of it."""
+    written = pages.texts(given)["corrected"]
     for key in keys():
-        for section in corrections.sections(given.of(key), corrected.get(key, {})):
+        own = given.of(key)
+        corrected = corrections.read(own, written.get(key, {}))
+        shown = {verdict.id for _, verdict in corrections.in_text(own, corrected)}
+        for section in corrections.sections(own, corrected):
             entries = [each for _, cells, _ in section.tables for each in cells if each]
-            assert [each.verdict.id for each in entries if each.verdict.verdict in FAILS and not each.new] == []
+            shown |= {each.verdict.id for each in entries if each.new and each.verdict.kind != "claim"}
+        assert [each.id for each in own if corrections.is_corrected(own, each) and each.id not in shown] == []
 
 
 def test_the_archive_is_the_committed_tree_and_the_same_bytes_twice(tmp_path):
@@ -337,8 +462,7 @@ def test_links_in_a_checkout_lead_to_what_can_be_read_there():
     templates = [path for path in written if re.search(r"{[{%]", shown(path))]
     texts = {path: shown(path) for path in written if path not in templates}
     for path in NOTEBOOKS:
-        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-        texts[path] = "\n".join(pages.source(cell) for cell in cells if cell["cell_type"] == "markdown")
+        texts[path] = prose(cells_of(path))
     linked = {
         (path, target): path.parent / target
         for path, text in texts.items()

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from motions import TAU, Forgetful
 from oracles import plain_band, plain_loop, plain_smoother, van_loan
 from scipy.linalg import block_diag
-from test_motion import TAU, Forgetful
 
 import mpt_helpers as mpt
 from mpt_helpers import engine, metrics, recursive, steps
@@ -89,7 +89,7 @@ class Case:
         return [self.model.R] * len(self.z) if r is None else [np.diag(np.where(row > 0, row, own)) for row in r]
 
     def loop(self, i, **limit):
-        """What the plain loop makes of track i."""
+        """The plain loop over track i."""
         model = self.model
         return plain_loop(self.steps(i), model.H, self.noises(i), model.x0, model.P0, self.z[..., i], **limit)
 
@@ -175,7 +175,7 @@ def all_that_a_filter_says_is(loops, kf, z):
 
 
 def smoothed(case, loops):
-    """What the smoother makes of each loop."""
+    """The plain smoother after each loop."""
     both = [plain_smoother(case.steps(i), loop.x, loop.P) for i, loop in enumerate(loops)]
     return [SimpleNamespace(x=x, P=P) for x, P in both]
 

@@ -90,7 +90,7 @@ def measured(model, seed, N=40, tracks=None, missed=0.0):
 
 
 def decay(A):
-    """What rounding errors of size one, made in every step, add up to at most: Σ ‖Aʲ‖²."""
+    """The largest sum of rounding errors of size one, made in every step: Σ ‖Aʲ‖²."""
     power, total = np.eye(len(A)), 0.0
     while (size := np.linalg.norm(power, 2) ** 2) > EPS:
         power, total = power @ A, total + size

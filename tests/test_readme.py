@@ -1,11 +1,10 @@
 """The README says what the notebooks say, and its code prints what it says."""
 
-import json
 import re
 
 import numpy as np
 import pytest
-from conftest import NOTEBOOKS, ROOT, part_one, parts, source
+from conftest import NOTEBOOKS, ROOT, cells_of, part_one, parts, source
 from tools import shipped
 
 from reproduction.__main__ import BLOCK, readme
@@ -16,7 +15,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 @pytest.fixture(scope="module")
 def names():
-    """What the README's code defines."""
+    """The names that the README's code defines."""
     names = {}
     exec(shipped.README_CODE, names)
     return names
@@ -62,7 +61,7 @@ def test_the_list_of_papers_is_that_of_the_notebooks():
     listed = dict(re.findall(r"(?m)^- \[(\w+)\]\(notebooks/\w+\.ipynb\): (.*)", README))
     assert sorted(listed) == [path.stem for path in NOTEBOOKS]
     for path in NOTEBOOKS:
-        _, evidence = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
+        _, evidence = parts(cells_of(path))
         said = "\n".join([part_one(path), *map(source, evidence[:1])])
         for number in re.findall(r"\d{2,}", listed[path.stem]):
             assert re.search(rf"(?<!\d){number}(?!\d)", said), f"{path.stem}: {number}"

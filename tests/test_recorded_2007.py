@@ -2,7 +2,6 @@
 
 import ast
 import gzip
-import json
 import re
 import symtable
 import sys
@@ -10,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import ROOT, parts, source
+from conftest import ROOT, cells_of, parts, prose, shown, source
 
 import mpt_helpers as mpt
 from reproduction import figures, ledger
@@ -433,16 +432,11 @@ def test_the_ins_is_expected_over_its_noise():
 
 @pytest.fixture(scope="module")
 def cells():
-    return parts(json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"])
+    return parts(cells_of(NOTEBOOK))
 
 
 def printed(cells):
-    return "\n".join(
-        "".join(out.get("text", out.get("data", {}).get("text/plain", "")))
-        for cell in cells
-        if cell["cell_type"] == "code"
-        for out in cell["outputs"]
-    )
+    return "\n".join(shown(cell) for cell in cells if cell["cell_type"] == "code")
 
 
 def left_of_the_noise(cases):
@@ -478,10 +472,6 @@ def constants_said(cells):
     return article.spread(numbers_of(cells[1], "σ by the phase (m)")[:, 3:6])
 
 
-def prose(cells):
-    return "\n".join(source(cell) for cell in cells[0] if cell["cell_type"] == "markdown")
-
-
 def test_the_first_screen_says_what_the_recordings_do(cases, cells):
     first = source(cells[0][0])
     low, high = article.spread([recorded.newest_ratio(case.errors, 100) for case in cases.values()]).split(" to ")
@@ -508,7 +498,7 @@ def test_the_first_screen_says_how_constants_of_another_station_do(cells):
 
 
 def test_the_rule_for_q_is_what_it_says(cells):
-    said = prose(cells)
+    said = prose(cells[0])
     assert "1.4²/20, about 0.1 m²/s³; a car that changes by 10 m/s as often has 5" in said
     assert pytest.approx(0.1, abs=0.005) == 1.4**2 / 20
     assert 10**2 / 20 == 5
@@ -522,7 +512,7 @@ def test_the_best_average_is_the_sum_of_an_inverse():
 
 
 def test_the_prose_says_what_the_fits_say(cells):
-    said = prose(cells)
+    said = prose(cells[0])
     by_phase, fitted, _, tau, _ = np.split(numbers_of(cells[1], "σ by the phase (m)"), 5, axis=1)
     assert f"σ was {constants_said(cells)} m, and τ {article.spread(tau, '{:.0f}')} minutes" in said
     apart = np.abs(fitted / by_phase - 1)
@@ -543,15 +533,15 @@ def test_the_table_of_decisions_tells_the_cases_apart(cases, cells):
     left = {row[0]: float(row[2]) for row in article.memories(cases)}
     took = {row[0]: 100 * (1 - float(row[3]) / float(row[1])) for row in article.remedies(cases)}
     second, third = ([took[name] for name in took if (left[name] >= 0.9) is lasts] for lasts in (True, False))
-    assert "Two of our cases lie in the second row; smoothing gained them 4 and 5 %" in prose(cells)
+    assert "Two of our cases lie in the second row; smoothing gained them 4 and 5 %" in prose(cells[0])
     assert sorted(f"{each:.0f}" for each in second) == ["4", "5"]
-    assert "The other four lie in the third, and gained 17 to 50 %" in prose(cells)
+    assert "The other four lie in the third, and gained 17 to 50 %" in prose(cells[0])
     assert (len(third), article.spread(third, "{:.0f}")) == (4, "17 to 50")
 
 
 def test_the_mean_leaves_seven_percent_more_than_the_best_average(cells):
     """Of errors that fade as e^(-x) over a span x, in units of tau: the closed forms of both."""
-    assert "it leaves at most 7 % more than the best" in prose(cells)
+    assert "it leaves at most 7 % more than the best" in prose(cells[0])
     x = np.linspace(0.01, 50, 5000)
     ratio = np.sqrt(2 * (x - 1 + np.exp(-x)) / x**2 * (1 + x / 2))
     assert 1.06 < ratio.max() < 1.07
@@ -608,7 +598,7 @@ def test_the_smoothing_of_the_article_begins_anew_after_a_slip_and_after_what_is
 
 
 def test_a_small_slip_goes_unnoticed_and_fades(hatch, cells):
-    assert "it overlooks slips, which then take some twenty fixes to fade" in prose(cells)
+    assert "it overlooks slips, which then take some twenty fixes to fade" in prose(cells[0])
     for slip in (1.5, 2.9):
         true, code, phase = ranges_with_a_slip(slip, 0.0)
         wrong = (hatch(code, phase) - true) / slip
@@ -619,7 +609,7 @@ def test_a_small_slip_goes_unnoticed_and_fades(hatch, cells):
 
 
 def test_a_slip_is_told_from_noise_at_six_times_the_noise(hatch, cells):
-    said = prose(cells)
+    said = prose(cells[0])
     assert "Set `slip` to six times the noise of your code." in said
     assert "most of the noise stays" in said
     true, code, phase = ranges_with_a_slip(20.0, 1.5)
@@ -629,7 +619,7 @@ def test_a_slip_is_told_from_noise_at_six_times_the_noise(hatch, cells):
 
 
 def test_the_example_of_the_gain_is_what_it_says(cells):
-    said = prose(cells)
+    said = prose(cells[0])
     assert "100 + 1.2 + 4.7 m². The position is to blame for 100 of these 105.9" in said
     P, H, r = np.diag([10.0**2, 1.1**2]), np.array([[1.0, 1.0]]), 4.7
     K = P @ H.T / (H @ P @ H.T + r)
@@ -638,7 +628,7 @@ def test_the_example_of_the_gain_is_what_it_says(cells):
 
 
 def test_a_walker_gains_nothing_at_thirty_seconds(cells):
-    assert "At fixes 30 s apart a walker gains nothing" in prose(cells)
+    assert "At fixes 30 s apart a walker gains nothing" in prose(cells[0])
     found = re.findall(r"a fix each (\d+) s: one fix ± ([\d.]+) m, filter ± ([\d.]+) m", printed(cells[0]))
     gained = {int(dt): 1 - float(after) / float(before) for dt, before, after in found}
     assert gained[30] < 0.01
@@ -709,8 +699,8 @@ def test_a_constant_is_added_in_squares():
 
 
 def test_noise_falls_nearly_as_theory_says_and_what_lasts_does_not(cases, cells):
-    prose = "\n".join(source(cell) for cell in cells[0])
-    assert f"to {left_of_the_noise(cases)} of itself, where theory has {line_sigma(100, 100):.2f}" in prose
+    said = "\n".join(map(source, cells[0]))
+    assert f"to {left_of_the_noise(cases)} of itself, where theory has {line_sigma(100, 100):.2f}" in said
     assert min(recorded.newest_ratio(case.lasting, 100) for case in cases.values()) > 0.995
 
 
@@ -735,10 +725,14 @@ def test_the_spike_of_the_first_figure_is_a_satellite_whose_phase_is_lost_at_eac
     assert min(lengths) == 1
 
 
-def test_the_mean_of_fixes_at_rest_is_compared_with_one(cases):
+def test_the_mean_of_fixes_at_rest_is_compared_with_one():
     errors = np.random.default_rng(8).standard_normal((5000, 3))
-    assert recorded.mean_ratio(errors, 25) == pytest.approx(1 / 5, rel=0.1)  # 600 independent errors: 4 %
-    assert recorded.mean_ratio(np.cumsum(errors, axis=0), 2) == pytest.approx(1, abs=1e-3)  # errors that last
+
+    def of_one(errors, n):
+        return recorded.ratio_of(recorded.means(errors, n), errors[n - 1 :])
+
+    assert of_one(errors, 25) == pytest.approx(1 / 5, rel=0.1)  # 600 independent errors: 4 %
+    assert of_one(np.cumsum(errors, axis=0), 2) == pytest.approx(1, abs=1e-3)  # errors that last
 
 
 def what_verdicts_need(cells):

@@ -98,7 +98,7 @@ def test_rounding_hides_no_failing_condition(solve, F):
 
 
 def gap(solve, model):
-    """How far a solution is from that of 60 digits, in standard deviations."""
+    """The distance of a solution from that of 60 digits, in standard deviations."""
     *_, P, P_p, _ = precise.steady(model.F, model.H, model.Q, model.R)
     exact = (P_p if solve is riccati.rekf else P).astype(float)
     sigma = np.sqrt(np.diag(exact))
@@ -175,7 +175,7 @@ def test_the_units_do_not_matter(solve, unit):
 
 
 def residual(model, P_p):
-    """How far P_p is from solving the REKF, in standard deviations, computed in 60 digits."""
+    """The residual of P_p in the REKF, in standard deviations, computed in 60 digits."""
     F, H, Q, R, P = map(precise.exact, (model.F, model.H, model.Q, model.R, P_p))
     *_, after, _ = precise.update(P, F, H, R)
     gap = np.abs((F @ after @ F.T + Q - P).astype(float))

@@ -34,7 +34,7 @@ def test_the_code_prints_what_the_page_says(monkeypatch, capsys):
 
 @pytest.fixture
 def page(monkeypatch):
-    """What the page's code by hand defines: one satellite at the first epoch."""
+    """The names that the page's code by hand defines: one satellite at the first epoch."""
     monkeypatch.chdir(ROOT)
     names = {}
     for text in [text for kind, text in BLOCKS if kind == "python"][:6]:
@@ -75,7 +75,7 @@ def test_a_clock_that_runs_free_or_jumps_needs_its_own_variance(page, clock):
 
 
 class Recorded(dict):
-    """What the script asks of georinex: columns with `values` and `dims`."""
+    """The part of georinex's data that the script uses: columns with `values` and `dims`."""
 
     def __init__(self, **columns):
         for name, values in columns.items():

@@ -1,15 +1,15 @@
 """Table 1 of 2016: expected and simulated averages, and the probability of the print."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import MODELS_2016, ROOT, parts, source
+from conftest import MODELS_2016, ROOT, cells_of, parts, source
 from scipy.stats import multivariate_normal
 
 import mpt_helpers as mpt
 from reproduction import ledger
+from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, ERRATUM, IN_PART, REPRODUCED
 from reproduction.paper_2016 import table1
 
 COLUMNS = table1.columns()
@@ -205,11 +205,10 @@ def test_the_odds_point_to_the_reading_that_made_a_table():
 
 def test_the_notebook_counts_what_the_verdicts_say():
     path = ROOT / "notebooks" / "2016_prediction.ipynb"
-    _, evidence = parts(json.loads(path.read_text(encoding="utf-8"))["cells"])
+    _, evidence = parts(cells_of(path))
     tally = ledger.stored_verdicts(path).tally()
     causes = ", ".join(tally.cause_text(kind) for kind in ("slip", "wording", "finding"))
-    bar = dict(tally.claims_bar())
-    assert list(bar) == ["hold", "hold under a condition", "contradict their own paper", "cannot be checked"]
-    others = f"{bar['hold under a condition']} holds under a condition, "
-    others += f"{bar['contradict their own paper']} contradicts its own paper, and {bar['cannot be checked']} cannot be"
+    assert set(tally.claims) == {REPRODUCED, IN_PART, ERRATUM, CANNOT_BE_CHECKED}
+    others = f"{tally.claims[IN_PART]} holds under a condition, {tally.claims[ERRATUM]} contradicts its own paper, "
+    others += f"and {tally.claims[CANNOT_BE_CHECKED]} cannot be"
     assert f"{causes}. {tally.claims_text()}, {others} checked." in source(evidence[0])

@@ -239,6 +239,20 @@ def test_unusual_numbers_are_named_and_absurd_ones_set_no_scale(tmp_path):
     assert "not used: 1 with a time that is not after the one before" in in_one_line(mpt.track(path).report())
 
 
+def test_a_fix_that_is_left_out_counts_for_one_reason(tmp_path):
+    """Without a time, with one that cannot be read, without a position, and without both."""
+    _, lat, lon = positions()
+    fixes = [fix(*place, k) for k, place in enumerate(zip(lat, lon, strict=True))]
+    blank, noon = (lambda text: re.sub("<time>.*</time>", "", text)), (lambda text: re.sub("10:..:..Z", "noon", text))
+    nowhere = lambda text: text.replace('lat="5', 'lat="95')  # noqa: E731
+    fixes[20], fixes[30], fixes[40] = blank(fixes[20]), noon(fixes[30]), nowhere(noon(fixes[40]))
+    fixes[50], fixes[60] = nowhere(fixes[50]), nowhere(blank(fixes[60]))
+    path = tmp_path / "holes.gpx"
+    path.write_text(gpx_of(fixes), encoding="utf-8")
+    left_out = mpt.track(path).source.left_out
+    assert left_out == {"no position on the Earth": 3, "no time": 1, "a time that cannot be read": 1}
+
+
 @pytest.mark.parametrize("time", ["2024-05-03T10:00:60Z", "2024-05-03T10:01:00,0Z", " 2024-05-03T10:01:00Z"])
 def test_a_leap_second_a_comma_and_a_blank_are_read(time):
     assert recordings.microseconds(time) == recordings.microseconds("2024-05-03T10:01:00Z")
@@ -303,6 +317,36 @@ def test_errors_of_q_and_r_hold_on_simulated_tracks():
             off[name].append(np.log(getattr(c, name) / true) / c.log_errors[name])
     for name, each in off.items():
         assert 0.7 < mpt.metrics.rms(each) < 1.5, name
+
+
+def fitted_by_turns(seed):
+    """The q of half an hour that is calm and wild by turns, three minutes each at the mean, and its stated error."""
+    rng, N = np.random.default_rng(seed), 1800
+    calm = np.cumsum(rng.random(N) < 1 / 180) % 2
+    changes = rng.standard_normal((N, 2)) * np.sqrt(np.where(calm, 0.01, 1.0))[:, None]
+    z = np.cumsum(np.cumsum(changes, axis=0), axis=0) + 2 * rng.standard_normal((N, 2))
+    t = np.arange(float(N))
+    scale = cleaning.scale_of(t, z, 0.0)
+    guess = cleaning.first_guess(t, z, scale)
+    line = cleaning.on_one_line(t, z, None, np.zeros(N, dtype=int), guess, scale)
+    found = cleaning.fitted(line, guess, scale)
+    return found.q, cleaning.log_errors(line, found, scale)["q"]
+
+
+def test_errors_of_q_hold_on_half_an_hour_that_is_calm_and_wild_by_turns():
+    """Ten blocks of three minutes, with Student's factor, state five sixths of the scatter, blocks of 1 s a fifth."""
+    q, errors = np.transpose([fitted_by_turns(seed) for seed in range(24)])
+    assert 0.8 < np.std(np.log(q), ddof=1) / mpt.metrics.rms(errors) < 1.35
+
+
+@pytest.mark.parametrize(("stretches", "step", "blocks"), [(1, 1.0, 10), (3, 1.0, 10), (2, 60.0, 120), (1, 1e-3, 10)])
+def test_blocks_are_a_tenth_of_all_stretches_or_five_minutes_and_no_step_is_cut(stretches, step, blocks):
+    """But for one more in each stretch, which may begin within one and end within one."""
+    t, z = step * np.arange(600.0), np.random.default_rng(1).standard_normal((600, 2)).cumsum(axis=0)
+    scale = cleaning.scale_of(t, z, 0.0)
+    noise = cleaning.Noise(1e-6, 1.0, False)  # so still that stretches stand most of a day apart
+    line = cleaning.on_one_line(t, z, None, np.arange(600) * stretches // 600, noise, scale)
+    assert len(np.unique(cleaning._blocks_of(line, scale))) == pytest.approx(blocks, abs=stretches)
 
 
 def test_an_r_below_the_rounding_of_the_file_is_that_rounding():

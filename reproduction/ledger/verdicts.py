@@ -95,10 +95,6 @@ class Tally:
         agree = self.values[REPRODUCED] + self.values[WITHIN_BAND]
         return f"{agree} of {self.values.total()} numbers, formulas and figures agree"
 
-    def claims_bar(self) -> list[tuple[str, int]]:
-        """Return the claims by outcome, [("hold", 107), ...], without outcomes that no claim has."""
-        return [(words, self.claims[verdict]) for verdict, words in OF_CLAIMS.items() if self.claims[verdict]]
-
     def cause_text(self, kind: str) -> str:
         """Return the causes of one kind with their cells in brackets, as in "6 slips (85 cells)"."""
         cells = self.causes[kind]
@@ -107,11 +103,11 @@ class Tally:
         return f"{counted(len(cells), kind)} ({counted(cells.total(), 'cell')})"
 
     def wrong_text(self) -> str:
-        """Return what is wrong in the paper: the causes of each kind with their cells."""
+        """Return the errors of the paper: the causes of each kind with their cells."""
         return ", ".join(self.cause_text(kind) for kind in WRONG if self.causes[kind]) or "nothing wrong"
 
     def causes_text(self) -> str:
-        """Return what is wrong in the paper, and how many cells our copy of it lacks."""
+        """Return the errors of the paper, and the number of cells that our copy of it lacks."""
         text, lost = self.wrong_text(), self.causes["copy"].total()
         return f"{text}; {counted(lost, 'cell')} missing or illegible in our copy" if lost else text
 

@@ -17,7 +17,6 @@ LENGTHS = np.array([2, 3, 5, 10, 20, 35, 50, 75, 100])
 STYLES = ("-", "--")  # of the kinds of range
 # One colour for one filter, here and in Part II.
 FILTERS = {"white": plots.COLOURS[1], "tuned": plots.COLOURS[2], "aware": plots.COLOUR_OF["kalman"]}
-SPAN = 3000.0  # s, of the averages that are tabled: a hundred fixes 30 s apart, the paper's n
 ELLIPSE = 2.4477  # sigmas that hold 95 % in the plane: sqrt(-2 ln 0.05)
 
 
@@ -175,7 +174,7 @@ def remedies(cases):
 
 
 def gains(cases):
-    """Return what each remedy takes off, in percent over all cases: {what: (least, most)}."""
+    """Return the share of the error that each remedy takes off, in percent over all cases: {what: (least, most)}."""
     rows = np.array([[float(text) for text in row[1:]] for row in remedies(cases) if "-" not in row[1:]])
     fix, line, smooth, mean = rows.T
     pairs = {
@@ -400,7 +399,7 @@ def within_floor(filter, tracks, floor):
 
 
 def with_ins(cases, filtered):
-    """Return what a simulated INS does for each axis of each case: {"error", "alone", "nees", "aware": (axes,)}.
+    """Return the effect of a simulated INS on each axis of each case: {"error", "alone", "nees", "aware": (axes,)}.
 
     error and alone are the rms error of the position over that of a fix, with INS and without (both without an error
     state); nees is that with INS, aware the NEES with INS and error state.

@@ -69,7 +69,7 @@ def local_axes(x):
 
 
 def constellation(t):
-    """Return where the 24 satellites of the nominal GPS constellation are, (24, 3) in metres.
+    """Return the positions of the 24 satellites of the nominal GPS constellation, (24, 3) in metres.
 
     t is in seconds after 0000Z on 1 July 1993. The orbits are circles of 26,560 km in six planes of 55 degrees.
     """

@@ -222,7 +222,7 @@ def tested(day, ranges):
 
 
 def _agreeing(day, k, s, ranges, variance):
-    """Return which of the satellites s of epoch k agree about a position, (len(s),): none where nobody knows."""
+    """Return a mask (len(s),) of the satellites s of epoch k that agree about a position: none where nobody knows."""
     start = np.append(day.station, 0.0)
     try:
         fix = positioning.position(day.satellites[k, s], ranges, start, variance=variance, false_alarm=FALSE_ALARM)
@@ -232,7 +232,7 @@ def _agreeing(day, k, s, ranges, variance):
 
 
 def kinds_of(day):
-    """Return those of the `KINDS` that a day has: two frequencies where half of its ranges have the second."""
+    """Return the `KINDS` of ranges that a day has: the second where half of its ranges have a second frequency."""
     both = np.isfinite(day.dual).sum() > np.isfinite(day.ranges).sum() / 2
     return KINDS if both else KINDS[:1]
 
@@ -434,15 +434,6 @@ def means(errors, n):
     return np.lib.stride_tricks.sliding_window_view(errors, n, axis=0).mean(axis=-1)
 
 
-def mean_ratio(errors, n):
-    """Return the three-dimensional error of the means of n successive fixes over that of their last ones.
-
-    >>> float(mean_ratio(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), 2))
-    0.0
-    """
-    return ratio_of(means(errors, n), errors[n - 1 :])
-
-
 def ratio_of(errors, others):
     """Return the size of errors (N, 3) over that of others, at the rows that both have."""
     both = np.isfinite(errors).all(axis=1) & np.isfinite(others).all(axis=1)
@@ -579,12 +570,6 @@ def _kept_filtered(step, shape, stored):
     favour = tuple(np.subtract(likely["aware"], likely["tuned"]).tolist())
     tracks = [windows(axis) for axis in errors.T]
     return Filtered(step, found, filters, *(tuple(map(judged, each, tracks)) for each in filters.values()), favour)
-
-
-def half_days(case):
-    """Return the spread (2, 3) of what lasts in both halves of the day, in metres, about the mean of each half."""
-    half = len(case.lasting) // 2
-    return np.array([np.nanstd(case.lasting[:half], axis=0), np.nanstd(case.lasting[half:], axis=0)])
 
 
 def ins_model(step, r, q=0.0):

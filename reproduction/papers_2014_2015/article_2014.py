@@ -1,11 +1,13 @@
 """The drawings of the notebook on 2014, its simulated walks, and the judges of its exercises."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mpt_helpers import plots
 from mpt_helpers.filters import KalmanFilter
 from mpt_helpers.metrics import innovations
-from mpt_helpers.model import LinearModel, gsm_axis, simulate
+from mpt_helpers.model import gsm_axis, simulate
 from mpt_helpers.plots import COLOUR_OF
 from mpt_helpers.steady import SteadyStateFilter
 
@@ -14,7 +16,7 @@ from ..figures import visible_gap
 from . import table4
 
 AXIS = gsm_axis(dt=1.0, q=0.01, r=0.1)  # Example 1: H = [1 dt]
-RIGHT = LinearModel(F=AXIS.F, H=[[1, 0]], Q=AXIS.Q, R=AXIS.R)  # the same for a sensor of present positions
+RIGHT = replace(AXIS, H=[[1, 0]])  # the same for a sensor of present positions
 UNKNOWN = 100 * np.eye(2)  # P(0/0) of a start that nobody knows: sigma of 10 m and 10 m/s
 WALK = 1.5  # m/s, walking pace
 GREY = "0.87"
@@ -22,7 +24,7 @@ GREY = "0.87"
 
 def from_unknown(model):
     """Return the model with a start that nobody knows."""
-    return LinearModel(F=model.F, H=model.H, Q=model.Q, R=model.R, P0=UNKNOWN)
+    return replace(model, P0=UNKNOWN)
 
 
 def walk(steps=60):
@@ -34,8 +36,8 @@ def walk(steps=60):
     >>> states.shape, measured.shape
     ((60, 2), (60,))
     """
-    model = LinearModel(F=RIGHT.F, H=RIGHT.H, Q=RIGHT.Q, R=RIGHT.R, x0=[0, WALK])
-    states, z = simulate(model, steps, np.random.default_rng(14))  # this one stays at 1.2 to 1.9 m/s
+    rng = np.random.default_rng(14)  # this one stays at 1.2 to 1.9 m/s
+    states, z = simulate(replace(RIGHT, x0=[0, WALK]), steps, rng)
     return states, z[:, 0]
 
 
@@ -60,11 +62,12 @@ def walks(kind, steps, tracks, rng):
 
 
 def lateness(model, positions, z, start=10):
-    """Return what a filter from an unknown start does with measured positions, after `start` rows that are left out.
+    """Return errors and lateness of a filter from an unknown start on measured positions, without the first rows.
 
-    positions (N,) are true, z (N, M) measured on M tracks. The result has, by name: "gap", the mean of measurement
-    minus reported position (m); "error", the rms error of the position (m); "late", the seconds late (M,) that a fit of
-    that gap to the reported velocity finds; "velocity", the rms of that velocity (M,); "nis", the mean NIS.
+    positions (N,) are true, z (N, M) measured on M tracks; `start` rows are left out. The result has, by name: "gap",
+    the mean of measurement minus reported position (m); "error", the rms error of the position (m); "late", the seconds
+    late (M,) that a fit of that gap to the reported velocity finds; "velocity", the rms of that velocity (M,); "nis",
+    the mean NIS.
 
     >>> positions, z = walks("goes straight on", 200, 50, np.random.default_rng(1))
     >>> found = lateness(AXIS, positions, z)
@@ -95,7 +98,7 @@ def another_sensor(steps=600):
     array([ 1. , -0.5])
     """
     rng = np.random.default_rng(15)
-    states, _ = simulate(LinearModel(F=AXIS.F, H=AXIS.H, Q=AXIS.Q, R=AXIS.R, x0=[0, WALK]), steps, rng)
+    states, _ = simulate(replace(AXIS, x0=[0, WALK]), steps, rng)
     return states, states @ [1.0, -0.5] + rng.normal(0, np.sqrt(AXIS.R[0, 0]), steps)
 
 
@@ -153,9 +156,8 @@ def judge_order(M, distance=10_000.0):
     steady = SteadyStateFilter.from_kalman(RIGHT)
     wanted = 0.1 * float(np.sqrt(steady.P[0, 0]))
 
-    shares = np.abs(
-        [np.linalg.matrix_power(steady.A, k)[0, 0] for k in range(200)]
-    )  # of the position; below 1e-30 after
+    # Of the position, what is left after k steps: below 1e-30 from 200 on.
+    shares = np.abs([np.linalg.matrix_power(steady.A, k)[0, 0] for k in range(200)])
 
     def dropped(terms):  # at most with so many terms or more: the share swings through 0, at 26 terms by accident
         return distance * float(shares[terms:].max(initial=0.0))

@@ -1,5 +1,7 @@
 """The drawings of the notebook on 2015, the numbers of its side matters, and the answers to its exercises."""
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.colors import ListedColormap
 
@@ -9,7 +11,7 @@ from mpt_helpers.model import LinearModel, gsm_axis, simulate, stack
 from mpt_helpers.steady import SteadyStateFilter
 
 PAPER = gsm_axis(dt=1.0, q=0.01, r=0.1)  # the paper's example: H = [1 1], the position one step ahead
-AXIS = LinearModel(F=PAPER.F, H=[[1, 0]], Q=PAPER.Q, R=PAPER.R)  # the same axis, measured where it is
+AXIS = replace(PAPER, H=[[1, 0]])  # the same axis, measured where it is
 KALMAN, STEADY = plots.COLOUR_OF["kalman"], plots.COLOUR_OF["steady"]
 
 
@@ -129,12 +131,12 @@ def draw_fig1(kf, sskf, sigma, shown=15):
 
 def started(P0, of=AXIS):
     """Return a model, AXIS if no other, with a start of covariance P0 (2, 2)."""
-    return LinearModel(F=of.F, H=of.H, Q=of.Q, R=of.R, P0=P0)
+    return replace(of, P0=P0)
 
 
 def measured_with(sigma):
     """Return AXIS with a sensor of this sigma, in metres."""
-    return LinearModel(F=AXIS.F, H=AXIS.H, Q=AXIS.Q, R=[[sigma**2]])
+    return replace(AXIS, R=[[sigma**2]])
 
 
 def gains(P0, steps, of=AXIS):
@@ -158,7 +160,7 @@ def rests(values):
 
 
 def rests_after_silence(seconds, of=AXIS):
-    """Return after how many measurements both sigmas are those of the settled axis again, to 1 %.
+    """Return the number of measurements after a silence until both sigmas are the settled ones again, to 1 %.
 
     >>> rests_after_silence(30)
     7
@@ -183,7 +185,7 @@ def sigma_of_both(P0, steps, of=AXIS):
 
 
 def losses_apart(sizes, errors=0.0, changes=0.0):
-    """Return what axes kept apart lose to one filter, in percent (axes, 2): sigma of position and velocity.
+    """Return the loss of axes kept apart to one filter, in percent (axes, 2): sigma of position and velocity.
 
     The measurement errors of all axes are sizes (axes,) times those of AXIS. They have the correlation `errors`, and
     the random changes of the velocity the correlation `changes`. Neither changes what an axis kept apart does.

@@ -14,7 +14,7 @@ COLOURS = {RIGHT: "#d2e4ee", WRONG: "#d55e00", LOST: "white", NONE: "0.88"}
 
 
 def numbers_behind(cells, known):
-    """Return from which whole numbers a table of ratios was made.
+    """Return the whole numbers from which a table of ratios was made.
 
     known maps some of the indices to their numbers. For each other index the result lists the whole numbers up to
     10,000 that agree, at the printed digits, with every ratio to a known number.
