@@ -2,11 +2,12 @@
 
 import warnings
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 
 from mpt_helpers import plots
-from mpt_helpers.lasting import lasting_error, memory
+from mpt_helpers.lasting import fit_lasting, lasting_error, memory
 from mpt_helpers.metrics import rms
 
 from . import recorded
@@ -70,40 +71,49 @@ def draw_biases(case, raw):
     titled(fig, "A part of the lasting error was ours to correct")
     for each, colour, label in ((raw, plots.COLOURS[1], "biases left in"), (case, plots.COLOURS[0], "corrected")):
         errors = each.errors if each.lasting is None else each.lasting
-        label = f"{label}: rms {np.sqrt(np.nanmean(errors[:, 2] ** 2)):.2f} m"
         ax["up"].plot(each.seconds / 3600, errors[:, 2], color=colour, lw=1.2, label=label)
+    ax["up"].set(xlim=(0, 24), xticks=range(0, 25, 6))
     plots.finish(ax["up"], "hour of the day", f"lasting error of the height (m), {case.station}, {case.kind}")
     plots.legend_below(ax["up"], 2)
     return fig
 
 
 def draw_recorded(cases):
-    """Draw how far a line through n fixes reduces their error: as a whole, and of noise and lasting error apart."""
+    """Draw how far a line through n fixes reduces their error: each case, and noise and lasting error of all cases.
+
+    A curve of a case ends at its station's name; its style is that of its kind of range. On the right there is a band
+    from the least to the largest of all cases.
+    """
     plots.use_style()
-    fig, ax = plots.panels([["whole", "parts"]], height=3.6)
+    fig, ax = plots.panels([["whole", "parts"]], height=3.8)
     titled(fig, "A line fit takes out the noise. The lasting error stays")
-    independent = [line_sigma(n, n) for n in LENGTHS]
-    colours = {"errors": "0.35", "noise": plots.COLOUR_OF["measured"], "lasting": plots.COLOURS[0]}
+    ends = {}
     for case in cases.values():
-        style = STYLES[recorded.KINDS.index(case.kind)]
-        for part, colour in colours.items():
-            errors, panel = getattr(case, part), ax["whole" if part == "errors" else "parts"]
-            if errors is not None:
-                panel.plot(LENGTHS, [recorded.newest_ratio(errors, n) for n in LENGTHS], style, color=colour, lw=1.3)
+        kind = recorded.KINDS.index(case.kind)
+        ratios = [recorded.newest_ratio(case.errors, n) for n in LENGTHS]
+        label = {} if kind in ends.values() else {"label": case.kind}
+        ax["whole"].plot(LENGTHS, ratios, STYLES[kind], color="0.35", lw=1.3, **label)
+        ends[ratios[-1], case.station] = kind
+    colours = {"noise": plots.COLOUR_OF["measured"], "lasting": plots.COLOURS[0]}
+    for part, colour in colours.items():
+        there = [getattr(case, part) for case in cases.values() if getattr(case, part) is not None]
+        if there:
+            ratios = np.array([[recorded.newest_ratio(errors, n) for n in LENGTHS] for errors in there])
+            ax["parts"].fill_between(LENGTHS, ratios.min(axis=0), ratios.max(axis=0), color=colour, alpha=0.6, lw=1)
     for panel in ax.values():
-        panel.plot(LENGTHS, independent, "k:")
+        panel.plot(LENGTHS, [line_sigma(n, n) for n in LENGTHS], "k:")
         panel.set_ylim(0, 1.25)
-    names = {f"{each.station} {1 + recorded.KINDS.index(each.kind)}": each.errors for each in cases.values()}
     at = 0.0
-    for ratio, name in sorted((recorded.newest_ratio(errors, LENGTHS[-1]), name) for name, errors in names.items()):
+    for ratio, station in sorted(ends):
         at = max(ratio, at + 0.08)  # at the end of its curve; where two end close together, above the other
-        ax["whole"].text(103, at, name, va="center")
-    ax["whole"].set(xlim=(-3, 165), xticks=(0, 50, 100))
-    ax["whole"].text(45, 0.09, "if independent")
+        ax["whole"].text(103, at, station, va="center")
+    ax["whole"].set(xlim=(-3, 145), xticks=(0, 50, 100))
+    ax["whole"].text(25, 0.09, "if independent")
     ax["parts"].text(30, 1.14, "lasting error", color=colours["lasting"])
     ax["parts"].text(55, 0.42, "noise")
     plots.finish(ax["whole"], "fixes n fitted", "error (one fix = 1)")
-    plots.finish(ax["parts"], "fixes n fitted", "its two parts")
+    plots.finish(ax["parts"], "fixes n fitted", "its two parts, all cases")
+    plots.legend_below(ax["whole"], 1)
     return fig
 
 
@@ -122,11 +132,11 @@ def draw_stated(filtered):
         for i, (word, colour) in enumerate(FILTERS.items()):
             made, stated = (in_space(getattr(each, word), what) for what in ("error", "stated"))
             y = -j - 0.27 * i
-            label = {"label": word} if j == 0 else {}
-            panel.plot([stated, made], [y, y], "-", color=colour, lw=2, **label)
+            panel.plot([stated, made], [y, y], "-", color=colour, lw=2)
             panel.plot(stated, y, "o", color=colour, mfc="white", ms=11)
             panel.plot(made, y, "o", color=colour, ms=5)
-            panel.annotate(f"{made / stated:.1f} x", (max(made, stated), y), (6, -4), textcoords="offset points")
+            text = f"{made / stated:.1f} x" + (f" ({word})" if j == 0 else "")
+            panel.annotate(text, (max(made, stated), y), (10, -4), textcoords="offset points", color=colour)
             right = max(right, made, stated)
         ticks.append(
             (-j - 0.27, name.replace(", ", "\n").replace("frequencies", "freq.").replace("frequency", "freq."))
@@ -135,7 +145,6 @@ def draw_stated(filtered):
     panel.set_xlim(0, 1.18 * right)
     minutes = recorded.WINDOW * next(iter(filtered.values())).step / 60
     plots.finish(panel, "○ stated, ● made; beside: made over stated", f"error in space (m) after {minutes:.0f} minutes")
-    plots.legend_below(panel, 3)
     return fig
 
 
@@ -240,17 +249,52 @@ def over_stated(cases, filtered, word, constant=False):
     return np.array(ratios)
 
 
-def judgements(cases, filtered):
-    """Return a row for each of three filters: error over stated in space, with the day's constant, and within 2σ (%).
+def judgements(cases, filtered, chain):
+    """Return a row for each filter: how often the truth was within 2σ (%), by its own constants and by another's.
 
-    The share within 2σ is the median over all axes of all cases, and from where to where it goes.
+    The last row is the `smoothed_and_aware` chain. Each share is the median over all axes of all cases, and from where
+    to where it goes; other constants are those of each other station, for ranges of the same kind.
     """
-    rows = []
+    others, rows = exchanged(cases, filtered), []
     for word in FILTERS:
-        within = [100 * axis.within for each in filtered.values() for axis in getattr(each, word)]
-        both = (spread(over_stated(cases, filtered, word, constant), "{:.1f}") for constant in (False, True))
-        rows.append([word, *both, median_of(within)])
-    return rows
+        own = [100 * axis.within for each in filtered.values() for axis in getattr(each, word)]
+        rows.append([word, median_of(own), median_of(others[word]) if others else "-"])
+    own, other = chain.within()
+    return [*rows, ["smoothed, then aware", median_of(own), median_of(other) if other else "-"]]
+
+
+class Chain(NamedTuple):
+    """Filters with an error state on carrier-smoothed fixes, judged: {(case, case of its constants): three axes}."""
+
+    judged: dict
+
+    def within(self):
+        """Return how often (%) the truth was within 2σ on all axes: by own constants, and by those of others."""
+        own, other = [], []
+        for (name, source), axes in self.judged.items():
+            (own if name == source else other).extend(100 * axis.within for axis in axes)
+        return own, other
+
+    def gains(self, filtered):
+        """Return how much (%) smaller the error in space is than that of the aware filter of fixes as they are."""
+        made = {name: in_space(each.aware, "error") for name, each in filtered.items()}
+        return [100 * (1 - in_space(self.judged[name, name], "error") / each) for name, each in made.items()]
+
+
+def smoothed_and_aware(cases):
+    """Return the `Chain` of smoothing and error state: both its constants and its fixes are those after smoothing."""
+    smoothed = {name: case for name, case in cases.items() if case.smooth is not None}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        fits = {name: fit_lasting((case.seconds, case.smooth)) for name, case in smoothed.items()}
+    filters = {name: recorded.aware_filters(case.step, fits[name]) for name, case in smoothed.items()}
+    judged = {}
+    for name, case in smoothed.items():
+        for source in smoothed:
+            if smoothed[source].kind == case.kind:
+                pairs = zip(filters[source], case.smooth.T, strict=True)
+                judged[name, source] = [recorded.judged(filter, recorded.windows(axis)) for filter, axis in pairs]
+    return Chain(judged)
 
 
 def median_of(values):
