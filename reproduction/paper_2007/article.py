@@ -5,8 +5,9 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from mpt_helpers import plots
+from mpt_helpers import KalmanFilter, constant_velocity, plots
 from mpt_helpers.lasting import fit_lasting, lasting_error, memory
 from mpt_helpers.metrics import rms
 
@@ -188,7 +189,7 @@ def gains(cases):
 
 
 def how_far(cases):
-    """Return a row for each case: its 95 % error (m) horizontally and up, one fix and smoothed, and its constant (m).
+    """Return a row for each case: its 95 % error (m) horizontally and up, one fix and smoothed, and the day's mean (m).
 
     The errors count from the position in the files' headers, so that the constant of the day is in them.
     """
@@ -416,6 +417,27 @@ def with_ins(cases, filtered):
             found["nees"].append(without.nees)
             found["aware"].append(aware.nees)
     return found
+
+
+def made_by_walker(remembered, dt=1.0, r=4.7, sigma=1.1, tau=2700.0, q=0.1, speed=1.4, N=500):
+    """Return sigma (m) of a walker's position after N fixes, as *aware* makes it where its noise is no white noise.
+
+    The noise of the fixes has the variance r that the filter takes it for, but it is remembered for some seconds. What
+    the filter has wrong (position, velocity, lasting error) and that noise are moved through its own gains together.
+    """
+    axis = constant_velocity(dt=dt, q=q, r=r, P0=np.diag([10.0**2, speed**2]))
+    filter = KalmanFilter(lasting_error(axis, sigma=sigma, tau=tau))
+    F, Q, H = filter.model.F, filter.model.Q, filter.model.H
+    keeps = np.exp(-dt / remembered)
+    moves = block_diag(F, keeps)
+    new = block_diag(Q, r * (1 - keeps**2))
+    together = block_diag(filter.model.P0, r)
+    for K in filter.coefficients(N).B:  # a Kalman filter's B is its gain
+        together = moves @ together @ moves.T + new
+        corrects = block_diag(np.eye(3) - K @ H, 1.0)
+        corrects[:3, 3] = -K[:, 0]
+        together = corrects @ together @ corrects.T
+    return float(np.sqrt(together[0, 0]))
 
 
 def draw_iterations(curves):
