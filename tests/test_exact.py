@@ -143,6 +143,16 @@ def test_a_drawing_that_the_description_leaves_out_is_seen(draw):
         every_change_is_described(fig, DescribesTitlesOnly)
 
 
+@pytest.mark.parametrize("left", [3e-11, -5e-11])
+def test_the_mean_of_values_that_cancel_is_the_same_on_every_processor(left):
+    """Of errors about their mean, what their nine digits leave over is another number on another processor."""
+    fig, ax = plots.panels([["a"]])
+    ax["a"].plot([1, 2, 3, 4], [-5.0, 4.7, -4.0, 4.3 + 4 * left])
+    assert "y -5..4.7 mean 0, checksum" in figures.describe(fig)
+    ax["a"].lines[0].set_ydata([-5.0, 4.7, -4.0, 4.3 + 4e-6])
+    assert "mean 1e-06, checksum" in figures.describe(fig)
+
+
 def test_an_inset_is_refused_since_it_is_not_described():
     fig, ax = plots.panels([["a"]])
     ax["a"].inset_axes([0.5, 0.5, 0.4, 0.4]).plot([1, 2, 3])
