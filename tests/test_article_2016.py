@@ -262,7 +262,7 @@ def test_the_program_of_the_article_is_the_filter(taught):
         frozen, gains, _ = taught["track"](z, F, Q, table1.R, COLUMNS[key].steady.P, 1)  # settled before the start
         np.testing.assert_allclose(frozen, COLUMNS[key].steady.filter(z[:, None]), rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(gains[-1], COLUMNS[key].steady.B, rtol=1e-9)
-    says(f"change the velocity by about {np.sqrt(taught['q']):.1f} m/s in one second")
+    says(f"change the velocity by about $\\sqrt{{q\\,\\Delta t}}$ = {np.sqrt(taught['q']):.1f} m/s in one second")
     says(f"random pushes change it by about {np.sqrt(taught['q']):.1f} m/s in every second")
 
 
@@ -298,7 +298,7 @@ def test_the_sum_that_makes_the_first_number():
     cv, ca = (article.percent_of_position(column).cumsum() for column in COLUMNS.values())
     assert [start[-1] * STEPS for start in table1.STARTS["cv"]] == [200_000, 300_000]
     says("positions of up to 300 km")
-    says(f"The ten steps add up to {cv[9]:.1f} %. The other 9,990 add {cv[-1] - cv[9]:.1f} %")
+    says(f"The ten steps add up to {cv[9]:.1f} % (the bars are rounded). The other 9,990 add {cv[-1] - cv[9]:.1f} %")
     says(
         f"At the first step {cv[0]:.0f} % of the way is missing, because the gain is {COLUMNS['cv'].steady.B[0, 0]:.3f}"
     )
@@ -364,7 +364,7 @@ def test_what_remains_without_noise():
             else:
                 least[key, steps] = alone / noisy[key]["both"].mean(axis=2)[:, :97].mean(axis=1)
     percent = 100 * np.array([least[key, STEPS] for key in COLUMNS])
-    says(f"{percent.min():.0f} to {percent.max():.0f} % of each average in Table 1, as we recompute it, remains")
+    says(f"{percent.min():.0f} to {percent.max():.0f} % of each remained: that is the wrong guess at the start")
     says("Under both readings 93 % or more of each average that we recompute remains without noise")
     assert min(each.min() for each in least.values()) > 0.925
     says(f"and {100 * article.without_noise(COLUMNS['cv'])[0]:.4f} percent remain")
@@ -468,9 +468,8 @@ def test_the_operations_are_those_of_the_papers_counts():
     assert frozen[1:] == own[1:] == [dense[2], dense[3]]
     assert prediction[1:] == [row, 2 * 3 - 1]
     assert kalman[1:] == [burden.value(printed, n=n, m=1) for n in (2, 3)]
-    says("The frozen gain saves six sevenths of the Kalman filter's operations")
-    for i in (1, 2):
-        assert 1 - frozen[i] / kalman[i] == pytest.approx(6 / 7, abs=0.035)
+    least = min(1 - frozen[i] / kalman[i] for i in (1, 2))
+    says(f"The frozen gain saves {int(100 * least)} % of the Kalman filter's operations, or more")
 
 
 # The table to print instead, and the time step
