@@ -310,7 +310,7 @@ def test_a_speedup_that_changes_the_filter_says_that_of_the_same_filter(verdicts
         counted = burden.twelve(axes)
         for id, name in {"speedup.kf-a-sskf-b": "KF", "speedup.lf-a-sslf-b": "LF"}.items():
             ratio = counted[f"{name} A"] / counted[f"{name} B"]
-            assert verdicts[key][id].beyond.endswith(f"{name} A against {name} B: {ratio:.1f}.")
+            assert verdicts[key][id].reason.endswith(f"{name} A against {name} B: {ratio:.1f}.")
         assert not verdicts[key]["speedup.kf-lf-a"].beyond
 
 
