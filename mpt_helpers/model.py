@@ -165,7 +165,7 @@ def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: A
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
 
     dt is the time step (s), q the variance of the velocity's change in a step (m²/s²), r the variance of a measurement
-    (m²), x0 (2,) and P0 (2×2) are the start. H measures s + v dt: the position one step ahead.
+    (m²), x0 (2,) and P0 (2×2) are the start. H measures s + v dt: the position that F predicts for the next step.
 
     Raises ValueError for dt <= 0, q < 0 or r <= 0.
 

@@ -251,11 +251,12 @@ class RecursiveFilter(Filter):
 
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
-        with P(k/N) in Joseph's form. Raises as `estimates`, and TypeError for a filter of constant gain: its P is not
-        that of the best estimate. Warns of damped modes without process noise, whose P(k/N) loses its digits.
+        with P(k/N) in Joseph's form. Raises as `estimates`, and TypeError for a filter of constant gain, or one that
+        fades: its P is not that of the best estimate. Warns of damped modes without process noise, whose P(k/N) loses
+        its digits.
         """
         if not self.optimal:
-            raise TypeError(f"smooth: needs a filter whose gain follows its covariance, got a {type(self).__name__}")
+            raise TypeError(f"smooth: needs a filter whose P is that of the best estimate, got a {type(self).__name__}")
         return self._as_given(z, lambda z: self._in_tiles(self._smoothed, self.epochs_of(z), self.model.n))
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:

@@ -331,7 +331,9 @@ def test_a_filter_of_ones_own_is_one_method(case, rows, alpha):
             x, P = fading.step(x, P, z_k)
             np.testing.assert_allclose(x, loops[i].x[k], **SAME)
             np.testing.assert_allclose(P, loops[i].P[k], **SAME)
-    with pytest.raises(TypeError, match="smooth: needs a filter whose gain follows its covariance, got a FadingFilter"):
+    with pytest.raises(
+        TypeError, match="smooth: needs a filter whose P is that of the best estimate, got a FadingFilter"
+    ):
         fading.smooth(case.z)
     with patch.object(engine, "rows_per_piece", lambda N, tracks: min(N, rows)):
         both = fading.estimates(case.z)
