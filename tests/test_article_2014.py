@@ -538,7 +538,10 @@ def test_the_counts_that_fit_table_4_are_those_that_its_causes_name():
     assert f"{100 * fit['JSSKLF A'] - 100:.0f} % slower" in causes["table4-118"].meaning
     assert "twice as slow" in causes["table4-98"].meaning
     assert fit["JSSKLF B"] == pytest.approx(2, abs=0.1)
-    assert "Two of them reverse" in causes["table4-640"].meaning
+    assert "is reversed, in row 1, column 9 and in row 9, column 1" in causes["table4-640"].meaning
+    cells = [each for each in stored_verdicts(ARTICLE.path) if each.cause == "table4-640"]
+    reversed_ = [each.id for each in cells if (float(each.printed) < 1) != (float(each.computed) < 1)]
+    assert reversed_ == ["table4.1.9", "table4.9.1"]
     assert re.search(r"counted .* 2$", printed_by("table4-size"), re.MULTILINE)
     for id, row in {"table4-640": 9, "table4-98": 12}.items():
         printed = reproduction.published("2014_gsm_2d").items[f"table3.{row}"].printed
