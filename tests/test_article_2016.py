@@ -594,9 +594,9 @@ def test_the_fit_of_the_article_finds_what_made_the_recording():
 def test_what_the_miss_says_of_the_fit(taught):
     """Turns of ten seconds miss by more than drives of the fitted q; drives pushed less than Q says, by less."""
     says("Above it: the pushes last, as in turns of ten seconds")
-    rng = np.random.default_rng(3)
+    rng = taught["rng"] = np.random.default_rng(3)  # so that the order of tests does not matter
     above = []
-    for _ in range(7):
+    for _ in range(20):
         pushes = np.zeros(600)
         for begin in rng.integers(0, 590, 6):
             pushes[begin : begin + 10] += rng.choice([-0.5, 0.5])
@@ -605,7 +605,7 @@ def test_what_the_miss_says_of_the_fit(taught):
         own = *taught["motion"](1.0, q), r
         usual = taught["typical_miss"](taught["drives"](*own, 600, 1, 400), *own, 5)
         above.append(taught["typical_miss"](z, *own, 5)[0] > np.quantile(usual, 0.975))
-    assert sum(above) >= 5
+    assert np.mean(above) > 0.4  # of drives that the fit describes it is one in forty
     says("Below it: the car strays less than $Q$ allows")
     F, Q = taught["F"], taught["Q"]
     calm = taught["typical_miss"](taught["drives"](F, Q / 10, 0.1, 600, 1, 300), F, Q, 0.1, 5)
