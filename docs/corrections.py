@@ -38,6 +38,14 @@ class Entry(NamedTuple):
     if_printed: bool = False
 
 
+class Question(NamedTuple):
+    """A question to the authors, the verdict on the item that it is about, and where it stands in the paper."""
+
+    text: str
+    verdict: object
+    where: str
+
+
 class Remark(NamedTuple):
     """What was found beyond a paper's setting, and the verdicts about which it says so."""
 
@@ -119,6 +127,11 @@ def if_printed(given, corrected):
     return [(patch, each) for patch, each in patched(given, corrected, CANNOT_BE_CHECKED) if each.printed != "?"]
 
 
+def cells_if_printed(given, corrected):
+    """Return how many lost cells of tables are corrected under that condition."""
+    return sum(each.printed == "?" for _, each in patched(given, corrected, CANNOT_BE_CHECKED))
+
+
 def entry(verdict, corrected):
     """Return an item of a table as an Entry; corrected maps ids to what is right, as `read` returns it."""
     right = corrected.get(verdict.id, "")
@@ -197,9 +210,19 @@ def lost(given):
 
 
 def questions(given, asked):
-    """Return the questions to the authors, [(question, verdict)]; asked maps ids to questions, as in papers.toml."""
+    """Return the questions to the authors as Questions; asked maps ids to questions, as in papers.toml.
+
+    One that is a text stands where its item does first; one that is {where, text} is about more or less than its item.
+    """
     by_id = {each.id: each for each in given}
-    return [(text, by_id[id]) for id, text in asked.items()]
+    made = []
+    for id, question in asked.items():
+        verdict = by_id[id]
+        if isinstance(question, str):
+            made.append(Question(question, verdict, verdict.where.split(";")[0]))
+        else:
+            made.append(Question(question["text"], verdict, question["where"]))
+    return made
 
 
 def unchecked(given, asked, corrected):

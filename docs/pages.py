@@ -741,6 +741,7 @@ def write_corrections(env, key, own, corrected, asked):
         sections=corrections.sections(own, corrected),
         in_text=corrections.in_text(own, corrected),
         if_printed=corrections.if_printed(own, corrected),
+        cells_if_printed=corrections.cells_if_printed(own, corrected),
         lost=corrections.lost(own),
         questions=corrections.questions(own, asked),
         unchecked=corrections.unchecked(own, asked, corrected),

@@ -382,7 +382,7 @@ def test_claims_that_fail_stand_first_then_those_under_a_condition_and_each_open
     headings = page.locator(".bd-article :is(h2, h3, details.claim .verdict)").all_inner_texts()
     for verdict, heading in {
         "erratum": "Claims that fail",
-        "holds in part": "Claims that hold under a condition",
+        "holds in part": "Claims and formulas that hold under a condition",
         "cannot be checked": "Claims that cannot be checked",
     }.items():
         assert headings[headings.index(verdict) - 1].startswith(heading)
@@ -1034,7 +1034,7 @@ def test_a_page_of_corrections_strikes_only_what_is_printed_beside_what_is_right
         if id in patches and own[id]["printed"] != "?":
             patch = patches[id]
             where = own[id]["where"].split(";")[0]
-            line = f"{where}: {patch.before} {patch.printed} {patch.right} {patch.after}".strip()
+            line = f"{where}: {patch.before} {patch.printed} → {patch.right} {patch.after}".strip()
             assert f"{bare(line).replace(' ,', ',')}." in text
     assert not [row["id"] for row in own.values() if row["beyond"] and bare(row["beyond"]) in text]
     page.emulate_media(media="print")

@@ -182,7 +182,7 @@ def test_the_question_on_table_4_names_the_counts_that_its_causes_name(given):
     causes = [each for (_, id), each in given.causes.items() if id.startswith("table4-")]
     said = r"fit (\d+) operations\. By Table 2 it takes (\d+)"
     pairs = [re.search(said, each.sentence).groups() for each in causes]
-    text = pages.texts(given)["questions"]["2014_gsm_2d"]["table4.1.3"]
+    text = pages.texts(given)["questions"]["2014_gsm_2d"]["table4.1.3"]["text"]
     assert re.findall(r"\b\d{2,4}\b", text) == [number for number, _ in pairs]
     counted = {each.computed for each in given.of("2014_gsm_2d") if each.id.startswith("table3.")}
     assert counted.issuperset(number for _, number in pairs)
@@ -344,7 +344,11 @@ def test_what_a_paper_leaves_out_is_asked_or_listed_and_what_our_copy_lost_is_ne
     wrong, right = verdict("c", verdict="differs", cause="x"), verdict("d")
     unread = verdict("e", verdict="cannot be checked", reason="one letter", printed="P")
     given, asked = [lacking, lost, wrong, right, unread], {"c": "Why?", "d": "When?", "e": "P or R?"}
-    assert corrections.questions(given, asked) == [("Why?", wrong), ("When?", right), ("P or R?", unread)]
+    first = "Section 1, twice"
+    twice = verdict("f", f"{first}; Conclusion")
+    made = corrections.questions([*given, twice], asked | {"f": "Both?", "a": {"where": "Section 2", "text": "How?"}})
+    assert [(each.text, each.verdict) for each in made[:3]] == [("Why?", wrong), ("When?", right), ("P or R?", unread)]
+    assert made[3:] == [("Both?", twice, first), ("How?", lacking, "Section 2")]
     assert corrections.unchecked(given, asked, {}) == [lacking]
     assert corrections.unchecked(given, asked | {"a": "Than what?"}, {}) == []
     assert corrections.unchecked(given, asked, {"a": corrections.Patch("more", "less")}) == []
