@@ -63,7 +63,7 @@ def test_the_claim_is_told_with_the_papers_numbers():
     printed = [number for numbers in table1.PRINTED.values() for number in numbers]
     says(f"average errors of Table 1 lie between {min(printed):.3f} and {max(printed):.3f} percent")
     assert sum(each.id.startswith("table1.") and each.verdict in HOLDS for each in stored_verdicts(ARTICLE.path)) == 12
-    says("All twelve numbers lie within the scatter of single runs")
+    says("All twelve averages of Table 1 lie within the scatter of single runs")
 
 
 def test_table_1_beside_what_is_computed():
@@ -226,6 +226,8 @@ def test_a_start_far_from_zero_is_a_wrong_guess():
     assert second == pytest.approx(20, abs=1)
     gain = article.unknown_start(COLUMNS["cv"].steady.model).coefficients(1).B[0]
     assert f"{gain[1, 0] * far:,.0f}" == "5,010"
+    says("After the first it puts half of what surprised it down to the velocity")
+    assert gain[1, 0] == pytest.approx(0.5, abs=1e-4)
     assert gain[0, 0] == pytest.approx(1, abs=1e-4)
 
 
@@ -301,6 +303,11 @@ def test_the_sum_that_makes_the_first_number():
     assert [start[-1] * STEPS for start in table1.STARTS["cv"]] == [200_000, 300_000]
     says("positions of up to 300 km")
     says(f"The ten steps add up to {cv[9]:.1f} % (the bars are rounded). The other 9,990 add {cv[-1] - cv[9]:.1f} %")
+    exact = 20.0 * np.arange(1, 11)
+    first = 100 * np.abs(1 - COLUMNS["cv"].steady.filter(exact[:, None])[:, 0] / exact).sum()
+    later = 100 * article.without_noise(COLUMNS["cv"])[0] * STEPS - first
+    says(f"nearly all of it the sensor's noise ({later:.1f} % remain without it)")
+    assert later < (cv[-1] - cv[9]) / 10
     says(
         f"At the first step {cv[0]:.0f} % of the way is missing, because the gain is {COLUMNS['cv'].steady.B[0, 0]:.3f}"
     )
@@ -311,7 +318,7 @@ def test_the_sum_that_makes_the_first_number():
     for velocity in (1.0, 300.0):
         other = replace(COLUMNS["cv"], starts=([0.0, velocity], [0.0, velocity]))
         np.testing.assert_allclose(article.without_noise(other), article.without_noise(COLUMNS["cv"]))
-    assert "The first ten steps make nearly all of the number" in printed_by("sum")
+    assert "The first ten of 10,000 steps make nearly all of the average" in printed_by("sum")
     assert cv[9] / cv[-1] > 0.95
     says(f"That makes {cv[-1]:.1f} %, and divided by 10,000 steps it is the number, {cv[-1] / STEPS:.4f} percent")
     assert f"{cv[-1] / STEPS:.4f}" == f"{table1.PRINTED['cv'][0]}"
@@ -426,7 +433,14 @@ def test_a_varying_step_written_out_is_that_of_the_package():
     np.testing.assert_allclose(x, kf.filter(np.array([[3.0]]))[0], rtol=1e-12)
     P_right = kf.coefficients(1).P[0]
     np.testing.assert_allclose(P, [P_right[0, 0], P_right[0, 1], P_right[1, 1]], rtol=1e-12)
-    says("in a program that leaves them out, 7 of 22 operations remain, and freezing still saves two thirds")
+    says("a step at constant velocity takes 22 operations while the gain varies, and 7 once it is frozen")
+    says("freezing still saves two thirds")
+    says("The single line is 10 here, too: its $A$ has no 0 or 1")
+    steady = COLUMNS["cv"].steady
+    assert not np.isin(np.round(steady.A, 6), (0, 1)).any()
+    assert (
+        steady.A.size + steady.B.size + 2 * (3 - 1) == 10
+    )  # products, and the sums of three terms in each of two rows
     assert pytest.approx(2 / 3, abs=0.02) == 1 - 7 / 22
 
 
@@ -606,7 +620,7 @@ def test_what_the_miss_says_of_the_fit(taught):
         usual = taught["typical_miss"](taught["drives"](*own, 600, 1, 400), *own, 5)
         above.append(taught["typical_miss"](z, *own, 5)[0] > np.quantile(usual, 0.975))
     assert np.mean(above) > 0.4  # of drives that the fit describes it is one in forty
-    says("Below it: the car strays less than $Q$ allows")
+    says("Below it, in the first range or not: the car strays less than $Q$ allows")
     F, Q = taught["F"], taught["Q"]
     calm = taught["typical_miss"](taught["drives"](F, Q / 10, 0.1, 600, 1, 300), F, Q, 0.1, 5)
     usual = taught["typical_miss"](taught["drives"](F, Q, 0.1, 600, 1, 300), F, Q, 0.1, 5)
@@ -643,12 +657,13 @@ def test_a_mobile_that_accelerates_leaves_the_filter_of_constant_velocity_behind
         lag[key] = t[-1] ** 2 / 2 - x[0], (t[-1] + 5) ** 2 / 2 - ahead
     now, ahead = lag["cv"]
     slow = t[-1] - COLUMNS["cv"].steady.filter(t[:, None] ** 2 / 2)[-1, 1]
-    says(f"After a minute it is {now:.1f} m behind and {slow:.1f} m/s too slow")
+    says(f"and {now:.1f} m remain: so far it is behind after a minute. It is also {slow:.1f} m/s too slow")
     says(f"makes {now:.1f} + 5 · {slow:.1f} m, and the acceleration that it does not know adds 12.5 m: {ahead:.0f} m")
     assert now + 5 * slow + 5**2 / 2 == pytest.approx(ahead)
     np.testing.assert_allclose(lag["ca"], 0, atol=1e-6)  # positions of 45,000 m, with some ten digits
     position, velocity = COLUMNS["cv"].steady.B[:, 0]
     assert now == pytest.approx((1 - position) / velocity)
+    says(f"a surprise of 1/{velocity:.3f} = {1 / velocity:.1f} m is needed. The gain takes {position:.3f} of that away")
     third, without = (article.settled_sigma(COLUMNS[name], [5])[0] for name in ("ca", "cv"))
     says(f"Five seconds ahead the typical error is {third:.2f} m with it and {without:.2f} m without")
     says("a smaller one lowers the price")
@@ -695,7 +710,7 @@ def test_the_time_step_counted_in_steps_and_in_seconds():
         gains.append(1 - often / seldom)
     assert min(gains) > 0.06
     assert 0.17 < max(gains) <= 0.2
-    says("With one that is wrong by 3 m or 10 m it is a fifth to a third")
+    says("With one that is wrong by 3 m or 10 m it is a fifth to a third, which may be worth it")
     worse = []
     for r, key, noise in product((9.0, 100.0), COLUMNS, (0, 1)):
         often, seldom = (article.settled_sigma(table1.columns(dt=dt, r=r)[key], [5], noise)[0] for dt in (0.5, 2.0))
@@ -763,7 +778,9 @@ def test_the_odds_of_percent(log_p):
 
 
 def test_both_readings_give_all_twelve_numbers():
-    says("and also if they are read as fractions, over 97 steps of a car that is pushed as $Q$ says")
+    says(
+        "They also do if they are read as fractions instead of percent, and a run has 97 steps of a car that is pushed"
+    )
     for reading, length in ((readings.PERCENT, 10_000), (readings.FRACTION, 97)):
         samples = readings.all_samples(COLUMNS, reading, 7, lengths=[length])
         assert max(readings.passes(samples, COLUMNS, axis)[0] for axis in table1.AXES) == 12

@@ -302,7 +302,7 @@ def draw_sum(single=10):
     ax.set_xticks(places, [*map(str, places[:-1]), "later"])
     ax.set_ylim(0, 52)
     ax.set_ylabel("error / position (%)")
-    plots.finish(ax, "step", "The first ten steps make nearly all of the number")
+    plots.finish(ax, "step", f"The first ten of {STEPS:,} steps make nearly all of the average")
     return fig
 
 
