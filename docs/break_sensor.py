@@ -39,7 +39,7 @@ RED = "#b8251d"
 
 
 @dataclass(frozen=True)
-class Track:
+class Walk:
     """One walk: true positions, errors of the fixes, and errors that last, (FIXES,) each and in metres."""
 
     truth: np.ndarray
@@ -133,7 +133,7 @@ def filters(ahead=False, origin=0.0):
 
 
 def walks(count, rng):
-    """Return a Track of `count` columns: walks of the model from the origin, and their errors to the millimetre."""
+    """Return a Walk of `count` columns: walks of the model from the origin, and their errors to the millimetre."""
     axis = gsm_axis(DT, Q, R)
     walk = LinearModel(F=axis.F, H=[[1.0, 0.0]], Q=axis.Q, R=axis.R, x0=[0.0, SPEED], P0=np.zeros((2, 2)))
     x, z = simulate(walk, FIXES, rng, tracks=count)
@@ -142,7 +142,7 @@ def walks(count, rng):
     for k in range(FIXES):
         error = LEFT * error + LASTING * np.sqrt(1 - LEFT**2) * rng.standard_normal(count)
         lasting[k] = error
-    return Track(x[:, 0].round(3), (z[:, 0] - x[:, 0]).round(3), lasting.round(3))
+    return Walk(x[:, 0].round(3), (z[:, 0] - x[:, 0]).round(3), lasting.round(3))
 
 
 def fixes(scene, track):
@@ -228,7 +228,7 @@ SHOWN = {
 def far_from_average(tracks):
     """Return how far each track is from the average, 0 if it has the root mean square of all in every number.
 
-    tracks is a Track of many columns. The distance is that of the logarithms of the numbers in SHOWN. The error of
+    tracks is a Walk of many columns. The distance is that of the logarithms of the numbers in SHOWN. The error of
     H = [1 Δt] is the velocity times Δt: there the average is walking pace.
     """
     distance = 0.0
@@ -242,14 +242,14 @@ def far_from_average(tracks):
 
 @cache
 def average():
-    """Return the Track that is shown: of 10,000 walks the one whose numbers lie nearest to their root mean square.
+    """Return the Walk that is shown: of 10,000 walks the one whose numbers lie nearest to their root mean square.
 
     >>> average().truth.shape
     (60,)
     """
     tracks = walks(CANDIDATES, np.random.default_rng(SEED))
     best = int(np.argmin(far_from_average(tracks)))
-    return Track(tracks.truth[:, best], tracks.noise[:, best], tracks.lasting[:, best])
+    return Walk(tracks.truth[:, best], tracks.noise[:, best], tracks.lasting[:, best])
 
 
 def said(name):

@@ -8,9 +8,9 @@ To see how the filters work, read in this order:
 - `filters`: A_k, B_k and P of both filters in `next_step`; `steady`: their limits as constants, and the FIR form;
 - `recursive`: what every filter offers, and what the package asks of it;
 - `epochs`: measurements with the conditions that they were made under, as one value;
-- `engine`: the run of a filter over tracks, on one page. It has two ways: `steps`, which tracks without gaps share, and
-  `columns`, for tracks with gaps, times and precisions of their own;
-- `partition`: a long track as many short columns;
+- `engine`: the run of a filter over tracks. It has two ways: `steps`, which tracks without gaps share, and `columns`,
+  for tracks with gaps, times and precisions of their own;
+- `partition`: a long track as many short columns, and how these are run;
 - `smoothing`: the way back;
 - `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead.
 

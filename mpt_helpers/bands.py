@@ -354,7 +354,7 @@ class LiveBand:
         last, x, P = self.last
         expected, S = _expected(self.model, x[None], P[None], np.array([t - last]), R[None])
         squared = _nis_per_number(z[None] - expected, S)[0]
-        self.average = _averaged(self.average, squared, len(self.times))
+        self.average = _average_with(self.average, squared, len(self.times))
 
     def _predicted(self, x, P, seconds, R):
         expected, S = _expected(self.model, x[None], P[None], np.array([seconds]), R[None])
@@ -407,12 +407,12 @@ def _recent(t, squared, seconds):
     within = np.arange(len(t)) - np.searchsorted(t, t - seconds * (1 + TIME_ROUNDING))
     a, averages = 1.0, []
     for value, count in zip(squared.tolist(), within.tolist(), strict=True):
-        a = _averaged(a, value, count)
+        a = _average_with(a, value, count)
         averages.append(a)
     return _local(np.array(averages))
 
 
-def _averaged(average, squared, fixes):
+def _average_with(average, squared, fixes):
     """Return the recent average of NIS / m after one more of them, with so many fixes in the horizon before it."""
     return average + (squared - average) / _memory(fixes)
 

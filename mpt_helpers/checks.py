@@ -30,7 +30,7 @@ SOLVED = 1e-6
 # Seconds beyond this, 3,000 years, are no seconds. Unix times are 1.7e9 s today; of which units they are, where they
 # are too large, shows by what makes them less.
 LATEST_TIME = 1e11
-UNITS = {"Unix milliseconds": 1e3, "Unix microseconds": 1e6, "Unix nanoseconds": 1e9}
+UNIX_UNITS = {"Unix milliseconds": 1e3, "Unix microseconds": 1e6, "Unix nanoseconds": 1e9}
 
 
 def refuse(name: str, need: str, got: object, error: type[Exception] = ValueError) -> NoReturn:
@@ -360,8 +360,8 @@ def _require_seconds(name, values, steps, kind):
     """Raise a ValueError where times cannot be seconds: too large, all equal, or rounded away by their type."""
     largest = np.abs(values).max()
     if largest > LATEST_TIME:
-        unit = next((unit for unit, size in UNITS.items() if largest / size < LATEST_TIME), None)
-        got = f"{largest:.15g}" if unit is None else f"{largest:.15g}, which looks like {unit} (/ {UNITS[unit]:g})"
+        unit = next((unit for unit, size in UNIX_UNITS.items() if largest / size < LATEST_TIME), None)
+        got = f"{largest:.15g}" if unit is None else f"{largest:.15g}, which looks like {unit} (/ {UNIX_UNITS[unit]:g})"
         refuse(name, "times in seconds", got)
     if len(values) > 2 and not steps.any():
         refuse(name, "times of which some differ", f"{values.flat[0]:.15g} in all {len(values)} rows")

@@ -46,7 +46,7 @@ FROM_BOTH_SIDES, LOOKS = 60.0, 3
 # Where fixes are so many seconds apart or more, the limit is lower while the motion is calm: in proportion to the
 # median of so many fixes around, over that of two axes of a right model, but no lower than CALM. Twice as many outliers
 # of 20 to 40 m are caught. On denser tracks all are caught anyway, and fixes that are a few metres off would go too.
-SPARSE, AROUND, MEDIAN, CALM = 4.0, 21, 1.39, 30.0
+SPARSE, NEIGHBOURS, MEDIAN, CALM = 4.0, 21, 1.39, 30.0
 # The variance r - P_s of that look is known to the rounding of P_s: below this part of r it is taken for this part.
 SMALLEST_DIFFERENCE = 1e-8
 TURNS = 4  # of the gate, the look from both sides and the fit
@@ -54,11 +54,11 @@ TURNS = 4  # of the gate, the look from both sides and the fit
 MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
 # Stretches stand on one line of time, this long apart at least: so long that nothing of one is known in the next. In T
 # seconds without a fix the variance of a velocity grows by q T: it has to grow by the square of so many usual speeds.
-APART, FORGOTTEN = 3600.0, 8
+HOUR_BETWEEN, FORGOTTEN = 3600.0, 8
 # Errors of q and r come from blocks of so many seconds, or of a tenth of the track if there are fewer.
-BLOCK, FEWEST_BLOCKS = 300.0, 10
+SECONDS_PER_BLOCK, BLOCKS_AT_LEAST = 300.0, 10
 # log(r / q) is searched between these, r / q in units of the usual step cubed (s³), and found to this.
-RATIOS, NEAR = (math.log(1e-8), math.log(1e6)), 0.02
+RATIOS, RATIO_FOUND = (math.log(1e-8), math.log(1e6)), 0.02
 # A step is one of a grid if it is a multiple of it, but for this part of it. Of two numbers that lie on no grid the
 # difference is at most this part of a usual step, if it is to be their rounding.
 ON_GRID, HUNDREDTH = 0.05, 0.01
@@ -135,7 +135,7 @@ class Scale(NamedTuple):
     rounding: float
 
 
-def checked(t, z, r):
+def checked_track(t, z, r):
     """Return times (N,), positions (N, m) and relative variances (N, m) or None, all checked."""
     t = checks.times("t", t)
     need = "positions (N, m) in metres, NaN where one is missing"
@@ -250,7 +250,7 @@ def on_one_line(t: Array, z: Array, relative: Array | None, pieces: NDArray[np.i
 
     They are so long apart that the velocity at the start of one is not known from the one before it.
     """
-    apart = max(APART, (FORGOTTEN * scale.speed) ** 2 / noise.q)
+    apart = max(HOUR_BETWEEN, (FORGOTTEN * scale.speed) ** 2 / noise.q)
     rows, times, moved, first = [], [], [], []
     end, last = 0.0, np.zeros(z.shape[1])  # of the stretch before, on the line
     for k in range(pieces.max() + 1):
@@ -288,10 +288,10 @@ def fitted(line: Stretches, guess: Noise, scale: Scale) -> Noise:
     low, high = max(at - math.log(100), RATIOS[0] + unit), min(at + math.log(100), RATIOS[1] + unit)
     if guess.rounding or not low < at < high:
         low, high = RATIOS[0] + unit, RATIOS[1] + unit
-    found = minimize_scalar(surprise, bounds=(low, high), method="bounded", options={"xatol": NEAR})
+    found = minimize_scalar(surprise, bounds=(low, high), method="bounded", options={"xatol": RATIO_FOUND})
     if low > RATIOS[0] + unit and min(found.x - low, high - found.x) < 0.1:  # at an edge of the part that was searched
         wide = RATIOS[0] + unit, RATIOS[1] + unit
-        found = minimize_scalar(surprise, bounds=wide, method="bounded", options={"xatol": NEAR})
+        found = minimize_scalar(surprise, bounds=wide, method="bounded", options={"xatol": RATIO_FOUND})
     rho = math.exp(found.x)
     q = _best_q(line, rho, guess.q, scale)[0]
     if q * rho > scale.rounding:
@@ -381,9 +381,9 @@ def log_errors(line: Stretches, noise: Noise, scale: Scale) -> dict[str, float]:
 
 
 def _blocks_of(line, scale):
-    """Return the number of the block that each row lies in, (K,): of BLOCK seconds, or a tenth of all stretches."""
+    """Return the number of the block that each row lies in, (K,): five minutes, or a tenth of all stretches."""
     seconds = np.diff(line.t)[np.diff(line.number) == 0].sum()  # without those between two stretches
-    return np.floor(line.t / max(scale.step, min(BLOCK, seconds / FEWEST_BLOCKS)))
+    return np.floor(line.t / max(scale.step, min(SECONDS_PER_BLOCK, seconds / BLOCKS_AT_LEAST)))
 
 
 def seen_from_both_sides(line: Stretches, noise: Noise, scale: Scale, pieces: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -415,7 +415,7 @@ def seen_from_both_sides(line: Stretches, noise: Noise, scale: Scale, pieces: ND
 
 def _limits_of_calm(off):
     """Return the limit of each fix, (N,), from how far off (N,) the fixes around it are."""
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(off, AROUND // 2, mode="reflect"), AROUND)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS)
     return np.clip(FROM_BOTH_SIDES * np.median(around, axis=1) / MEDIAN, CALM, FROM_BOTH_SIDES)
 
 
@@ -604,7 +604,7 @@ def clean(
     >>> c.refused.tolist(), c.starts.tolist(), round(c.q, 3), round(c.r, 2)
     ([100], [], 0.035, 4.03)
     """
-    t, z, relative = checked(t, z, r)
+    t, z, relative = checked_track(t, z, r)
     seconds, limit = checks.duration("seconds", seconds), checks.positive("limit", limit)
     if pause is not None:
         pause = checks.duration("pause", pause)

@@ -250,14 +250,18 @@ def _equal(K_1, K_2):
 
 
 def _constant_gain(estimator):
-    """Return the gain (n, m) of a steady-state filter and of what is made of them, zeros of every other filter."""
+    """Return the gain (n, m) of a steady-state filter and of what is made of them.
+
+    A filter whose gain follows its P (`optimal`) has zeros here: two of them have the same gain wherever they have the
+    same P. Of any other filter it is not known, and NaN equals nothing.
+    """
     if isinstance(estimator, SteadyStateFilter):
         return estimator.B
     if isinstance(estimator, JoinFilter):
         return _constant_gain(estimator.first)  # its `step` asks whether the second has the same
     if isinstance(estimator, Separate):
         return block_diag(*map(_constant_gain, estimator.filters))
-    return np.zeros((estimator.model.n, estimator.model.m))
+    return np.full((estimator.model.n, estimator.model.m), 0.0 if estimator.optimal else np.nan)
 
 
 def _require_equally_far_ahead(name, first, other):

@@ -3,9 +3,10 @@
 A track goes one of two ways:
 
 1. *Tracks without gaps, at steps and with variances of the model.* They share A_k, B_k and P, which are made once
-   (`steps.make_shared_steps`), and `steps.run` takes all of them through several steps in one product.
+   (`steps.make_shared_steps`), and `steps.run_shared` takes all of them through several steps in one product.
 2. *All others.* They have conditions of their own, and are columns (`columns`): one row is taken after the other
-   (`in_sequence`), or, where a few long tracks would leave the processor idle, pieces run side by side (`partition`).
+   (`in_sequence`), or, where a few long tracks would leave the processor idle, pieces of them run side by side
+   (`partition.through`).
 
 A filter on columns is its `advance`, one epoch:
 
@@ -13,7 +14,7 @@ A filter on columns is its `advance`, one epoch:
 
 row is a `Row` of c tracks in each of M columns, x (n, c, M) and P (n, n, M) are x(k/k) and P(k/k). It returns both one
 row further, and the innovations (m, c, M) at unit covariance, zero where nothing was measured. Each `advance` keeps
-five promises, which the functions here and a user's own gate live from:
+five promises, which `partition` and a user's own gate live from:
 
 - x comes out linear in x and in the measurements, and P does not depend on either. So `partition` may run a piece from
   starts of its own choice, and add up what becomes of them.
@@ -22,8 +23,8 @@ five promises, which the functions here and a user's own gate live from:
 - The innovations of a track are white and of unit variance if the model is right, also with correlated noises and in
   rows that are partly missing. The sum of their squares is the NIS of the row. With correlated noises a single one of
   them does not belong to one measurement, so that a gate takes or refuses a row as a whole.
-- A filter of constant gain returns no innovations (m = 0). `in_sequence` refuses a gate for it: a NIS of zero would let
-  everything pass.
+- A filter whose P is not that of the best estimate (`optimal = False`: constant gain, or one that forgets) returns no
+  innovations (m = 0). `in_sequence` refuses a gate for it: a NIS of zero would let everything pass.
 - A measurement that is missing changes nothing, nor does the variance of 1 that `Layout.rows` puts in its place.
 """
 
@@ -36,12 +37,8 @@ import numpy as np
 from . import checks
 from .algebra import product_for_covariances
 from .epochs import Layout, Rows
-from .partition import agree, count_of_pieces, cut, next_starts, rows_per_piece, starts, uncut
-from .steps import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run, tiles
-
-# Where the pieces of a track do not fit together, all of them run again from where the ones before ended, so many times
-# in all. Then the track is not cut.
-MOST_PASSES = 3
+from .partition import through
+from .steps import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
 
 def estimates(estimator, epochs, x, covariances):
@@ -55,7 +52,7 @@ def estimates(estimator, epochs, x, covariances):
     shared = estimator.shared_steps(N, M)
     if shared is None:
         return _by_columns(estimator, epochs, x, covariances)
-    run(shared.products, estimator.model.x0[:, None], epochs.z, x)
+    run_shared(shared.products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:  # no track has a gap here: those that have went by columns above
         return _finite(np.array([step.P for step in shared.steps])[..., None])
     # Without covariances some may. A gap is NaN, which spreads to all that follows: tracks whose last state is NaN had
@@ -90,14 +87,14 @@ def _by_columns(estimator, epochs, x, covariances):
     (N, n, M), layout = x.shape, epochs.layout
     P = np.empty((N, n, n, layout.count_of_columns(M))) if covariances else None
     for part in tiles(M, TILE if layout.one_column else TILE_OF_COVARIANCES):
-        on_columns = start_on_columns(estimator, layout.rows(epochs.of(part)))
+        advance, *rows_and_start = start_on_columns(estimator, layout.rows(epochs.of(part)))
         # Views of x and P, which `through` writes to.
         written = layout.as_columns(x[..., part]), None if P is None else layout.of_tracks(P, part)
-        last, least = through(*on_columns, *written)
+        last, least = through(partial(in_sequence, advance), *rows_and_start, *written)
         if least < 0:
             # The variance of a state that is known exactly comes out as the rounding of zero, on either side of it.
-            careful = partial(_keeping_what_is_known, estimator.model.motion, on_columns.advance)
-            last, least = through(*on_columns._replace(advance=careful), *written)
+            careful = partial(_keeping_what_is_known, estimator.model.motion, advance)
+            last, least = through(partial(in_sequence, careful), *rows_and_start, *written)
         if least < 0:
             need = "measurements that are not far more precise than P0 or than what is known after a gap"
             checks.refuse("z", need, "a variance below zero, by rounding")
@@ -177,66 +174,13 @@ def in_sequence(advance, rows, x, P, takes=None):
         x_next, P_next, innovations = advance(row, x, P)
         if takes is not None:
             if not len(innovations):
-                checks.refuse("takes", "a filter with innovations", "one of constant gain", TypeError)
+                got = "one whose P is not that of the best estimate (optimal = False)"
+                checks.refuse("takes", "a filter with innovations", got, TypeError)
             refused = np.logical_not(takes(row, innovations))
             if refused.any():
                 x_next, P_next, _ = advance(row.without(refused), x, P)
         x, P = x_next, P_next
         yield x, P, innovations
-
-
-def through(advance, rows, x0, P0, x, P):
-    """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
-
-    rows can be iterated, cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `epochs.Rows`. They are
-    cut into pieces where that is sooner done, and costs no digits. Returns the last P, of each piece where there are
-    several, in which an overflow shows, and the least variance of all.
-    """
-    N, _, c, M = x.shape
-    K = rows_per_piece(N, c * M)
-    if K < N:
-        found = _in_pieces(advance, rows, K, x0, P0, x, P)
-        if found is not None:
-            return found
-    _, last, least = _written(advance, rows, x0, P0, x, P)
-    return last, least
-
-
-def _written(advance, rows, x0, P0, x, P):
-    """Write the states to x and the covariances to P unless it is None.
-
-    Returns the last of both, of all d states, and the least variance of all.
-    """
-    n = x.shape[1]
-    least = np.inf
-    for k, (x_k, P_k, _) in enumerate(in_sequence(advance, rows, x0, P0)):
-        x[k] = x_k[:n]
-        least = min(least, np.einsum("jj...->j...", P_k[:n, :n]).min())
-        if P is not None:
-            P[k] = P_k[:n, :n]
-    return x_k, P_k, least
-
-
-def _in_pieces(advance, rows, K, x0, P0, x, P):
-    """Do what `through` does, in pieces of K rows. Returns None where the pieces do not fit together."""
-    N, n, _, M = x.shape
-    pieces = rows.mapped(partial(cut, K=K))
-    try:
-        x_start, P_start = starts(advance, pieces, count_of_pieces(N, K), x0, P0)
-    except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
-        return None
-    x_pieces = np.empty((K, n, *x_start.shape[1:]))
-    P_pieces = None if P is None else np.empty((K, n, n, P_start.shape[2]))
-    for _ in range(MOST_PASSES):
-        x_last, P_last, least = _written(advance, pieces, x_start, P_start, x_pieces, P_pieces)
-        x_next, P_next = next_starts(x0, x_last), next_starts(P0, P_last)
-        if least >= 0 and agree(x_start, P_start, x_next, P_next):
-            x[...] = uncut(x_pieces, N, M)
-            if P is not None:
-                P[...] = uncut(P_pieces, N, M)
-            return P_last, least
-        x_start, P_start = x_next, P_next
-    return None
 
 
 def innovations(estimator, epochs):

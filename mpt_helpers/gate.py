@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import checks
-from .filters import KalmanFilter, LainiotisFilter, lengths_of
+from .filters import KalmanFilter, LainiotisFilter
 
 # Two pieces are joined, without a jump, where the way between them is at most so many times as fast as the fastest
 # twentieth of all steps: between consecutive fixes of a clean track none was.
@@ -282,16 +282,6 @@ def _parts(rows):
     return [rows[begin:end] for begin, end in pairwise(cuts.tolist()) if end > begin]
 
 
-def _require_own_conditions(kf, z, seen):
-    """Raise a ValueError where the times and variances of the filter are not those of the rows of z (N, m)."""
-    if kf.t is not None and kf.t.shape != (len(z),):
-        checks.refuse("kf", f"a time of each of the {len(z)} rows of z", f"times of shape {kf.t.shape}")
-    if kf.r is not None:
-        if kf.r.shape != z.shape:
-            checks.refuse("kf", f"variances of the shape of z, {z.shape}", f"shape {kf.r.shape}")
-        checks.used_variances("r", kf.r[seen])
-
-
 # What follows is all that knows how a filter takes a step. Both classes do the same:
 #   origin()            the state before the first row, x0 and P0
 #   start(k)            the state after a first fix, of row k
@@ -301,11 +291,12 @@ def _require_own_conditions(kf, z, seen):
 
 
 def _steps_of(kf, z, seen):
-    _require_own_conditions(kf, z, seen)
-    lengths = np.ones(len(z)) if kf.t is None else lengths_of(kf.t, kf.model.dt)
-    if _is_a_stack_of_equal_axes(kf.model, kf.r, seen):
-        return _EqualAxes(kf.model, lengths, kf.r, z)
-    return _AnyModel(kf.model, lengths, kf.r, z, seen)
+    epochs = kf.epochs_of(z[..., None])
+    lengths = np.ones(len(z)) if epochs.lengths is None else epochs.lengths[:, 0]
+    variances = None if epochs.variances is None else epochs.variances[..., 0]
+    if _is_a_stack_of_equal_axes(kf.model, variances, seen):
+        return _EqualAxes(kf.model, lengths, variances, z)
+    return _AnyModel(kf.model, lengths, variances, z, seen)
 
 
 class _AnyModel:

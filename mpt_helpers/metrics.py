@@ -28,7 +28,7 @@ from .steps import epochs_at_a_time
 FAR_TOO_SMALL, FAR_TOO_LARGE = 2e-4, 1e4
 # A number stands out if its NIS is so many times the median one. On the same tracks the largest one was below 1.3e3
 # times the median, and with one fix 10,000 km away above 7e4 times, however q and r were fitted to it.
-STANDS_OUT = 1e4
+ALONE = 1e4
 # Innovations of a true model are uncorrelated. Those of nine of the ten fits were so to 0.3, and with q and r exchanged
 # they were correlated by up to -0.74 and 1. Sizes above this many times the median one, 3 sigma, count as this many.
 CORRELATED, LARGEST_SIZE = 0.5, 4.4
@@ -205,7 +205,7 @@ def _said_of_units(ratio):
 def _said_of_the_farthest(ratios):
     """Name the largest NIS of `ratios` (N, m, M), over the median one, where it stands out."""
     worst = np.unravel_index(np.nanargmax(ratios), ratios.shape)
-    if ratios[worst] <= STANDS_OUT:
+    if ratios[worst] <= ALONE:
         return ""
     row = f"row {worst[0]} of z" if ratios.shape[2] == 1 else f"row {worst[0]} of track {worst[2]} of z"
     return f"{row} is far off: its NIS is {ratios[worst]:.0e} times the median one"

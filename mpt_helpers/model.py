@@ -16,10 +16,10 @@ from .checks import Array, Seconds
 from .equations import square_root
 from .immutable import Immutable
 from .motion import Motion, OneLength, Powers, checked, joined, powers_of, refuse_other_lengths
-from .steps import Step, products_for, run
+from .steps import Step, products_for, run_shared
 
 # The longest time step (s): its fifth power, in the Q of constant acceleration, is a double.
-LONGEST = 1e60
+LONGEST_DT = 1e60
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -90,7 +90,7 @@ class LinearModel(Immutable):
         }
         dt = None if dt is None else checks.duration("dt", dt)
         powers = None if powers is None else checks.array("powers", powers, (n,))
-        found = _motion(given["F"], given["Q"], dt, powers, motion)
+        found = _motion_of(given["F"], given["Q"], dt, powers, motion)
         given |= {"dt": found.dt, "powers": powers_of(found), "motion": found}
         for name, value in given.items():
             object.__setattr__(self, name, value)
@@ -119,7 +119,7 @@ class LinearModel(Immutable):
         return len(self.H)
 
 
-def _motion(F, Q, dt, powers, motion):
+def _motion_of(F, Q, dt, powers, motion):
     """Return the Motion of a model with these F and Q, from what was given of it.
 
     A user gives what stands in the first five lines, where a misfit is an error. `replace` and copies give back what
@@ -257,8 +257,8 @@ def gps_ins(
 
 def _checked(dt, q, r):
     dt = checks.duration("dt", dt)
-    if dt > LONGEST:
-        checks.refuse("dt", f"at most {LONGEST:g} s, whose powers are doubles", f"{dt:g} s")
+    if dt > LONGEST_DT:
+        checks.refuse("dt", f"at most {LONGEST_DT:g} s, whose powers are doubles", f"{dt:g} s")
     return dt, checks.not_negative("q", q), checks.positive("r", r)
 
 
@@ -350,7 +350,7 @@ def simulate(model: LinearModel, N: int, rng: np.random.Generator, tracks: int |
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
     x = rng.standard_normal((N, model.n, M))
     step = Step(A=model.F, B=square_root(model.Q), P=None)
-    run(products_for([step] * N, M), x0, x, x)  # the filters' recursion, driven by noise, which the states replace
+    run_shared(products_for([step] * N, M), x0, x, x)  # driven by noise, which the states replace
     z = square_root(model.R) @ rng.standard_normal((N, model.m, M))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)

@@ -335,7 +335,7 @@ class SideBySide(Immutable, Motion):
     def over(self, length: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q as `Motion.over`, block diagonal."""
         F, Q = zip(*(motion.over(length) for motion in self.motions), strict=True)
-        return _blocks(F), _blocks(Q)
+        return _on_diagonal(F), _on_diagonal(Q)
 
     def with_matrices(self, F: Array, Q: Array) -> Motion | None:
         """Return the motion as `Motion.with_matrices`: some of its parts may lose their noise, and others keep it."""
@@ -350,7 +350,7 @@ class SideBySide(Immutable, Motion):
         return whole if all(map(np.array_equal, whole.one_step, (F, Q))) else None
 
 
-def _blocks(parts):
+def _on_diagonal(parts):
     """Return matrices (..., n, n) with parts (..., n_i, n_i) on their diagonal; `block_diag` takes no axes before."""
     n = sum(part.shape[-1] for part in parts)
     whole, start = np.zeros((*parts[0].shape[:-2], n, n)), 0

@@ -8,11 +8,15 @@ for many steps as well as for one. So a long track is cut into pieces that run s
 2. the starts, one after the other: each takes one Lainiotis step over a whole piece;
 3. every piece again, from its own start. It must end where the next one started.
 
-Instead of N steps one after the other there are two runs of K rows, side by side, and N / K starts. `engine` runs the
-pieces; here is how they are cut, where they start, and whether they fit together.
+Instead of N steps one after the other there are two runs of K rows, side by side, and N / K starts. `through` does all
+of it; what follows it are how a track is cut, where its pieces start, and whether they fit together.
+
+How a filter goes through rows is handed in: in_sequence(rows, x, P) yields x(k/k), P(k/k) and the innovations at unit
+covariance of one row after the other, from x(0/0) and P(0/0). It is `engine.in_sequence` for one filter.
 """
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -26,9 +30,66 @@ LEAST_ROWS = 30
 # it ends, to this part of a sigma (tracks with pauses of an hour reach 1e-7) or to the rounding of the states.
 AGREED = 1e-6
 STATE_ROUNDING = 16 * np.finfo(float).eps
+# Where pieces do not fit together, all of them run again from where the ones before ended, so many times in all. Then
+# the track is not cut.
+MOST_PASSES = 3
 # Variances along the axes of correlations that are smaller than this count as this: P rounds to some 1e-14, which is no
 # disagreement.
 NARROWEST = 1e-7
+
+
+def through(in_sequence, rows, x0, P0, x, P):
+    """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
+
+    rows can be cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `epochs.Rows`. They are cut into
+    pieces where that is sooner done, and costs no digits. Returns the last P, of each piece where there are several, in
+    which an overflow shows, and the least variance of all.
+    """
+    N, _, c, M = x.shape
+    K = rows_per_piece(N, c * M)
+    if K < N:
+        found = _in_pieces(in_sequence, rows, K, x0, P0, x, P)
+        if found is not None:
+            return found
+    _, last, least = _written(in_sequence, rows, x0, P0, x, P)
+    return last, least
+
+
+def _in_pieces(in_sequence, rows, K, x0, P0, x, P):
+    """Do what `through` does, in pieces of K rows. Returns None where the pieces do not fit together."""
+    N, n, _, M = x.shape
+    pieces = rows.mapped(partial(cut, K=K))
+    try:
+        x_start, P_start = starts(in_sequence, pieces, count_of_pieces(N, K), x0, P0)
+    except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
+        return None
+    x_pieces = np.empty((K, n, *x_start.shape[1:]))
+    P_pieces = None if P is None else np.empty((K, n, n, P_start.shape[2]))
+    for _ in range(MOST_PASSES):
+        x_last, P_last, least = _written(in_sequence, pieces, x_start, P_start, x_pieces, P_pieces)
+        x_next, P_next = next_starts(x0, x_last), next_starts(P0, P_last)
+        if least >= 0 and agree(x_start, P_start, x_next, P_next):
+            x[...] = uncut(x_pieces, N, M)
+            if P is not None:
+                P[...] = uncut(P_pieces, N, M)
+            return P_last, least
+        x_start, P_start = x_next, P_next
+    return None
+
+
+def _written(in_sequence, rows, x0, P0, x, P):
+    """Write the states to x and the covariances to P unless it is None.
+
+    Returns the last of both, of all d states, and the least variance of all.
+    """
+    n = x.shape[1]
+    least = np.inf
+    for k, (x_k, P_k, _) in enumerate(in_sequence(rows, x0, P0)):
+        x[k] = x_k[:n]
+        least = min(least, np.einsum("jj...->j...", P_k[:n, :n]).min())
+        if P is not None:
+            P[k] = P_k[:n, :n]
+    return x_k, P_k, least
 
 
 def rows_per_piece(N, tracks):
@@ -84,12 +145,12 @@ def next_starts(start, last):
     return np.concatenate([start, last[..., :-M]], axis=-1)
 
 
-def starts(advance, pieces, count, x0, P0):
+def starts(in_sequence, pieces, count, x0, P0):
     """Return the start of each piece: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
 
-    pieces are rows that were cut into `count` pieces, C. advance is that of a filter (`engine`).
+    pieces are rows that were cut into `count` pieces, C.
 
-    Started from x instead of zero, a piece ends at x_piece + T x: advance is linear in x. Then it has the innovations
+    Started from x instead of zero, a piece ends at x_piece + T x: a filter is linear in x. Then it has the innovations
     e - L x, and these are white and of unit variance, so that e = L x + noise measures x. Each start takes one
     Lainiotis step: it is corrected by what the piece measures of it, and moves on by T. A filter of constant gain
     returns no innovations, and nothing corrects its starts.
@@ -101,14 +162,13 @@ def starts(advance, pieces, count, x0, P0):
     n, c, M = x0.shape
     # All pieces run from a start of zero that is known exactly. Beside the c tracks of a column run n more, which have
     # no measurements and start at one of the unit vectors each: they end at T, and have the innovations -L.
-    x = np.zeros((n, c + n, count * M))
-    x[:, c:] = np.eye(n)[..., None]
-    P = np.zeros((n, n, count * M))
+    exact = np.zeros((n, c + n, count * M)), np.zeros((n, n, count * M))
+    exact[0][:, c:] = np.eye(n)[..., None]
     innovations = []
-    for row in pieces.with_tracks_of_zeros(n):
-        x, P, new = advance(row, x, P)
-        innovations.append(new)
-    x, P, e = (_as_matrices(each, M) for each in (x, P, np.concatenate(innovations)))
+    for after in in_sequence(pieces.with_tracks_of_zeros(n), *exact):
+        innovations.append(after[2])
+    x_last, P_last, _ = after
+    x, P_piece, e = (_as_matrices(each, M) for each in (x_last, P_last, np.concatenate(innovations)))
     x_piece, T = x[..., :c], x[..., c:]
     L, y = _compressed(-e[..., c:], e[..., :c])
     x_k, P_k = _as_matrices(x0, M)[0], _as_matrices(P0, M)[0]
@@ -118,7 +178,7 @@ def starts(advance, pieces, count, x0, P0):
         x_k = x_k + G @ (y[i] - L[i] @ x_k)
         P_k = corrected_covariance(P_k, G, L[i], np.eye(L.shape[2]))
         x_k = x_piece[i] + T[i] @ x_k
-        P_k = P[i] + T[i] @ P_k @ T[i].swapaxes(1, 2)
+        P_k = P_piece[i] + T[i] @ P_k @ T[i].swapaxes(1, 2)
         states.append(x_k)
         covariances.append(P_k)
     return _as_columns(states), _as_columns(covariances)

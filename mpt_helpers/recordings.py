@@ -58,7 +58,7 @@ NAMES = {
 }
 # From these sizes on a number that stands for a time counts milli-, micro- or nanoseconds since 1970: in seconds it
 # would be after the year 5138.
-UNITS = ((1e17, 1e-3, "nanoseconds"), (1e14, 1.0, "microseconds"), (1e11, 1e3, "milliseconds"))
+UNITS_OF_TIMES = ((1e17, 1e-3, "nanoseconds"), (1e14, 1.0, "microseconds"), (1e11, 1e3, "milliseconds"))
 
 
 @dataclass(frozen=True)
@@ -319,7 +319,7 @@ def _times(texts, name, comma):
 def _unit(numbers, name):
     """Return the microseconds that one unit of a time column stands for, and a sentence that says so."""
     usual = float(np.median(np.abs(numbers)))
-    for least, microseconds_each, unit in UNITS:
+    for least, microseconds_each, unit in UNITS_OF_TIMES:
         if usual > least:
             return microseconds_each, (f"times taken for {unit} since 1970",)
     if re.search(r"(^|[^a-z])(ms|msec|millis|milliseconds)$", name.lower()):

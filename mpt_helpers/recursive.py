@@ -4,6 +4,7 @@ A user has `filter`, `estimates`, `covariances`, `smooth` and `step`. The rest o
 separate filters, predictors) asks less, of measurements z (N, m, M) that are checked:
 
 - `epochs_of(z)`: z and its conditions, as `epochs.Epochs`;
+- `times_of(N)`: the times of N epochs in seconds, for what counts in seconds, as a band does;
 - `run(z, x, covariances)`: the states, written to an array that is there, and the covariances if they are wanted;
 - `innovations_of(z)`: the innovations and their covariances;
 - `parts`: the filters that it is made of.

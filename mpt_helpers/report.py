@@ -33,7 +33,7 @@ LONGEST_LINE = 5_000  # points that are drawn of a curve
 
 def text(c: Cleaned) -> str:
     """Return the report of a Cleaned."""
-    lines = [_heading(c), *_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
+    lines = [_heading(c), *_faults(c), _motion_line(c), _precision(c), _prediction(c), _way(c)]
     if c.source is not None:
         lines += [f"note: {each}" for each in c.source.said]
     filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
@@ -120,7 +120,7 @@ def _first_of_runs(rows):
     return rows[np.diff(rows, prepend=-2) > 1]
 
 
-def _motion(c):
+def _motion_line(c):
     change = math.sqrt(c.q)
     return (
         f"motion: from one second to the next the speed changes by about {_digits(change)} m/s, east and north each "

@@ -91,14 +91,14 @@ def _by_simplex(function, point):
 
 
 # Newton's steps are at most so long, a factor of e, and so many at most. Each is shortened so many times.
-LONGEST, MOST_STEPS, MOST_HALVINGS = 1.0, 30, 8
+LONGEST_STEP, MOST_ITERATIONS, MOST_HALVINGS = 1.0, 30, 8
 
 
 def _by_newton(function, point):
     """Return the lowest point that Newton's steps lead to."""
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_ITERATIONS):
         value, gradient, H = differences(function, point)
-        step = _newton_step(gradient, H)
+        step = _step_uphill(gradient, H)
         for _ in range(MOST_HALVINGS):
             if np.abs(step).max() < NEAR:
                 return point
@@ -111,7 +111,7 @@ def _by_newton(function, point):
     return point
 
 
-def _newton_step(gradient, H):
+def _step_uphill(gradient, H):
     """Return the step (d,) to where the gradient (d,) vanishes, by the second derivatives H (d, d).
 
     It goes downwards where H curves the other way, not along a flat direction, and not too far.
@@ -123,7 +123,7 @@ def _newton_step(gradient, H):
     bent = sizes > FLAT * sizes.max()
     along = directions.T @ gradient
     step = -directions[:, bent] @ (along[bent] / sizes[bent])
-    return step * min(1.0, LONGEST / max(np.abs(step).max(), NEAR))
+    return step * min(1.0, LONGEST_STEP / max(np.abs(step).max(), NEAR))
 
 
 # A search that has ended looks further along each parameter, by these factors, as long as log L does not change: with

@@ -12,13 +12,15 @@ N is the number of epochs, n that of states. c tracks that share their covarianc
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import eig
 
 from . import checks
 from .algebra import product, solved, transposed
-from .engine import through
+from .engine import in_sequence
+from .partition import through
 from .steps import epochs_at_a_time
 
 # A mode is damped if its eigenvalue is smaller than DAMPED, and undriven if the variance that Q adds to it in a step is
@@ -31,8 +33,8 @@ UNDRIVEN = 1e-12
 class Backwards:
     """The coefficients of N steps back over N + 1 epochs, last epoch first: x <- C x + d, P <- C P Cᵀ + D.
 
-    They are those of columns: C and D are (N, n, n, M), d is (N, n, c, M). `engine.through` takes them in the place of
-    rows of measurements, and `partition` cuts them.
+    They are those of columns: C and D are (N, n, n, M), d is (N, n, c, M). `partition.through` takes them in the
+    place of rows of measurements, and cuts them.
     """
 
     C: np.ndarray
@@ -76,7 +78,7 @@ def smoothed(motion, epochs, x, P):
         as_columns = epochs.layout.as_columns
         back = Backwards(C[::-1], as_columns(d[::-1]), D[::-1])
         # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
-        through(_advance, back, as_columns(x[-1]), P[-1], as_columns(x[-2::-1]), P[-2::-1])
+        through(partial(in_sequence, _advance), back, as_columns(x[-1]), P[-1], as_columns(x[-2::-1]), P[-2::-1])
     return x, P
 
 

@@ -3,8 +3,8 @@
     x(k+1) = A_k x(k) + B_k z(k+1)
 
 For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so the tracks
-without gaps share them. `recursion` is the plain loop. `run`, which the filters call, gives the same numbers sooner,
-but for rounding: L steps in a row are one matrix product, and that product is the same for all tracks,
+without gaps share them. `recursion` is the plain loop. `run_shared`, which the engine calls, gives the same numbers
+sooner, but for rounding: L steps in a row are one matrix product, and that product is the same for all tracks,
 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
 
@@ -80,7 +80,7 @@ def product_of_steps(A, B):
 
 
 class SharedSteps(NamedTuple):
-    """The Step of each epoch (N of them) of tracks without gaps, and the products of several that `run` takes."""
+    """The Step of each epoch (N of them) of tracks without gaps, and the products that `run_shared` takes."""
 
     steps: list
     products: list
@@ -120,7 +120,7 @@ def _has_not_moved(before, after):
 
 
 def products_for(steps, tracks):
-    """Return the W of each block of steps, for `run` on this number of tracks.
+    """Return the W of each block of steps, for `run_shared` on this number of tracks.
 
     steps is a list of Steps. Where a filter has converged it repeats one Step, and its blocks share one W.
     """
@@ -139,7 +139,7 @@ def _are_the_same_objects(block, other):
     return len(block) == len(other) and all(a is b for a, b in zip(block, other, strict=True))
 
 
-def run(products, x0, z, x):
+def run_shared(products, x0, z, x):
     """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
 
     products are those of `products_for`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. NaN in z spreads

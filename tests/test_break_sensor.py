@@ -48,11 +48,11 @@ def by_hand(model, z):
 
 
 def test_many_tracks_are_run_as_each_alone(tracks):
-    some = break_sensor.Track(*(getattr(tracks, name)[:, :3] for name in ("truth", "noise", "lasting")))
+    some = break_sensor.Walk(*(getattr(tracks, name)[:, :3] for name in ("truth", "noise", "lasting")))
     scene = break_sensor.SCENES["gap"]
     together = break_sensor.run(scene, some)
     for i in range(3):
-        alone = break_sensor.run(scene, break_sensor.Track(some.truth[:, i], some.noise[:, i], some.lasting[:, i]))
+        alone = break_sensor.run(scene, break_sensor.Walk(some.truth[:, i], some.noise[:, i], some.lasting[:, i]))
         for name in ("kalman", "constant", "fir", "nis"):
             np.testing.assert_allclose(getattr(together, name)[:, i], getattr(alone, name), atol=1e-9)
 

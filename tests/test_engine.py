@@ -12,7 +12,7 @@ from oracles import gaussian_conditioning_of_steps, gaussian_log_density, matric
 from scipy.optimize import minimize
 
 import mpt_helpers as mpt
-from mpt_helpers import engine, metrics, recursive, steps
+from mpt_helpers import metrics, partition, recursive, steps
 from mpt_helpers.equations import square_root
 from mpt_helpers.steps import recursion
 
@@ -147,12 +147,12 @@ def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces)
         assert last is not None
         return last
 
-    in_pieces = engine._in_pieces
-    monkeypatch.setattr(engine, "rows_per_piece", lambda N, tracks: N)
+    in_pieces = partition._in_pieces
+    monkeypatch.setattr(partition, "rows_per_piece", lambda N, tracks: N)
     whole = results()
-    monkeypatch.setattr(engine, "rows_per_piece", lambda N, tracks: min(N, pieces))
-    monkeypatch.setattr(engine, "MOST_PASSES", 1)  # others would mend what is wrong with the starts
-    monkeypatch.setattr(engine, "_in_pieces", fitting_at_once)
+    monkeypatch.setattr(partition, "rows_per_piece", lambda N, tracks: min(N, pieces))
+    monkeypatch.setattr(partition, "MOST_PASSES", 1)  # others would mend what is wrong with the starts
+    monkeypatch.setattr(partition, "_in_pieces", fitting_at_once)
     for ours, theirs in zip(results(), whole, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
@@ -185,8 +185,8 @@ def test_a_tracker_that_sleeps_again_and_again_is_the_track(monkeypatch, make, s
         x = F @ x + square_root(Q) @ rng.standard_normal(axis.n)
         z[k] = x[0] + rng.standard_normal()
     kf = mpt.KalmanFilter(axis, t=t)
-    found, in_pieces = [], engine._in_pieces
-    monkeypatch.setattr(engine, "_in_pieces", lambda *all: found.append(in_pieces(*all)) or found[-1])
+    found, in_pieces = [], partition._in_pieces
+    monkeypatch.setattr(partition, "_in_pieces", lambda *all: found.append(in_pieces(*all)) or found[-1])
     both, x, P, states = kf.estimates(z), axis.x0, axis.P0, []
     assert (found[0] is not None) == fits
     for length, z_k in zip([1.0, *steps], z, strict=True):

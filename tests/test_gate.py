@@ -185,8 +185,18 @@ def test_plain_numbers_and_matrices_take_the_same_steps(seed):
         (mpt.KalmanFilter(model()), np.full((9, 2), np.inf), {}, "z: needs finite numbers"),
         (mpt.KalmanFilter(model()), np.zeros((9, 2)), {"limit": 0}, "limit: needs a positive number"),
         (mpt.KalmanFilter(model()), np.zeros((9, 2)), {"patience": 0}, "patience: needs an integer of at least 1"),
-        (mpt.KalmanFilter(model(), t=np.arange(8.0)), np.zeros((9, 2)), {}, "kf: needs a time of each of the 9 rows"),
-        (mpt.KalmanFilter(model(), r=np.ones((8, 2))), np.zeros((9, 2)), {}, "kf: needs variances of the shape of z"),
+        (
+            mpt.KalmanFilter(model(), t=np.arange(8.0)),
+            np.zeros((9, 2)),
+            {},
+            r"t: needs the epochs and tracks of z, \(9,\)",
+        ),
+        (
+            mpt.KalmanFilter(model(), r=np.ones((8, 2))),
+            np.zeros((9, 2)),
+            {},
+            r"r: needs the epochs and tracks of z, \(9, 2\)",
+        ),
         (mpt.KalmanFilter(model(), r=np.zeros((9, 2))), np.zeros((9, 2)), {}, "r: needs a positive variance"),
     ],
 )

@@ -350,7 +350,7 @@ def test_several_steps_in_one_product_lose_no_digits(monkeypatch, name):
     def digits(L):
         monkeypatch.setattr(steps, "steps_per_product", lambda numbers: L)
         x = np.empty((len(z), model.n, 1))
-        steps.run(steps.products_for(taken, 1), model.x0[:, None], z[..., None], x)
+        steps.run_shared(steps.products_for(taken, 1), model.x0[:, None], z[..., None], x)
         return precise.digits(x[..., 0], exact, largest)
 
     one = digits(1)

@@ -66,7 +66,7 @@ def test_a_gate_is_refused_where_it_would_be_wrong():
         ValueError, match=r"takes: needs a column for each track \(on_own_columns\), got 3 tracks in one"
     ):
         next(in_sequence(*in_one, takes=lambda row, e: True))
-    with pytest.raises(TypeError, match="takes: needs a filter with innovations, got one of constant gain"):
+    with pytest.raises(TypeError, match="takes: needs a filter with innovations, got one whose P"):
         next(in_sequence(*on_own_columns(mpt.SteadyStateFilter.from_kalman(AXIS), z), takes=lambda row, e: True))
     with pytest.raises(TypeError, match="needs a filter with P0, covariances and step, got a JoinFilter"):
         on_own_columns(mpt.JoinFilter(kf, kf), z)

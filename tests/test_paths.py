@@ -6,7 +6,7 @@ missing, all of it shared by the tracks or each track's own. The loops (`oracles
 
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 from unittest.mock import patch
 
@@ -19,7 +19,7 @@ from oracles import plain_band, plain_loop, plain_smoother, van_loan
 from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
-from mpt_helpers import engine, metrics, recursive, steps
+from mpt_helpers import engine, metrics, partition, recursive, steps
 from mpt_helpers.bands import LiveBand, ahead, following
 from mpt_helpers.equations import corrected_covariance, gain
 from mpt_helpers.filters import neutralised
@@ -189,7 +189,7 @@ def test_the_paths_of_the_kalman_filter_are_one_plain_loop(case, rows, width):
     backwards = smoothed(case, loops)
     ways = {
         "as it runs": [],
-        "in pieces": [patch.object(engine, "rows_per_piece", lambda N, tracks: min(N, rows))],
+        "in pieces": [patch.object(partition, "rows_per_piece", lambda N, tracks: min(N, rows))],
         "in tiles": [
             patch.object(steps, "TILE", width),
             patch.object(engine, "TILE", width),
@@ -278,7 +278,7 @@ def test_lainiotis_joint_filters_and_predictions_are_the_plain_loop(case, rows, 
         mpt.Predictor(mpt.Separate(inner[1]), 2),
     ]
     for K in (len(case.z), min(len(case.z), rows)):
-        with patch.object(engine, "rows_per_piece", lambda N, tracks, K=K: K):
+        with patch.object(partition, "rows_per_piece", lambda N, tracks, K=K: K):
             for each in (lf, mpt.JoinFilter(kf, lf), mpt.Separate(lf)):
                 all_that_a_filter_says_is(loops, each, case.z)
                 agree(*each.smooth(case.z), backwards, near=SMOOTHED)
@@ -321,7 +321,7 @@ def test_a_filter_of_ones_own_is_one_method(case, rows, alpha):
     M, model = case.z.shape[2], case.model
     loops = [case.loop(i, alpha=alpha) for i in range(M)]
     fading = FadingFilter(model, alpha)
-    with patch.object(engine, "rows_per_piece", lambda N, tracks: N):
+    with patch.object(partition, "rows_per_piece", lambda N, tracks: N):
         both = fading.estimates(case.z)
         agree(both.x, both.P, loops)
         agree(fading.filter(case.z), fading.covariances(case.z), loops)
@@ -335,7 +335,7 @@ def test_a_filter_of_ones_own_is_one_method(case, rows, alpha):
         TypeError, match="smooth: needs a filter whose P is that of the best estimate, got a FadingFilter"
     ):
         fading.smooth(case.z)
-    with patch.object(engine, "rows_per_piece", lambda N, tracks: min(N, rows)):
+    with patch.object(partition, "rows_per_piece", lambda N, tracks: min(N, rows)):
         both = fading.estimates(case.z)
         agree(both.x, both.P, loops, near={"rtol": 1e-5, "atol": 1e-5})  # pieces fit together to 1e-6 sigma
         if alpha == 1:
@@ -450,8 +450,8 @@ def test_pieces_with_a_variance_below_zero_are_not_taken():
         return x, P, e
 
     x, P = np.empty((60, 2, 1, 1)), np.empty((60, 2, 2, 1))
-    with patch.object(engine, "rows_per_piece", lambda N, tracks: 20):
-        _, least = engine.through(rounding, rows, x0, P0, x, P)
+    with patch.object(partition, "rows_per_piece", lambda N, tracks: 20):
+        _, least = partition.through(partial(engine.in_sequence, rounding), rows, x0, P0, x, P)
     assert least == 0
     assert not P[:, 1].any()
     np.testing.assert_allclose(x[..., 0, 0], kf.filter(z[..., 0]), **SAME)

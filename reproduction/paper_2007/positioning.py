@@ -281,7 +281,7 @@ def _require_plausible(name, what, distances):
         raise ValueError(f"{name}: needs {what} of {NEAREST:.0e} to {FARTHEST:.0e} m, got {got}")
 
 
-class Track(NamedTuple):
+class Followed(NamedTuple):
     """The result of a filter over N epochs of m satellites: estimates X (N, 4) and their covariances P (N, 4, 4).
 
     innovations (N, m) are measured ranges minus those expected before the epoch, and S (N, m, m) is what the filter
@@ -295,7 +295,7 @@ class Track(NamedTuple):
 
 
 def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisations=1):
-    """Return the `Track` of an extended Kalman filter over epochs of pseudoranges (2007 Eqs. 6, 11).
+    """Return the `Followed` of an extended Kalman filter over epochs of pseudoranges (2007 Eqs. 6, 11).
 
     ranges is (N, m), with NaN, or a mask, where a satellite was not measured; satellites is (N, m, 3), or (m, 3) where
     they stand still; variance is that of a range (m²): a number, (m,) or (N, m). start (4,) and P0 (4, 4) belong to the
@@ -329,7 +329,7 @@ def position_kalman(satellites, ranges, start, P0, Q, variance, *, linearisation
     X = checks.array("start", start, (4,))
     P, Q = checks.covariance("P0", P0, 4), checks.covariance("Q", Q, 4)
     N, m = ranges.shape
-    track = Track(np.empty((N, 4)), np.empty((N, 4, 4)), np.full((N, m), np.nan), np.full((N, m, m), np.nan))
+    track = Followed(np.empty((N, 4)), np.empty((N, 4, 4)), np.full((N, m), np.nan), np.full((N, m, m), np.nan))
     for k, seen in enumerate(measured):
         P = P + Q
         if seen.any():

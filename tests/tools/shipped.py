@@ -24,10 +24,10 @@ DIST = ROOT / "dist"
 README_CODE = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
 
 LIGHT = """\
-import sys, mpt_helpers
+import importlib.util, sys, mpt_helpers
 loaded = [name for name in ("matplotlib", "nbformat", "distributed") if name in sys.modules]
 assert not loaded, loaded
-assert mpt_helpers.published("2014_gsm_2d").items"""
+assert importlib.util.find_spec("reproduction") is None"""
 DASK = """\
 import numpy as np
 from distributed import Client
