@@ -6,6 +6,7 @@ It imports `mpt_helpers`, the filters, and is imported by notebooks, site and te
 - `paper_2007`, `papers_2014_2015`, `paper_2016`: experiments, and the drawings of the articles;
 - `burden`: operation counts of the filters, which three of the papers give;
 - `figures`: figures that are saved, and described in words; `project`: where the files are;
+- `runner`: the notebooks run side by side, and what comes of it in the end; `execute`: one of them, in its process;
 - `__main__`: `python -m reproduction` reproduce, verdicts, readme, tidy.
 """
 

@@ -1,3 +1,5 @@
+"""What the tests share: where files are, models, and the cells of notebooks."""
+
 import json
 import re
 from dataclasses import replace

@@ -1,3 +1,5 @@
+"""Operation counts: the formulas against filters that count what they do."""
+
 from fractions import Fraction
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md followed to the letter in a copy of the project: the smallest fifth paper, a motion and a filter."""
+"""CONTRIBUTING.md followed to the letter in a copy of the project: a fifth paper, a motion, a filter and a gate."""
 
 import json
 import os
@@ -156,7 +156,7 @@ def test_the_page_names_every_part():
 
 
 def written(copy, kind):
-    """Write the file that the page adds to the package, a "motion" or a "filter", into the copy; return its name."""
+    """Write the file of a motion, a filter or a gate, as the page has it, into the copy; return its name."""
     ((name, text),) = re.findall(
         rf"Here `mpt_helpers/(\w+)\.py`(?:(?!Here `).)*?```python {kind}\n(.*?)```", PAGE, re.DOTALL
     )
@@ -165,11 +165,18 @@ def written(copy, kind):
 
 
 MOTION = """\
+import sys
+sys.path.insert(0, "tests")
 import numpy as np
 import mpt_helpers as mpt
+from oracles import van_loan
 from mpt_helpers.forgetful import Forgetful
 rng = np.random.default_rng(5)
 t = np.cumsum(rng.exponential(2.0, 300))
+drift = np.array([[0, 1], [0, -1 / 20]])
+for length in (0.01, 3.0, 20.0):
+    made, right = Forgetful(2.0, 20.0, 0.04).over(length), van_loan(drift, [0, 0.04], 2 * length)
+    assert all(np.allclose(M, M_right, rtol=1e-6, atol=1e-15) for M, M_right in zip(made, right)), length
 made = lambda q, r: mpt.LinearModel(motion=Forgetful(1.0, 20.0, q), H=[[1, 0]], R=[[r]], P0=np.eye(2))
 model = made(0.04, 0.5)
 x, z, at = np.zeros(2), np.empty((300, 1)), t[0] - 1
@@ -227,3 +234,29 @@ def test_a_filter_is_one_file(copy):
     """Tracks with gaps of their own are filtered as by a plain loop."""
     assert written(copy, "filter") == "fading"
     assert run(copy, "-c", FILTER).split() == ["alike"]
+
+
+GATE = """\
+import numpy as np
+import mpt_helpers as mpt
+from mpt_helpers.impatient import impatient
+kf = mpt.KalmanFilter(mpt.constant_velocity(1.0, 0.01, 0.1, P0=np.eye(2)), t=np.arange(40.0) ** 1.2)
+z = np.arange(40.0)[:, None] ** 1.2
+z[20] += 30
+print(np.flatnonzero(~impatient(kf, z)))"""
+
+
+def test_a_gate_is_one_file(copy):
+    """It refuses the one outlier. That it is a plain loop, test_own_gate says."""
+    assert written(copy, "gate") == "impatient"
+    assert run(copy, "-c", GATE).split() == ["[20]"]
+
+
+def test_the_three_files_are_as_the_project_wants_its_modules(copy):
+    """Style, doctests and rooms of the copy, with nothing changed but the three files that are new."""
+    files = [f"mpt_helpers/{written(copy, kind)}.py" for kind in ("motion", "filter", "gate")]
+    shutil.copy(ROOT / "pyproject.toml", copy)
+    run(copy, "-m", "ruff", "check", *files)
+    run(copy, "-m", "ruff", "format", "--check", *files)
+    tests = "tests/test_package.py", "tests/test_readme.py::test_the_layout_names_every_part_of_the_package"
+    assert " passed" in run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files, *tests)

@@ -1,3 +1,5 @@
+"""Innovations, NIS, NEES, likelihood and moments of errors against oracles."""
+
 import numpy as np
 import pytest
 from conftest import MODELS_2016, dense_model

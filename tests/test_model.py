@@ -1,3 +1,5 @@
+"""Models: what they take, what they refuse, and what they simulate."""
+
 from dataclasses import replace
 
 import numpy as np

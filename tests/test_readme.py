@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from conftest import NOTEBOOKS, ROOT, cells_of, part_one, parts, source
+from test_package import ROOMS_OF_THE_PACKAGE
 from tools import shipped
 
 from reproduction.__main__ import BLOCK, readme
@@ -102,9 +103,8 @@ def test_every_dependency_is_explained():
 
 def test_the_layout_names_every_part_of_the_package():
     layout = README.partition("## Layout")[2]
-    for path in (ROOT / "mpt_helpers").iterdir():
-        if not path.name.startswith("__") or path.name == "__main__.py":
-            assert path.stem in layout, path.name
+    for name in (*ROOMS_OF_THE_PACKAGE, "__main__", "py.typed"):
+        assert re.search(rf"\b{name}\b", layout), name
 
 
 def test_nothing_names_a_path_of_one_machine():

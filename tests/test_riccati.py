@@ -1,3 +1,5 @@
+"""The limits of both Riccati equations against sixty digits, and what has none."""
+
 from contextlib import suppress
 
 import numpy as np

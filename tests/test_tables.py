@@ -1,3 +1,5 @@
+"""Tables of the notebooks: their text, their HTML and their Markdown."""
+
 import numpy as np
 import pytest
 
