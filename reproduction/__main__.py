@@ -88,8 +88,8 @@ def as_text(verdicts, every, width):
     return "\n".join(lines or ["no verdicts are stored yet: run `make reproduce`"])
 
 
-def show_verdicts(some, form):
-    """Print the stored verdicts of some papers, or of all: as "json", "csv", text on "all" or on the causes only."""
+def show_verdicts(some, form, every):
+    """Print the stored verdicts of some papers, or of all: every one as "json" or "csv", else text on every or causes."""
     verdicts = shipped_verdicts(*chosen(some, keys()))
     if form == "json":
         print(verdicts.as_json(), end="")
@@ -98,7 +98,7 @@ def show_verdicts(some, form):
         writer.writeheader()
         writer.writerows(verdicts.records())
     else:
-        print(as_text(verdicts, form == "all", shutil.get_terminal_size().columns))
+        print(as_text(verdicts, every, shutil.get_terminal_size().columns))
     sys.stdout.flush()
 
 
@@ -148,8 +148,8 @@ def main(arguments=None):
     show = commands.add_parser("verdicts", help="print what holds and what is wrong, without running anything")
     for command in (run, clean, show):
         command.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
+    show.add_argument("--all", action="store_true", help="print every verdict, as the next two always do")
     form = show.add_mutually_exclusive_group()
-    form.add_argument("--all", action="store_const", dest="form", const="all", help="print every verdict")
     form.add_argument("--json", action="store_const", dest="form", const="json", help="print every verdict as JSON")
     form.add_argument("--csv", action="store_const", dest="form", const="csv", help="print every verdict as CSV")
     commands.add_parser("readme", help="write the counts of the verdicts into the README")
@@ -162,7 +162,7 @@ def main(arguments=None):
         elif options.command == "tidy":
             tidy(options.keys)
         elif options.command == "verdicts":
-            show_verdicts(options.keys, options.form)
+            show_verdicts(options.keys, options.form, options.all)
         else:
             write_readme()
         return 0

@@ -434,6 +434,21 @@ def test_verdicts_are_printed_from_any_folder_without_jupyter(shipped, tmp_path_
     assert list(csv.DictReader(io.StringIO(capsys.readouterr().out))) == records
 
 
+@pytest.mark.parametrize("form", ["--json", "--csv"])
+def test_a_table_of_verdicts_has_all_of_them_whether_or_not_all_are_asked_for(shipped, form, capsys):
+    assert main(["verdicts", form]) == 0
+    table = capsys.readouterr().out
+    for arguments in (["--all", form], [form, "small", "--all"]):
+        assert main(["verdicts", *arguments]) == 0
+        assert capsys.readouterr().out == table
+
+
+def test_verdicts_have_one_form(shipped, capsys):
+    with pytest.raises(SystemExit):
+        main(["verdicts", "--json", "--csv"])
+    assert "--csv: not allowed with argument --json" in capsys.readouterr().err
+
+
 def test_the_summary_of_verdicts_comes_first_in_lines_of_the_terminal(shipped, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "60")
     assert main(["verdicts"]) == 0
