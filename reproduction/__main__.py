@@ -16,7 +16,7 @@ from mpt_helpers.files import write_whole
 from .execute import tidied
 from .ledger import keys, shipped_verdicts
 from .ledger.tables import Table
-from .ledger.verdicts import CANNOT_BE_CHECKED, FAILS, FIELDS, HOLDS, OF_CLAIMS, WRONG
+from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, OF_CLAIMS, OF_VALUES, WRONG
 from .project import FIGURES, LEDGER, NOTEBOOKS, CommandError, chosen, chosen_notebooks, project
 from .runner import reproduce
 
@@ -89,7 +89,7 @@ def as_text(verdicts, every, width):
 
 
 def show_verdicts(some, form, every):
-    """Print the stored verdicts of some papers, or of all: every one as "json" or "csv", else text on every or causes."""
+    """Print the stored verdicts of some papers, or of all: every one as "json" or "csv", else as text if `every`."""
     verdicts = shipped_verdicts(*chosen(some, keys()))
     if form == "json":
         print(verdicts.as_json(), end="")
@@ -117,13 +117,12 @@ def readme(verdicts):
         own = tally if paper == "all" else verdicts.of(paper).tally()
         name = paper if paper == "all" else f"[{paper}]({NOTEBOOKS}/{paper}.ipynb)"
         claims.append([name, own.claims.total(), *(own.claims[verdict] for verdict in OF_CLAIMS)])
-        agree, disagree = (sum(own.values[each] for each in some) for some in (HOLDS, FAILS))
         causes = [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in WRONG]
-        values.append([name, own.values.total(), agree, disagree, own.values[CANNOT_BE_CHECKED], *causes])
-    of_values = ["numbers, formulas, figures", "agree", "do not", "cannot be checked"]
+        values.append([name, own.values.total(), *own.outcomes_of_values().values(), *causes])
+    of_causes = [f"{kind}s (cells)" for kind in WRONG]
     tables = [
         Table(["paper", "claims", *OF_CLAIMS.values()], claims),
-        Table(["paper", *of_values, *(f"{kind}s (cells)" for kind in WRONG)], values),
+        Table(["paper", "numbers, formulas, figures", *OF_VALUES.values(), *of_causes], values),
     ]
     return "\n\n".join([" ".join(sentences), *(table.markdown() for table in tables)])
 
