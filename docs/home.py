@@ -12,15 +12,7 @@ import numpy as np
 
 import mpt_helpers as mpt
 from reproduction import burden
-from reproduction.ledger.verdicts import (
-    CANNOT_BE_CHECKED,
-    DIFFERS,
-    ERRATUM,
-    IN_PART,
-    OF_CLAIMS,
-    REPRODUCED,
-    WITHIN_BAND,
-)
+from reproduction.ledger.verdicts import OF_CLAIMS, OF_VALUES
 
 AXES = 2  # operations are those of a track in the plane
 SPEED_2016 = 20.0  # m/s, the paper's example
@@ -88,17 +80,10 @@ def start_of_2016():
     return float(np.abs(mean).max()), float(np.sqrt(steady.P[0, 0]))
 
 
-# Numbers, formulas and figures agree or not; a paper's claims are counted by OF_CLAIMS.
-OF_VALUES = {REPRODUCED: "agree", IN_PART: "agree in part", DIFFERS: "do not", CANNOT_BE_CHECKED: "cannot be checked"}
-LIKE = {WITHIN_BAND: REPRODUCED, ERRATUM: DIFFERS}
-
-
 def outcomes(given):
     """Return how claims and values come out, as Outcomes that add up: {"claims": [...], "values": [...]}."""
     tally = given.tally()
-    values = dict.fromkeys(OF_VALUES, 0)
-    for verdict, count in tally.values.items():
-        values[LIKE.get(verdict, verdict)] += count
+    values = tally.outcomes_of_values()
     return {
         "claims": [Outcome(each, words, tally.claims[each]) for each, words in OF_CLAIMS.items() if tally.claims[each]],
         "values": [Outcome(each, words, values[each]) for each, words in OF_VALUES.items() if values[each]],

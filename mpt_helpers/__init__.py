@@ -21,7 +21,7 @@ To see how the filters work, read in this order:
 Papers are cited by their year:
 
 - 2007: Kluga & Kluga, Modeling Information Complex Processing with MMS-Kalman Filter;
-- 2014: Assimakis & Adam, GSM Position Tracking Using Kalman and Lainiotis Filters;
+- 2014: Assimakis & Adam, Global Systems for Mobile Position Tracking Using Kalman and Lainiotis Filters;
 - 2015: Assimakis & Adam, Mobile Position Tracking in Three Dimensions using Kalman and Lainiotis Filters;
 - 2016: Assimakis, Tziallas, Adam, Polyzos & Papanastasiou, Mobile Position Estimation and Prediction Using Steady State
   Kalman Filter.

@@ -16,7 +16,7 @@ from mpt_helpers.files import write_whole
 from .execute import tidied
 from .ledger import keys, shipped_verdicts
 from .ledger.tables import Table
-from .ledger.verdicts import CANNOT_BE_CHECKED, FAILS, FIELDS, HOLDS, OF_CLAIMS, WRONG
+from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, OF_CLAIMS, OF_VALUES, WRONG
 from .project import FIGURES, LEDGER, NOTEBOOKS, CommandError, chosen, chosen_notebooks, project
 from .runner import reproduce
 
@@ -88,8 +88,8 @@ def as_text(verdicts, every, width):
     return "\n".join(lines or ["no verdicts are stored yet: run `make reproduce`"])
 
 
-def show_verdicts(some, form):
-    """Print the stored verdicts of some papers, or of all: as "json", "csv", text on "all" or on the causes only."""
+def show_verdicts(some, form, every):
+    """Print the stored verdicts of some papers, or of all: every one as "json" or "csv", else as text if `every`."""
     verdicts = shipped_verdicts(*chosen(some, keys()))
     if form == "json":
         print(verdicts.as_json(), end="")
@@ -98,7 +98,7 @@ def show_verdicts(some, form):
         writer.writeheader()
         writer.writerows(verdicts.records())
     else:
-        print(as_text(verdicts, form == "all", shutil.get_terminal_size().columns))
+        print(as_text(verdicts, every, shutil.get_terminal_size().columns))
     sys.stdout.flush()
 
 
@@ -117,13 +117,12 @@ def readme(verdicts):
         own = tally if paper == "all" else verdicts.of(paper).tally()
         name = paper if paper == "all" else f"[{paper}]({NOTEBOOKS}/{paper}.ipynb)"
         claims.append([name, own.claims.total(), *(own.claims[verdict] for verdict in OF_CLAIMS)])
-        agree, disagree = (sum(own.values[each] for each in some) for some in (HOLDS, FAILS))
         causes = [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in WRONG]
-        values.append([name, own.values.total(), agree, disagree, own.values[CANNOT_BE_CHECKED], *causes])
-    of_values = ["numbers, formulas, figures", "agree", "do not", "cannot be checked"]
+        values.append([name, own.values.total(), *own.outcomes_of_values().values(), *causes])
+    of_causes = [f"{kind}s (cells)" for kind in WRONG]
     tables = [
         Table(["paper", "claims", *OF_CLAIMS.values()], claims),
-        Table(["paper", *of_values, *(f"{kind}s (cells)" for kind in WRONG)], values),
+        Table(["paper", "numbers, formulas, figures", *OF_VALUES.values(), *of_causes], values),
     ]
     return "\n\n".join([" ".join(sentences), *(table.markdown() for table in tables)])
 
@@ -148,8 +147,8 @@ def main(arguments=None):
     show = commands.add_parser("verdicts", help="print what holds and what is wrong, without running anything")
     for command in (run, clean, show):
         command.add_argument("keys", metavar="KEY", nargs="*", help="a notebook's name without .ipynb (default: all)")
+    show.add_argument("--all", action="store_true", help="print every verdict, as the next two always do")
     form = show.add_mutually_exclusive_group()
-    form.add_argument("--all", action="store_const", dest="form", const="all", help="print every verdict")
     form.add_argument("--json", action="store_const", dest="form", const="json", help="print every verdict as JSON")
     form.add_argument("--csv", action="store_const", dest="form", const="csv", help="print every verdict as CSV")
     commands.add_parser("readme", help="write the counts of the verdicts into the README")
@@ -162,7 +161,7 @@ def main(arguments=None):
         elif options.command == "tidy":
             tidy(options.keys)
         elif options.command == "verdicts":
-            show_verdicts(options.keys, options.form)
+            show_verdicts(options.keys, options.form, options.all)
         else:
             write_readme()
         return 0

@@ -1,6 +1,7 @@
 """The article on 2016: every number in its prose is computed here, and its drawings rest on what oracles confirm."""
 
 import re
+import tomllib
 from dataclasses import replace
 from difflib import SequenceMatcher
 from itertools import product
@@ -913,18 +914,32 @@ def test_the_limits_of_the_papers_models_exist_under_either_reading():
         for each in (F, F.T):
             mode = each - np.eye(len(F))  # all modes of F are 1
             assert np.linalg.matrix_rank(np.hstack([mode, Q])) == len(F)
-    assert (
-        "under either reading its own limits exist" in {e.id: e for e in stored_verdicts(ARTICLE.path)}["pairs"].reason
-    )
+    (reason,) = (each.reason for each in stored_verdicts(ARTICLE.path) if each.id == "pairs")
+    assert "under either reading its own limits exist" in reason
 
 
-def average_of_the_estimate(key, dt, since=0.0, steps=None):
-    """The average of Table 1, N = 0 and 1 (2,), over as much time, from an instant on; in percent of both axes."""
+def test_of_the_two_pairs_only_the_second_is_corrected():
+    """[F Hᵀ] is that of reference [9], in which H′ x is measured: the ledger, the article and the page say the same."""
+    (reason,) = (each.reason for each in stored_verdicts(ARTICLE.path) if each.id == "pairs")
+    assert "[F Hᵀ] is as it should be: reference [9] calls the output matrix H′" in reason
+    adds("the output matrix is called H′: that is as it should be")
+    patch = tomllib.loads((ARTICLE.path.parent.parent / "docs" / "papers.toml").read_text(encoding="utf-8"))[
+        "corrected"
+    ]["2016_prediction"]["pairs"]
+    assert (patch["printed"], patch["right"]) == ("[Fᵀ Q]", "[F Q]")
+
+
+def average_of_the_estimate(key, dt, since=0.0, steps=None, every=None):
+    """The average of Table 1, N = 0 and 1 (2,), over as much time, from an instant on; in percent of both axes.
+
+    every is a time: then only instants count that are as far apart.
+    """
     column = table1.columns(dt=dt)[key]
     steps = round(STEPS / dt) if steps is None else steps
     each = [table1.expected_absolute(*table1.mean_and_variance(column, axis, steps)) for axis in (0, 1)]
     ratio = np.mean([each[axis] / column.positions(axis, steps) for axis in (0, 1)], axis=0)
-    return 100 * ratio[:2, max(round(since / dt) - 1, 0) :].mean(axis=1)
+    stride = 1 if every is None else round(every / dt)
+    return 100 * ratio[:2, max(round(since / dt) - 1, 0) :: stride].mean(axis=1)
 
 
 def test_the_finding_of_the_ledger_has_the_number_of_the_notebook():
@@ -947,7 +962,9 @@ def test_the_finding_of_the_ledger_has_the_number_of_the_notebook():
             assert f"divides the average of the estimate in Table 1 by {one / double:.2f}" in sentence
             assert f"halving it multiplies that average by {half / one:.2f}" in sentence
             later = [average_of_the_estimate(key, dt, since=2)[0] for dt in (0.5, 1, 2)]
-            assert f"the average changes by a factor of {max(later) / min(later):.2f}" in given.reason
+            shared = [average_of_the_estimate(key, dt, since=2, every=2)[0] for dt in (0.5, 1, 2)]
+            said = f"the average changes by a factor of {max(later) / min(later):.2f}, and over the instants that all"
+            assert f"{said} three steps share by {max(shared) / min(shared):.2f}" in given.reason
     steps = []
     for key, i in product(COLUMNS, (0, 1)):
         often, seldom = (average_of_the_estimate(key, dt, steps=STEPS)[i] for dt in (0.5, 2))

@@ -434,6 +434,21 @@ def test_verdicts_are_printed_from_any_folder_without_jupyter(shipped, tmp_path_
     assert list(csv.DictReader(io.StringIO(capsys.readouterr().out))) == records
 
 
+@pytest.mark.parametrize("form", ["--json", "--csv"])
+def test_a_table_of_verdicts_has_all_of_them_whether_or_not_all_are_asked_for(shipped, form, capsys):
+    assert main(["verdicts", form]) == 0
+    table = capsys.readouterr().out
+    for arguments in (["--all", form], [form, "small", "--all"]):
+        assert main(["verdicts", *arguments]) == 0
+        assert capsys.readouterr().out == table
+
+
+def test_verdicts_have_one_form(shipped, capsys):
+    with pytest.raises(SystemExit):
+        main(["verdicts", "--json", "--csv"])
+    assert "--csv: not allowed with argument --json" in capsys.readouterr().err
+
+
 def test_the_summary_of_verdicts_comes_first_in_lines_of_the_terminal(shipped, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "60")
     assert main(["verdicts"]) == 0
@@ -544,11 +559,11 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         "| [small](notebooks/small.ipynb) | 1 | 1 | 0 | 0 | 0 | 0 |",
         "| all | 1 | 1 | 0 | 0 | 0 | 0 |",
         "",
-        "| paper | numbers, formulas, figures | agree | do not | cannot be checked | slips (cells) | wordings (cells) "
-        "| findings (cells) |",
-        "|---|---|---|---|---|---|---|---|",
-        "| [small](notebooks/small.ipynb) | 4 | 2 | 1 | 1 | 1 (1) | 0 (0) | 0 (0) |",
-        "| all | 4 | 2 | 1 | 1 | 1 (1) | 0 (0) | 0 (0) |",
+        "| paper | numbers, formulas, figures | agree | agree in part | do not | cannot be checked | slips (cells) "
+        "| wordings (cells) | findings (cells) |",
+        "|---|---|---|---|---|---|---|---|---|",
+        "| [small](notebooks/small.ipynb) | 4 | 2 | 0 | 1 | 1 | 1 (1) | 0 (0) | 0 (0) |",
+        "| all | 4 | 2 | 0 | 1 | 1 | 1 (1) | 0 (0) | 0 (0) |",
         "",
         "<!-- end of verdicts -->",
         "below",
@@ -559,6 +574,23 @@ def test_the_readme_counts_claims_that_cannot_be_checked(shipped):
     *_, lost = shipped
     text = readme(Verdicts([*shipped, replace(lost, kind="claim")], shipped.causes))
     assert "| all | 2 | 1 | 0 | 0 | 0 | 1 |" in text
+
+
+def test_a_formula_that_holds_in_part_neither_agrees_nor_disagrees_in_the_readme(shipped):
+    _, _, wrong, *_ = shipped
+    part = replace(wrong, id="part", kind="formula", verdict="holds in part")
+    text = readme(Verdicts([*shipped, part], shipped.causes))
+    assert "| all | 5 | 2 | 1 | 1 | 1 |" in text
+
+
+def test_the_outcomes_of_the_readme_add_up():
+    """In each row of both tables: the outcomes to the claims, or to the numbers, formulas and figures."""
+    of_claims, of_values = re.findall(r"(?:^\|.*\n)+", readme(shipped_verdicts()) + "\n", re.MULTILINE)
+    for table, outcomes in ((of_claims, 5), (of_values, 4)):
+        rows = [row.strip("|").split("|") for row in table.splitlines()[2:]]
+        assert len(rows) == len(keys()) + 1
+        for _, total, *counts in rows:
+            assert sum(map(int, counts[:outcomes])) == int(total)
 
 
 def test_verdicts_into_a_file_are_utf_8_whatever_the_terminal_has():
