@@ -79,17 +79,6 @@ def settled_sigma(column, seconds, noise=0.0):
     return np.array(sigma)
 
 
-def sigma_table():
-    """Return header and rows of the table to print instead of Table 1: the typical error (σ, rms) in metres."""
-    header = ["typical error of the position (m)", "now", "1 s ahead", "3 s ahead", "5 s ahead"]
-    rows = []
-    for key, column in table1.columns().items():
-        for noise, motion in ((0.0, "exact motion"), (1.0, "pushed as Q says")):
-            sigma = settled_sigma(column, [0, 1, 3, 5], noise)
-            rows.append([f"{table1.NAMES[key]}, {motion}", *(f"{value:.3f}" for value in sigma)])
-    return header, rows
-
-
 def steps_to_freeze(model, within=0.02):
     """Return the first step from which the gain of an unknown start stays near the settled gain, within 2 % of it.
 
