@@ -34,8 +34,8 @@ class JoinFilter(Filter):
 
     The papers join the Kalman and the Lainiotis filter, JKLF, and both steady-state filters, JSSKLF. P is the papers'
     formula: it is the covariance of the mean's error only where both give the same estimate. Raises TypeError for
-    anything but two filters, and ValueError where their models, times or variances differ or one predicts further ahead
-    than the other.
+    anything but two filters, and ValueError where their models, times or variances differ (but for variances within a
+    Separate, which are not compared) or one predicts further ahead than the other.
 
     >>> from mpt_helpers.model import gsm_axis
     >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
@@ -80,8 +80,8 @@ class JoinFilter(Filter):
     ) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
 
-        dt and r are as in KalmanFilter, for filters that both take them. Raises TypeError where only one has a constant
-        gain, or both have different ones: then each would need a state of its own.
+        dt and r are as in KalmanFilter, for filters that both take them. Raises TypeError where the gains are not
+        known to be the same, as for two constant ones that differ: then each would need a state of its own.
         """
         if self.first.optimal != self.second.optimal or not _equal(*map(_constant_gain, self.parts)):
             kinds = " and ".join(type(each).__name__ for each in self.parts)

@@ -193,7 +193,7 @@ def _solve_relf(model):
     A = lainiotis_transition(P, Fn, On)
     sigma = np.sqrt(np.diag(P))
     terms = np.abs(Pn) + np.abs(A) @ np.abs(P) @ np.abs(Fn.T)
-    rounding = 100 * np.finfo(float).eps * terms  # of some 100 products; where a variance is zero, the only tolerance
+    rounding = 100 * np.finfo(float).eps * terms  # of all rounds, roughly; for a variance of zero the only tolerance
     missed = np.abs(Pn + A @ P @ Fn.T - P)
     solved = (missed <= RESIDUAL * np.outer(sigma, sigma) + rounding).all()
     forgets_the_start = np.abs(np.linalg.eigvals(A)).max() < 1

@@ -35,6 +35,24 @@ def test_a_step_refuses_a_P_that_is_no_covariance(each, P, words, kind):
         each.step(np.zeros(n), kind(whole.tolist()), np.zeros(each.model.m))
 
 
+class Doubting(mpt.KalmanFilter):
+    """A filter of one's own whose gain is not that of its P, for all that the package knows."""
+
+    optimal = False
+
+
+def test_a_join_of_filters_whose_gains_nobody_knows_has_no_step():
+    """Two filters that forget at different rates would be stepped from one state, silently."""
+    join = mpt.JoinFilter(Doubting(AXIS), Doubting(AXIS))
+    with pytest.raises(TypeError, match=r"step: needs two filters of the same gain.*Doubting and Doubting"):
+        join.step(AXIS.x0, AXIS.P0, [0.0])
+    separate = mpt.Separate(Doubting(AXIS), KF)
+    with pytest.raises(TypeError, match="same gain"):
+        mpt.JoinFilter(separate, separate).step(separate.model.x0, separate.model.P0, [0.0, 0.0])
+    joined = mpt.JoinFilter(KF, KF).step(AXIS.x0, AXIS.P0, [0.5])
+    np.testing.assert_allclose(joined[0], KF.step(AXIS.x0, AXIS.P0, [0.5])[0])
+
+
 @pytest.mark.parametrize("name", ["known start", "dense", "12 states"])
 def test_a_step_takes_what_it_has_returned(name):
     """Also where variances are zero but for their rounding, and where states are of very different sizes."""
