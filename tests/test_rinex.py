@@ -34,6 +34,77 @@ def test_the_code_prints_what_the_page_says(monkeypatch, capsys):
     assert printed == ""
 
 
+def table_of(path, step, missing=(), short=None):
+    """Write the first 600 epochs of ESBC's table as if they were `step` seconds apart.
+
+    Rows in `missing` are left out; `short` says how many ranges are kept of some rows. Return the path.
+    """
+    lines = gzip.decompress((ROOT / "notebooks" / "data" / recorded.TABLES["ESBC"]).read_bytes()).decode().splitlines()
+    kept, count = lines[:2], {}
+    for line in lines[2:]:
+        epoch, _, rest = line.partition(",")
+        row = round(float(epoch) / 30)
+        count[row] = count.get(row, 0) + 1
+        if row < 600 and row not in missing and count[row] <= (short or {}).get(row, 32):
+            kept.append(f"{row * step:.10g},{rest}")
+    path.write_bytes(gzip.compress("\n".join([*kept, ""]).encode()))
+    return path
+
+
+def run_from_own_table(monkeypatch, capsys, path):
+    """Run the page from "begin here" on with another table; return its names and what it prints."""
+    monkeypatch.chdir(ROOT)
+    codes = [text for kind, text in BLOCKS if kind == "python"]
+    (first,) = (k for k, code in enumerate(codes) if "begin here" in code)
+    names, shipped = {}, '"notebooks/data/esbc_2020_177.csv.gz"'
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # half a day does not determine tau, and the page asks for a day
+        for code in codes[first:]:
+            exec(code.replace(shipped, repr(str(path))), names)
+    return names, capsys.readouterr().out
+
+
+def test_the_page_runs_on_a_table_of_ones_own_with_missing_epochs(monkeypatch, capsys, tmp_path):
+    missing, short = [0, *range(20, 36), 150], {50: 3, 51: 5}  # five: nothing to spare, so that no fix is trusted
+    path = table_of(tmp_path / "t.csv.gz", 30, [*missing, 599], short)
+    names, printed = run_from_own_table(monkeypatch, capsys, path)
+    rows = np.array([*missing[1:], *short]) - 1  # the table begins with the first epoch that is there
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(names["local"][:, 0])), np.sort(rows))
+    assert "after 120 min, east north up: [" in printed
+    assert "nan" not in printed
+    assert np.isfinite(names["x"]).all()
+    assert len(names["t"]) == 599 - len(missing) - len(short)
+
+
+def test_the_page_runs_on_a_table_of_another_step(monkeypatch, capsys, tmp_path):
+    """At 1 Hz the filter took 30 s steps without a word, and "two hours" stood for four minutes."""
+    slow, fast = (table_of(tmp_path / f"{step}.csv.gz", step) for step in (30, 1))
+    names, printed = run_from_own_table(monkeypatch, capsys, fast)
+    assert "240 rows, 4 min" in printed
+    assert printed.count("after 4 min") == 2
+    assert names["model"].dt == names["axis"].dt == names["day"].step == 1
+    assert names["honest"].model.F[2, 2] == pytest.approx(np.exp(-1 / names["found"].tau[0]))
+    assert names["rows"] == 240
+    others, printed = run_from_own_table(monkeypatch, capsys, slow)
+    assert printed.count("after 120 min") == 2
+    np.testing.assert_allclose(others["Q"], 30 * names["Q"])  # a step of 30 s wanders as 30 of a second
+    np.testing.assert_allclose(others["found"].tau, 30 * names["found"].tau, rtol=1e-3)
+
+
+def test_the_page_s_faults_are_seen_at_belem(monkeypatch, capsys):
+    """They stood on satellites that were not in view there: nothing was left out, and nothing moved."""
+    names, printed = run_from_own_table(monkeypatch, capsys, ROOT / "notebooks" / "data" / recorded.TABLES["Belem"])
+    one, two, half = re.findall(r"100 m short: \[(.*)\], left out \[(.*)\], fix.trusted = (.*), moved", printed)
+    assert one[0] == one[1]
+    assert two[0] == two[1]
+    assert one[2] == two[2] == "True"
+    assert len(two[0].split()) == 2
+    assert len(half[0].split()) == np.isfinite(names["day"].ranges[names["row"]]).sum() // 2
+    assert half[2] == "False"
+    (size,) = re.findall(r"one range of G\d\d 100 m short: .* innovation (-\d+) σ", printed)
+    assert -100 < int(size) < -20
+
+
 @pytest.fixture
 def page(monkeypatch):
     """The names that the page's code by hand defines: one satellite at the first epoch."""
