@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 from . import checks
 from .checks import Array, Seconds
 from .fitting import fit
+from .metrics import log_likelihood
 from .model import LinearModel
 from .recursive import Filter
 
@@ -21,6 +22,10 @@ MOST_ROWS = 1500  # of a log that is fitted: a day, one a minute; more tell litt
 PARAMETERS = ("r", "sigma", "tau")
 UNKNOWN = 0.5  # a standard error of log tau: from there on its span of 95 % covers a factor of e², seven
 LEAST_FIXES = 100  # a log of fewer says nothing of three unknowns
+# An error that lasts is seen where it makes the log e³ = 20 times as probable: of logs of independent errors some 2 in
+# 100 become so by chance.
+SEEN = 3.0
+LEAST_SPANS = 10  # of a log beside the span of `memory`
 
 
 def lasting_error(
@@ -89,6 +94,9 @@ class LastingFit(NamedTuple):
     correlation falls to 1/e. known has {"r", "sigma", "tau"}: (m, 2) each, from where to where 95 % of such estimates
     lie. floor (m) is the size of what lasts in the worst half of the worst log. halves (2, m, 3) are r, sigma and
     tau of both halves of the log, or of the logs, each fitted apart.
+
+    On an axis on which no error that lasts is seen, r is the variance of the fixes, sigma is 0, tau one step, and the
+    floor 0: none is known. known["sigma"] then goes from 0 to the largest sigma that would not have been seen.
     """
 
     r: np.ndarray
@@ -111,9 +119,13 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     What lasts is larger in some hours than in others, and fades differently. So `known` is the wider of two spans: the
     one of `fit`, by how much blocks of a log differ, and the one between the halves of the log (of several logs,
     between the first and the last of them), each fitted apart. Where a standard error of log tau is above 0.5, the logs
-    do not determine it: a UserWarning gives the span, and asks for more days. The floor is the root of the mean square
-    about the log's mean less r, in the worst half of a log: a filter should state no less. A constant error is in no
-    number here: it looks like another position. To a floor add that of your receiver, in squares.
+    do not determine it: a UserWarning gives the span, and asks for more days. Where an error that lasts makes the logs
+    less than 20 times as probable as independent errors do, it is not seen, and more days of the same would hardly
+    help: a UserWarning says how large it may be unseen, if it lasts for ten steps to a tenth of the log.
+
+    The floor is the root of the mean square about the log's mean less r, in the worst half of a log: a filter should
+    state no less. Where nothing is seen, it is 0. A constant error is in no number here: it looks like another
+    position. To a floor add that of your receiver, in squares.
 
     Raises ValueError for a log of fewer than 100 fixes on an axis, or of which so few are left where every second step
     or fewer is taken, for times that do not increase or have no common step, and for logs that differ in step or axes.
@@ -146,32 +158,92 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
         thinned[: len(z[::every]), j] = z[::every]
     values, spans, floors, halves = [], [], [], []
     for axis in range(thinned.shape[2]):
-        best, errors, apart = _fit_axis_and_halves(thinned[:, None, :, axis], step)
-        halves.append(apart)
-        with np.errstate(over="ignore"):
-            spans.append(best * np.exp(np.multiply.outer([-1.96, 1.96], errors)))
-        values.append(best)
-        floors.append(max(_of_lasting(half[:, axis], best[0]) for z in centred for half in np.array_split(z, 2)))
-        if errors[2] > UNKNOWN:
-            low, high = spans[-1][:, 2] / 60
-            checks.warn(
-                f"fit_lasting: axis {axis}: tau is {low:.0f} to {high:.0f} min, which the logs do not determine: "
-                "give more days"
-            )
+        rows = thinned[:, None, :, axis]
+        best, errors = _fit_axis(rows, step)
+        if not _is_seen(rows, step, best):
+            best, span, apart = _unseen(rows, step, axis)
+            floor = 0.0
+        else:
+            apart = _fit_halves(rows, step)
+            errors = np.maximum(errors, np.abs(np.log(apart[0] / apart[1])) / 2)  # half the distance of two halves
+            with np.errstate(over="ignore"):
+                span = best * np.exp(np.multiply.outer([-1.96, 1.96], errors))
+            floor = max(_of_lasting(half[:, axis], best[0]) for z in centred for half in np.array_split(z, 2))
+            if errors[2] > UNKNOWN:
+                said = _span_in_words(span[:, 2], step, step * len(rows))
+                checks.warn(f"fit_lasting: axis {axis}: tau is {said}, which the logs do not determine: give more days")
+        for kept, new in zip((values, spans, floors, halves), (best, span, floor, apart), strict=True):
+            kept.append(new)
     r, sigma, tau = np.transpose(values)
     known = dict(zip(PARAMETERS, np.transpose(spans, (2, 0, 1)), strict=True))
     return LastingFit(r, sigma, tau, known, np.array(floors), np.swapaxes(halves, 0, 1))
 
 
-def _fit_axis_and_halves(z, step):
-    """Return r, sigma and tau of logs (N, 1, M) of one axis (3,), standard errors of their logarithms, and two halves.
+def _span_in_words(span, step, length):
+    """Return from where to where tau lies, in words where it is shorter than a step or longer than the log (s)."""
+    low, high = span
+    first = f"less than a step of {_in_words(step)}" if low < step else _in_words(low)
+    return f"{first} to " + (f"more than the {_in_words(length)} of the log" if high > length else _in_words(high))
 
-    Half the distance between two halves is a standard error of one value from two.
+
+def _in_words(seconds):
+    """Return a time as a text.
+
+    >>> _in_words(90.0), _in_words(1800.0)
+    ('90 s', '30 min')
     """
-    best, errors = _fit_axis(z, step)
-    many = z.shape[2] > 1
-    halves = [_fit_axis(half, step)[0] for half in np.array_split(z, 2, axis=2 if many else 0)]
-    return best, np.maximum(errors, np.abs(np.log(halves[0] / halves[1])) / 2), np.array(halves)
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+
+
+def _halves(z):
+    """Return two halves of logs (N, 1, M): of one log its rows, of several the first and the last of them."""
+    return np.array_split(z, 2, axis=2 if z.shape[2] > 1 else 0)
+
+
+def _fit_halves(z, step):
+    """Return r, sigma and tau of both halves of logs (N, 1, M) of one axis, each fitted apart, (2, 3)."""
+    return np.array([_fit_axis(half, step)[0] for half in _halves(z)])
+
+
+def _is_seen(z, step, best):
+    """Tell whether logs (N, 1, M) of one axis show an error that lasts, with r, sigma and tau as fitted."""
+    independent = _log_likelihood(z, step, float(np.nanvar(z)), 0.0, step)
+    return _log_likelihood(z, step, *best) > independent + SEEN
+
+
+def _unseen(z, step, axis):
+    """Return r, sigma and tau (3,), their spans (2, 3) and those of two halves (2, 3) of independent errors, and warn.
+
+    The largest sigma that may be there unseen is the largest that the logs find no less probable than two standard
+    errors would, e^-2, beside independent errors, for a tau of ten steps to a tenth of the log.
+    """
+    variance = float(np.nanvar(z))
+    taus = step * np.geomspace(10, len(z) / 10, 3)
+    independent = _log_likelihood(z, step, variance, 0.0, step)
+    largest = 0.0
+    for sigma in math.sqrt(variance) * np.geomspace(0.02, 3, 30):
+        shares = variance, max(variance - sigma**2, variance / 10)  # the log's mean takes a part of what lasts along
+        if max(_log_likelihood(z, step, r, sigma, tau) for r in shares for tau in taus) > independent - 2:
+            largest = float(sigma)
+    checks.warn(
+        f"fit_lasting: axis {axis}: no error that lasts is seen: the errors look independent, sigma is below about "
+        f"{largest:.2g} m for a tau of {_in_words(taus[0])} to {_in_words(taus[-1])}"
+    )
+    error = 1.96 * math.sqrt(2 / np.isfinite(z).sum())
+    span = [[variance * math.exp(-error), 0.0, 0.0], [variance * math.exp(error), largest, math.inf]]
+    halves = [[float(np.nanvar(half)), 0.0, step] for half in _halves(z)]
+    return np.array([variance, 0.0, step]), np.array(span), np.array(halves)
+
+
+def _log_likelihood(z, step, r, sigma, tau):
+    """Return the logarithm of the probability density of logs (N, 1, M) at rest, all together."""
+    return float(np.sum(log_likelihood(_at_rest(float(np.nanvar(z)), step, r, sigma, tau), z)))
+
+
+def _at_rest(variance, step, r, sigma, tau):
+    """Return the filter of a receiver at rest with an error that lasts, whose fixes have such a variance (m²)."""
+    still = LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[r]], P0=[[10 * variance]])
+    return _AtRest(lasting_error(still, sigma, tau, dt=step))
 
 
 def _fit_axis(z, step):
@@ -179,8 +251,7 @@ def _fit_axis(z, step):
     variance = float(np.nanvar(z))
 
     def make(r, sigma, tau):
-        still = LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[r]], P0=[[10 * variance]])
-        return _AtRest(lasting_error(still, sigma, tau, dt=step))
+        return _at_rest(variance, step, r, sigma, tau)
 
     new = float(np.nanmean(np.square(np.diff(z, axis=0)))) / 2
     start = {"r": max(new, 0.01 * variance), "sigma": math.sqrt(variance), "tau": 60 * step}
@@ -245,7 +316,8 @@ def memory(log: tuple[ArrayLike, ArrayLike], span: float) -> Memory:
     The log is a pair (t, z) as in `fit_lasting`; errors count from its mean, all axes together. A span of n fixes whose
     errors are independent has a correlation of 0, a mean of 1/√n and a newest point of nearly 2/√n. One whose errors
     last has 1 for all three: then no average of that length gains anything. The log should be ten times as long as the
-    span, or its own mean has taken the error along. Averages use stretches without a missing fix.
+    span, or its own mean has taken a part of the error along and all three come out too small: a UserWarning says so.
+    Averages use stretches without a missing fix.
 
     Raises ValueError for a span of fewer than two fixes, and for a log without two fixes that are a span apart or
     without a stretch of that length.
@@ -263,6 +335,12 @@ def memory(log: tuple[ArrayLike, ArrayLike], span: float) -> Memory:
     errors = z - np.nanmean(z, axis=0)
     if not _are_apart(errors, n):
         checks.refuse("log", f"two fixes {n * step:g} s apart", "none")
+    spans = _fixes_on_an_axis(z) / n
+    if spans < LEAST_SPANS:
+        checks.warn(
+            f"memory: the log holds {spans:.1f} spans, fewer than {LEAST_SPANS}: its own mean has taken a part of what "
+            "lasts along, so that correlation, mean and newest are too small where errors last"
+        )
     # A line through n fixes at i = -(n - 1) / 2 ... (n - 1) / 2 has their mean at 0 and the slope Σ i e / Σ i², where
     # Σ i² = n (n² - 1) / 12; its newest point is that of the last i.
     i = np.arange(1, n + 1) - (n + 1) / 2

@@ -1,5 +1,7 @@
 """The model with an error state."""
 
+import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -162,7 +164,8 @@ def test_missing_fixes_are_left_out_or_nan_and_axes_stay_apart():
 
 def test_a_log_too_short_for_its_memory_is_told():
     with pytest.warns(
-        UserWarning, match=r"axis 0: tau is \d+ to \d+ min, which the logs do not determine: give more days"
+        UserWarning,
+        match=r"axis 0: tau is \d+ min to more than the 400 min of the log, which the logs do not determine: give more",
     ):
         found = fit_lasting(log_at_rest(3, tau=30_000.0))
     low, high = found.known["tau"][0]
@@ -202,6 +205,89 @@ def test_what_an_average_leaves_is_what_theory_says():
     assert found.mean == pytest.approx(np.sqrt(np.exp(-age / 50).mean()), rel=0.03)
 
 
+@pytest.mark.parametrize("spans", [1.2, 3, 9.9])
+def test_memory_warns_where_the_log_holds_fewer_than_ten_spans(spans):
+    t = np.arange(round(100 * spans))
+    with pytest.warns(UserWarning, match=f"memory: the log holds {spans:.1f} spans, fewer than 10: .* are too small"):
+        memory((t, np.random.default_rng(8).standard_normal(len(t))), span=100)
+
+
+@pytest.mark.parametrize("spans", [10, 28])  # 28: a day of fixes at 30 s, as the article takes it
+def test_memory_is_silent_from_ten_spans_on(spans):
+    t, z = log_at_rest(9, N=100 * spans, dt=30.0)
+    memory((t, z), span=3000.0)
+
+
+@pytest.mark.filterwarnings("ignore:memory")
+def test_short_logs_make_what_lasts_look_shorter():
+    """Forty logs of two spans each, of errors that fade within one: on the average all three values are too small."""
+    logs = [log_at_rest(seed, tau=3000.0, N=200, dt=30.0) for seed in range(40)]
+    short = np.mean([memory(log, span=3000.0) for log in logs], axis=0)
+    long = memory(log_at_rest(40, tau=3000.0, N=40_000, dt=30.0), span=3000.0)
+    assert (short < 0.85 * np.array(long)).all()
+
+
+def said_of(z, dt=60.0):
+    """Return what `fit_lasting` finds of fixes (N,) and the texts of its warnings."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = fit_lasting((dt * np.arange(len(z)), z))
+    return found, [str(each.message) for each in told]
+
+
+def test_independent_errors_are_said_to_be_and_get_no_floor():
+    """Forty logs, of 120 to 200 fixes: 20 to 1 is passed by chance by some 2 in 100, by four of 40 in 1 of 100."""
+    rng = np.random.default_rng(20)
+    wrong = 0
+    for seed in range(40):
+        size, dt = rng.uniform(0.3, 5), rng.choice([1.0, 60.0])
+        found, said = said_of(size * np.random.default_rng(seed).standard_normal(rng.integers(120, 200)), dt)
+        if found.sigma[0] > 0:
+            wrong += 1
+            continue
+        (text,) = said
+        assert text.startswith(
+            "fit_lasting: axis 0: no error that lasts is seen: the errors look independent, sigma is"
+        )
+        unit = "s" if dt == 1 else "min"
+        assert f"below about {found.known['sigma'][0, 1]:.2g} m for a tau of 10 {unit} to " in text
+        assert found.floor[0] == 0
+        assert found.known["sigma"][0, 0] == 0
+        assert 0 < found.known["sigma"][0, 1] < size
+        assert found.r[0] == pytest.approx(size**2, rel=0.5)
+        assert np.isfinite(found.halves).all()
+    assert wrong < 4
+
+
+def test_errors_that_last_are_seen_and_more_days_are_asked_for_where_they_help():
+    """Forty logs; a span that is beyond the log or below a step is said in words."""
+    rng = np.random.default_rng(21)
+    for seed in range(40):
+        sigma, tau, N = rng.uniform(0.5, 3), rng.choice([600.0, 1800.0, 7200.0]), int(rng.integers(120, 200))
+        found, said = said_of(log_at_rest(seed, sigma, tau, N)[1])
+        assert found.sigma[0] > 0
+        assert found.floor[0] > 0
+        low, high = found.known["tau"][0]
+        for text in said:
+            assert re.fullmatch(
+                r"fit_lasting: axis 0: tau is .*, which the logs do not determine: give more days", text
+            )
+            assert (f"more than the {N} min of the log" in text) == (high > 60 * N)
+            assert ("less than a step" in text) == (low < 60)
+            assert max(map(int, re.findall(r"\d+", text))) <= N
+        assert bool(said) == (high / low > np.exp(2 * 1.96 * 0.5))
+
+
+def test_what_is_not_seen_is_smaller_than_is_said():
+    """Twenty logs of errors beside which the noise is 2.5 times as large: seen, or below what the warning says."""
+    below = []
+    for seed in range(20):
+        found, _ = said_of(log_at_rest(seed, sigma=0.2, tau=900.0, N=200)[1])
+        below.append(found.sigma[0] > 0 or found.known["sigma"][0, 1] > 0.2)
+    assert sum(below) >= 17
+
+
+@pytest.mark.filterwarnings("ignore:memory")
 def test_the_newest_point_is_the_end_of_the_line_and_not_its_beginning():
     t = np.arange(120.0)
     z = np.exp(t / 20)
@@ -210,6 +296,7 @@ def test_the_newest_point_is_the_end_of_the_line_and_not_its_beginning():
     assert memory((t, z), 20).newest == pytest.approx(np.linalg.norm(lines) / np.linalg.norm(errors[19:]))
 
 
+@pytest.mark.filterwarnings("ignore:memory")
 def test_an_average_skips_stretches_with_a_missing_fix():
     t, z = np.arange(300.0), np.random.default_rng(7).standard_normal((300, 1))
     cut = z.copy()

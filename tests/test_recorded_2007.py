@@ -761,6 +761,36 @@ def test_two_frequencies_pay_at_the_equator_and_not_at_nya1(cases):
         assert 2.5 < noise[1] / noise[0] < 3.5
 
 
+def from_to(values, form="{:.2f}"):
+    return f"{form.format(min(values))} to {form.format(max(values))}"
+
+
+@pytest.mark.parametrize("path", ["CHANGELOG.md", "docs/corrections.md"])
+def test_what_we_had_wrong_is_told_by_numbers_that_are_computed(days, cases, path):
+    left_in = recorded.cases({name: recorded.without_biases(day) for name, day in days.items()})
+    text = " ".join((ROOT / path).read_text(encoding="utf-8").split())
+    both = [[recorded.size(each[f"{name}, {recorded.KINDS[1]}"].lasting) for name in days] for each in (left_in, cases)]
+    for sizes in both:
+        assert f"{from_to(sizes)} m" in text
+    ours = 100 * (1 - np.square(np.divide(*both[::-1])))
+    assert f"{from_to(ours, '{:.0f}')} % of the variance of what lasts" in text
+    of_two = [name for name in cases if not name.startswith("Belem")]
+    for each in (left_in, cases):
+        assert from_to([recorded.newest_ratio(each[name].errors, 100) for name in of_two]) in text
+    bias = [each for day in days.values() for each in (np.nanmin(day.bias), np.nanmax(day.bias))]
+    assert f"from {from_to(bias, '{:.1f}')} m" in text
+    assert f"multipl{'y' if path == 'CHANGELOG.md' else 'ies'} it by {recorded.AMPLIFIED:.2f}" in text
+    rows = {row[0]: [float(number) for number in row[1:]] for row in article.how_far(cases)}
+    better = [
+        name
+        for name in sorted(days, reverse=True)
+        if max(np.divide(*(rows[f"{name}, {kind}"] for kind in recorded.KINDS[::-1]))[2:4]) < 1
+    ]
+    assert better == ["ESBC", "Belem"]
+    assert "turns round at ESBC and Belem" in text
+    assert "not at NYA1" in text
+
+
 def test_the_spike_of_the_first_figure_is_a_satellite_whose_phase_is_lost_at_each_fix(days, cases):
     case, arc = cases["NYA1, two frequencies"], recorded.arcs(days["NYA1"])
     k = np.abs(np.diff(case.lasting[:480, 2])).argmax()  # the spike is the fix before the largest step

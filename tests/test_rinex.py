@@ -3,7 +3,9 @@
 import csv
 import gzip
 import re
+import runpy
 import sys
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -30,6 +32,77 @@ def test_the_code_prints_what_the_page_says(monkeypatch, capsys):
             assert printed == text
             printed = ""
     assert printed == ""
+
+
+def table_of(path, step, missing=(), short=None):
+    """Write the first 600 epochs of ESBC's table as if they were `step` seconds apart.
+
+    Rows in `missing` are left out; `short` says how many ranges are kept of some rows. Return the path.
+    """
+    lines = gzip.decompress((ROOT / "notebooks" / "data" / recorded.TABLES["ESBC"]).read_bytes()).decode().splitlines()
+    kept, count = lines[:2], {}
+    for line in lines[2:]:
+        epoch, _, rest = line.partition(",")
+        row = round(float(epoch) / 30)
+        count[row] = count.get(row, 0) + 1
+        if row < 600 and row not in missing and count[row] <= (short or {}).get(row, 32):
+            kept.append(f"{row * step:.10g},{rest}")
+    path.write_bytes(gzip.compress("\n".join([*kept, ""]).encode()))
+    return path
+
+
+def run_from_own_table(monkeypatch, capsys, path):
+    """Run the page from "begin here" on with another table; return its names and what it prints."""
+    monkeypatch.chdir(ROOT)
+    codes = [text for kind, text in BLOCKS if kind == "python"]
+    (first,) = (k for k, code in enumerate(codes) if "begin here" in code)
+    names, shipped = {}, '"notebooks/data/esbc_2020_177.csv.gz"'
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # half a day does not determine tau, and the page asks for a day
+        for code in codes[first:]:
+            exec(code.replace(shipped, repr(str(path))), names)
+    return names, capsys.readouterr().out
+
+
+def test_the_page_runs_on_a_table_of_ones_own_with_missing_epochs(monkeypatch, capsys, tmp_path):
+    missing, short = [0, *range(20, 36), 150], {50: 3, 51: 5}  # five: nothing to spare, so that no fix is trusted
+    path = table_of(tmp_path / "t.csv.gz", 30, [*missing, 599], short)
+    names, printed = run_from_own_table(monkeypatch, capsys, path)
+    rows = np.array([*missing[1:], *short]) - 1  # the table begins with the first epoch that is there
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(names["local"][:, 0])), np.sort(rows))
+    assert "after 120 min, east north up: [" in printed
+    assert "nan" not in printed
+    assert np.isfinite(names["x"]).all()
+    assert len(names["t"]) == 599 - len(missing) - len(short)
+
+
+def test_the_page_runs_on_a_table_of_another_step(monkeypatch, capsys, tmp_path):
+    """At 1 Hz the filter took 30 s steps without a word, and "two hours" stood for four minutes."""
+    slow, fast = (table_of(tmp_path / f"{step}.csv.gz", step) for step in (30, 1))
+    names, printed = run_from_own_table(monkeypatch, capsys, fast)
+    assert "240 rows, 4 min" in printed
+    assert printed.count("after 4 min") == 2
+    assert names["model"].dt == names["axis"].dt == names["day"].step == 1
+    assert names["honest"].model.F[2, 2] == pytest.approx(np.exp(-1 / names["found"].tau[0]))
+    assert names["rows"] == 240
+    others, printed = run_from_own_table(monkeypatch, capsys, slow)
+    assert printed.count("after 120 min") == 2
+    np.testing.assert_allclose(others["Q"], 30 * names["Q"])  # a step of 30 s wanders as 30 of a second
+    np.testing.assert_allclose(others["found"].tau, 30 * names["found"].tau, rtol=1e-3)
+
+
+def test_the_page_s_faults_are_seen_at_belem(monkeypatch, capsys):
+    """They stood on satellites that were not in view there: nothing was left out, and nothing moved."""
+    names, printed = run_from_own_table(monkeypatch, capsys, ROOT / "notebooks" / "data" / recorded.TABLES["Belem"])
+    one, two, half = re.findall(r"100 m short: \[(.*)\], left out \[(.*)\], fix.trusted = (.*), moved", printed)
+    assert one[0] == one[1]
+    assert two[0] == two[1]
+    assert one[2] == two[2] == "True"
+    assert len(two[0].split()) == 2
+    assert len(half[0].split()) == np.isfinite(names["day"].ranges[names["row"]]).sum() // 2
+    assert half[2] == "False"
+    (size,) = re.findall(r"one range of G\d\d 100 m short: .* innovation (-\d+) σ", printed)
+    assert -100 < int(size) < -20
 
 
 @pytest.fixture
@@ -229,7 +302,8 @@ def seen(**columns):
         sv = SimpleNamespace(values=names)
 
         def sel(self, sv):
-            return {name: SimpleNamespace(values=values[:, names.index(sv)]) for name, values in self.items()}
+            codes = {name: values for name, values in self.items() if name != "time"}
+            return {name: SimpleNamespace(values=values[:, names.index(sv)]) for name, values in codes.items()}
 
     return Seen({name: np.array(values, dtype=float) for name, values in columns.items()})
 
@@ -301,9 +375,15 @@ def test_biases_of_a_csv_are_read_and_another_file_is_refused(tmp_path):
         make_table.read_biases(tmp_path / "d.bsx", np.datetime64("2024-01-10"))
 
 
-def test_biases_that_are_missing_or_old_are_told_in_one_line(tmp_path):
-    day = seen(C1C=[[1, 1]])
+def day_of_two(**columns):
+    """Observations of two satellites on 3 May 2024."""
+    day = seen(**columns)
     dict.__setitem__(day, "time", SimpleNamespace(values=np.array(["2024-05-03"], "datetime64[s]")))
+    return day
+
+
+def test_biases_that_are_missing_or_old_are_told_in_one_line(tmp_path):
+    day = day_of_two(C1C=[[1, 1]])
     with pytest.warns(
         UserWarning, match="no C1W, and no --biases are given: .* error that lasts, of two frequencies, 1.4 to"
     ):
@@ -314,6 +394,64 @@ def test_biases_that_are_missing_or_old_are_told_in_one_line(tmp_path):
     (tmp_path / "b.csv").write_text("satellite,C1C_minus_C1W_ns\nG05,1.0\n")
     with pytest.warns(UserWarning, match="does not say of which day its biases are"):
         make_table.biases_of(day, tmp_path / "b.csv")
+
+
+def sinex_of(path, **values):
+    """Write a file of biases of that day, satellites' values in ns, and return its path."""
+    path.write_text(SINEX + "".join(DSB.format(**USUAL | LATER | {"prn": s, "value": v}) for s, v in values.items()))
+    return path
+
+
+def test_satellites_without_a_bias_of_their_own_take_that_of_the_file_on_the_mean_of_those_shared(tmp_path):
+    """The file was dropped without a word where one satellite had its own; its mean is that of other receivers."""
+    light = make_table.C * 1e-9
+    day = day_of_two(C1C=[[103, 200]], C1W=[[100, np.nan]])
+    path = sinex_of(tmp_path / "b.bsx", G05=7.0, G07=11.0, G09=50.0)
+    found, source = make_table.biases_of(day, path)
+    assert found == pytest.approx({"G05": -2 * light, "G07": 2 * light})  # G07 is 4 ns above G05, as in the file
+    assert source == f"of the observations, and of {path}, put on their mean, for G07"
+    whole = day_of_two(C1C=[[103, 200]], C1W=[[100, 201]])
+    found, source = make_table.biases_of(whole, path)
+    assert found == {"G05": 2.0, "G07": -2.0}
+    assert source == f"of the observations, for 2 satellites; {path} knows no others"
+    other = sinex_of(tmp_path / "c.bsx", G07=11.0)
+    found, source = make_table.biases_of(day, other)
+    assert found == {"G05": 0.0}
+    assert source == f"of the observations, for 1 satellites; {other} knows none of these, and is not used"
+
+
+@pytest.mark.parametrize(
+    ("line", "got"), [("G07,", "nothing"), ("G07", "nothing"), ("G07,n/a", "n/a")], ids=["empty", "short", "word"]
+)
+def test_a_line_of_a_csv_without_a_number_is_named(tmp_path, line, got):
+    path = tmp_path / "b.csv"
+    path.write_text(f"satellite,C1C_minus_C1W_ns\nG05,1.0\n{line}\n")
+    with pytest.raises(ValueError, match=rf"b.csv, line 3: needs a number in C1C_minus_C1W_ns, got {got}$"):
+        make_table.read_biases(path, np.datetime64("2024-05-03"))
+
+
+def test_a_folder_that_does_not_exist_is_refused_before_the_work(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "argv", ["make_table.py", "a", "b", str(tmp_path / "gone" / "table.csv.gz")])
+    monkeypatch.setattr(make_table, "load", lambda *_, **__: pytest.fail("the files were read"))
+    with pytest.raises(SystemExit, match=r"table.csv.gz: needs a folder that exists, got .*gone$"):
+        make_table.main()
+
+
+def test_a_warning_of_the_script_is_one_line(monkeypatch, tmp_path, capsys):
+    time = SimpleNamespace(values=np.array(["2024-05-03"], "datetime64[s]"))
+    files = {"a": Read(STATION, C1C=ONE, time=time), "b": Read(IONOSPHERE, Toe=ONE)}
+    for name, satellite in {"a": "G05", "b": "G07"}.items():
+        files[name].sv = SimpleNamespace(values=[satellite])
+    stub = SimpleNamespace(
+        load=lambda path, **_: files[str(path)], rinexheader=lambda path: {"a": OBS, "b": NAV}[path.name]
+    )
+    monkeypatch.setitem(sys.modules, "georinex", stub)
+    monkeypatch.setattr(sys, "argv", ["make_table.py", "a", "b", str(tmp_path / "table.csv.gz")])
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    warnings.simplefilter("always")
+    with pytest.raises(SystemExit, match="needs messages of the day"):
+        runpy.run_path(make_table.__file__, run_name="__main__")
+    assert capsys.readouterr().err == f"warning: {make_table.NO_BIASES}\n"
 
 
 with (ROOT / "tests" / "rinex" / "by_cssrlib.csv").open(encoding="utf-8", newline="") as file:

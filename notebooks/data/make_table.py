@@ -21,7 +21,8 @@ One row for each epoch and GPS satellite above 10 degrees:
 each satellite, up to a metre. Where the observations have C1W too, it is the mean of C1C - C1W of the day. Where they
 have not, name a file of biases: Bias-SINEX (DSB of C1C and C1W, or OSB of both), as the analysis centres of the IGS
 publish for each day, or a CSV with the columns satellite and C1C_minus_C1W_ns. Only differences between satellites
-count, so that the mean over all is taken off.
+count, so that the mean over all is taken off. Where some satellites have C1W and others have not, the file fills in the
+others, shifted so that it has the same mean over the satellites that both know.
 
 Ranges that no message is near enough to are left out, with a warning. Needed are RINEX 3 files of one day: GPS C1C and
 the station's position in the observations, GPSA and GPSB (the ionosphere) in the header of the ephemerides.
@@ -34,6 +35,7 @@ another one after each loss of lock. What was not measured is nan. The formulas 
 import argparse
 import csv
 import gzip
+import sys
 import warnings
 from pathlib import Path
 
@@ -170,6 +172,23 @@ def about_their_mean(biases):
     return {satellite: value - mean for satellite, value in biases.items()}
 
 
+def filled(own, others):
+    """Return biases {satellite: m}, filled with others where there are none, and which satellites were filled.
+
+    Both have a constant of their own, that of their receivers: the others are put on the mean that the own have over
+    the satellites which both know. The result is about its mean.
+
+    >>> filled({"G01": 1.0, "G02": 3.0}, {"G02": 13.0, "G03": 12.0})
+    ({'G01': -1.0, 'G02': 1.0, 'G03': 0.0}, ['G03'])
+    """
+    shared = [satellite for satellite in own if satellite in others]
+    added = [satellite for satellite in others if satellite not in own]
+    if not (shared and added):
+        return own, []
+    offset = sum(own[each] - others[each] for each in shared) / len(shared)
+    return about_their_mean(own | {each: others[each] + offset for each in added}), added
+
+
 def own_biases(observations):
     """Return {satellite: C1C - C1W in metres}, means over the observations that have both; {} where none has."""
     if "C1W" not in observations:
@@ -196,10 +215,19 @@ def read_biases(path, day):
         rows = list(csv.DictReader(text.splitlines()))
         if not rows or not {"satellite", CSV_COLUMN} <= set(rows[0]):
             raise ValueError(f"{path}: needs Bias-SINEX, or a CSV with the columns satellite and {CSV_COLUMN}")
-        nanoseconds, days = {row["satellite"]: float(row[CSV_COLUMN]) for row in rows}, None
+        nanoseconds, days = dict(_bias_of_line(path, k, row) for k, row in enumerate(rows, start=2)), None
     if not nanoseconds:
         raise ValueError(f"{path}: needs biases of C1C and C1W of GPS satellites, got none")
     return about_their_mean({satellite: C * 1e-9 * value for satellite, value in nanoseconds.items()}), days
+
+
+def _bias_of_line(path, number, row):
+    """Return the satellite and the bias in ns of one line of a CSV, or raise ValueError that names file and line."""
+    try:
+        return row["satellite"], float(row[CSV_COLUMN])
+    except (TypeError, ValueError):  # TypeError: a line that ends before the column
+        got = row[CSV_COLUMN]
+        raise ValueError(f"{path}, line {number}: needs a number in {CSV_COLUMN}, got {got or 'nothing'}") from None
 
 
 def _bias_sinex(lines, day):
@@ -248,17 +276,22 @@ def _days_outside(day, start, end):
 
 
 def biases_of(observations, path):
-    """Return {satellite: C1C - C1W in metres} of the observations themselves or of a file, and where they are from.
+    """Return {satellite: C1C - C1W in metres} of the observations, filled from a file or None, and where they are from.
 
-    {} and a warning stand for neither.
+    {} and a warning stand for neither. Satellites that were filled are named.
     """
-    found = own_biases(observations)
-    if found:
-        return found, "of the observations"
+    own = own_biases(observations)
     if path is None:
-        warnings.warn(NO_BIASES, stacklevel=2)
-        return {}, "none"
-    found, days = read_biases(path, observations["time"].values[0].astype("datetime64[D]"))
+        if not own:
+            warnings.warn(NO_BIASES, stacklevel=2)
+        return own, "of the observations" if own else "none"
+    others, days = read_biases(path, observations["time"].values[0].astype("datetime64[D]"))
+    seen = {str(satellite) for satellite in observations.sv.values}
+    others = {satellite: value for satellite, value in others.items() if satellite in seen}
+    found, added = filled(own, others) if own else (others, list(others))
+    if own and not added:
+        shared = "knows no others" if set(others) <= set(own) else "knows none of these, and is not used"
+        return found, f"of the observations, for {len(own)} satellites; {path} {shared}"
     if days is None:
         warnings.warn(
             f"{path} does not say of which day its biases are: numbers of satellites go to new ones", stacklevel=2
@@ -267,7 +300,9 @@ def biases_of(observations, path):
         warnings.warn(
             f"{path} is {days:.0f} days from the observations: numbers of satellites go to new ones", stacklevel=2
         )
-    return found, f"of {path}"
+    if not own:
+        return found, f"of {path}"
+    return found, f"of the observations, and of {path}, put on their mean, for {', '.join(added)}"
 
 
 def rows_of(satellite, observations, navigation, station, coefficients, bias=0.0):
@@ -372,6 +407,11 @@ def lacking_in_navigation(header):
     return None
 
 
+def show_in_one_line(message, *_):
+    """Print a warning as one line: where in this script it arose tells a user nothing."""
+    print(f"warning: {message}", file=sys.stderr)
+
+
 def main():
     """Read the files that the command line names and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -380,6 +420,8 @@ def main():
     parser.add_argument("table", type=Path)
     parser.add_argument("--biases", type=Path, help="C1C - C1W of each satellite, where the observations have no C1W")
     names = parser.parse_args()
+    if not names.table.absolute().parent.is_dir():
+        raise SystemExit(f"{names.table}: needs a folder that exists, got {names.table.parent}")
 
     observations, header = load(names.observations, "observations", lacking_in_observations, meas=OBSERVED)
     navigation, _ = load(names.navigation, "broadcast ephemerides", lacking_in_navigation)
@@ -421,4 +463,5 @@ def main():
 
 
 if __name__ == "__main__":
+    warnings.showwarning = show_in_one_line
     main()
