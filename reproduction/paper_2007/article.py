@@ -266,7 +266,9 @@ class AtRest(NamedTuple):
     def __str__(self):
         ratio = f"{spread(self.stated_over_made)}, median {np.median(self.stated_over_made):.2f}"
         others = median_of(self.others) if len(self.others) else "-"
-        return f"stated over made {ratio}; within 2σ (%): own constants {median_of(self.own)}, another station's {others}"
+        return (
+            f"stated over made {ratio}; within 2σ (%): own constants {median_of(self.own)}, another station's {others}"
+        )
 
 
 def stated_at_rest(r, sigma, tau, span, n):
