@@ -251,13 +251,16 @@ def over_stated(cases, filtered, word, constant=False):
 
 
 def changed(filtered, word, other):
-    """Return by how much (%) the error in space of a filter differs from another's, at the end of a window: (cases,)."""
+    """Return by how much (%) the error in space of a filter at the end of a window differs from another's: (cases,)."""
     made = [[in_space(getattr(each, name), "error") for each in filtered.values()] for name in (word, other)]
     return 100 * (np.divide(*made) - 1)
 
 
 class AtRest(NamedTuple):
-    """What the mean of a window states over what it makes (axes,), and the percent within 2σ by own and others' constants."""
+    """What the mean of a window states over what it makes (axes,), and how often (%) the truth was within 2σ.
+
+    own has one share for each axis, by its own station's constants; others has those by the constants of others.
+    """
 
     stated_over_made: np.ndarray
     own: np.ndarray
@@ -266,9 +269,8 @@ class AtRest(NamedTuple):
     def __str__(self):
         ratio = f"{spread(self.stated_over_made)}, median {np.median(self.stated_over_made):.2f}"
         others = median_of(self.others) if len(self.others) else "-"
-        return (
-            f"stated over made {ratio}; within 2σ (%): own constants {median_of(self.own)}, another station's {others}"
-        )
+        shares = f"own constants {median_of(self.own)}, another station's {others}"
+        return f"all axes, stated over made: {ratio}\nwithin 2σ (%): {shares}"
 
 
 def stated_at_rest(r, sigma, tau, span, n):
