@@ -5,7 +5,7 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from mpt_helpers import KalmanFilter, constant_velocity, plots
 from mpt_helpers.lasting import fit_lasting, lasting_error, memory
@@ -80,13 +80,13 @@ def draw_biases(case, raw):
 
 
 def draw_recorded(cases):
-    """Draw how far a line through n fixes reduces their error: each case, and noise and lasting error of all cases.
+    """Draw how far a line through n fixes reduces their error: noise and lasting error of all cases, and each case.
 
-    A curve of a case ends at its station's name; its style is that of its kind of range. On the right there is a band
-    from the least to the largest of all cases.
+    On the left there is a band from the least to the largest of all cases. On the right a curve of a case ends at its
+    station's name; its style is that of its kind of range.
     """
     plots.use_style()
-    fig, ax = plots.panels([["whole", "parts"]], height=3.8)
+    fig, ax = plots.panels([["parts", "whole"]], height=3.8)
     titled(fig, "A line fit takes out the noise. The lasting error stays")
     ends = {}
     for case in cases.values():
@@ -109,7 +109,7 @@ def draw_recorded(cases):
         at = max(ratio, at + 0.08)  # at the end of its curve; where two end close together, above the other
         ax["whole"].text(103, at, station, va="center")
     ax["whole"].set(xlim=(-3, 145), xticks=(0, 50, 100))
-    ax["whole"].text(25, 0.09, "if independent")
+    ax["parts"].text(25, 0.09, "if independent")
     ax["parts"].text(30, 1.14, "lasting error", color=colours["lasting"])
     ax["parts"].text(55, 0.42, "noise")
     plots.finish(ax["whole"], "fixes n fitted", "error (one fix = 1)")
@@ -248,6 +248,57 @@ def over_stated(cases, filtered, word, constant=False):
             made = np.hypot(made, np.linalg.norm(cases[name].offset))
         ratios.append(made / in_space(judged, "stated"))
     return np.array(ratios)
+
+
+def changed(filtered, word, other):
+    """Return by how much (%) the error in space of a filter at the end of a window differs from another's: (cases,)."""
+    made = [[in_space(getattr(each, name), "error") for each in filtered.values()] for name in (word, other)]
+    return 100 * (np.divide(*made) - 1)
+
+
+class AtRest(NamedTuple):
+    """What the mean of a window states over what it makes (axes,), and how often (%) the truth was within 2σ.
+
+    own has one share for each axis, by its own station's constants; others has those by the constants of others.
+    """
+
+    stated_over_made: np.ndarray
+    own: np.ndarray
+    others: np.ndarray
+
+    def __str__(self):
+        ratio = f"{spread(self.stated_over_made)}, median {np.median(self.stated_over_made):.2f}"
+        others = median_of(self.others) if len(self.others) else "-"
+        shares = f"own constants {median_of(self.own)}, another station's {others}"
+        return f"all axes, stated over made: {ratio}\nwithin 2σ (%): {shares}"
+
+
+def stated_at_rest(r, sigma, tau, span, n):
+    """Return the sigma (m) to state for a mean of n fixes over a span (s): 7 % more than the best average leaves."""
+    return 1.07 * np.sqrt(sigma**2 / (1 + span / (2 * tau)) + r / n)
+
+
+def at_rest(cases, filtered):
+    """Judge what the mean of a window states, on all axes of all cases (`AtRest`).
+
+    Other constants are those of each other station, for ranges of the same kind.
+    """
+    n, ratios, own, others = recorded.WINDOW, [], [], []
+    for name, case in cases.items():
+        means = [recorded.windows(axis)[:, 0].mean(axis=0) for axis in case.errors.T]
+        means = [mean[np.isfinite(mean)] for mean in means]  # of windows without a gap
+        for source, each in filtered.items():
+            if cases[source].kind != case.kind:
+                continue
+            fit = each.fit
+            states = stated_at_rest(fit.r, fit.sigma, fit.tau, n * case.step, n)
+            within = [100 * np.mean(np.abs(mean) < 2 * stated) for mean, stated in zip(means, states, strict=True)]
+            if source == name:
+                ratios.extend(stated / rms(mean) for mean, stated in zip(means, states, strict=True))
+                own.extend(within)
+            else:
+                others.extend(within)
+    return AtRest(*map(np.array, (ratios, own, others)))
 
 
 def judgements(cases, filtered, chain):
@@ -419,25 +470,42 @@ def with_ins(cases, filtered):
     return found
 
 
-def made_by_walker(remembered, dt=1.0, r=4.7, sigma=1.1, tau=2700.0, q=0.1, speed=1.4, N=500):
-    """Return sigma (m) of a walker's position after N fixes, as *aware* makes it where its noise is no white noise.
+class Walker(NamedTuple):
+    """Sigmas (m) of a walker's position: that of one fix, and that of *aware*, as it states it and as it makes it."""
 
-    The noise of the fixes has the variance r that the filter takes it for, but it is remembered for some seconds. What
-    the filter has wrong (position, velocity, lasting error) and that noise are moved through its own gains together.
+    fix: float
+    stated: float
+    made: float
+
+
+def walker(remembered, smoothed=0.0, believed=None, dt=1.0, r=4.7, sigma=1.1, tau=2700.0, q=0.1, speed=1.4, N=500):
+    """Return the `Walker` after N fixes whose noise is remembered for some seconds, as that of reflections is.
+
+    The noise has the variance r. smoothed is the time (s) over which the carrier phase has averaged it, 0 for none.
+    believed are the r, sigma and tau of the filter, by default the true ones. The truth (position, velocity, lasting
+    error, noise, smoothed noise) and the filter's x are moved together, through the filter's own gains: no seed enters.
     """
-    axis = constant_velocity(dt=dt, q=q, r=r, P0=np.diag([10.0**2, speed**2]))
-    filter = KalmanFilter(lasting_error(axis, sigma=sigma, tau=tau))
-    F, Q, H = filter.model.F, filter.model.Q, filter.model.H
-    keeps = np.exp(-dt / remembered)
-    moves = block_diag(F, keeps)
-    new = block_diag(Q, r * (1 - keeps**2))
-    together = block_diag(filter.model.P0, r)
+    believed = believed or (r, sigma, tau)
+    axis = constant_velocity(dt=dt, q=q, r=believed[0], P0=np.diag([10.0**2, speed**2]))
+    filter = KalmanFilter(lasting_error(axis, *believed[1:]))
+    F, H = filter.model.F, filter.model.H
+    counts = 1 / max(smoothed / dt, 1)  # each fix of the smoothed noise
+    keeps, fades = np.exp(-dt / remembered), np.exp(-dt / tau)
+    noise = np.array([[keeps, 0], [counts * keeps, 1 - counts]])
+    new = np.array([1, counts])
+    new = r * (1 - keeps**2) * np.outer(new, new)
+    moves = block_diag(axis.F, fades, noise)
+    enters = block_diag(axis.Q, sigma**2 * (1 - fades**2), new)
+    sees = np.array([[1.0, 0, 1, 0, 1]])
+    settled = solve_discrete_lyapunov(noise, new)
+    together = block_diag(axis.P0, sigma**2, settled, np.zeros((3, 3)))
     for K in filter.coefficients(N).B:  # a Kalman filter's B is its gain
-        together = moves @ together @ moves.T + new
-        corrects = block_diag(np.eye(3) - K @ H, 1.0)
-        corrects[:3, 3] = -K[:, 0]
-        together = corrects @ together @ corrects.T
-    return float(np.sqrt(together[0, 0]))
+        step = np.block([[moves, np.zeros((5, 3))], [K @ sees @ moves, F - K @ H @ F]])
+        added = np.vstack([np.eye(5), K @ sees])
+        together = step @ together @ step.T + added @ enters @ added.T
+    wrong = np.array([-1, 0, 0, 0, 0, 1, 0, 0])  # the filter's position less the true one
+    sigmas = (sigma**2 + settled[1, 1], filter.covariances(N)[-1, 0, 0], wrong @ together @ wrong)
+    return Walker(*(float(np.sqrt(each)) for each in sigmas))
 
 
 def draw_iterations(curves):
