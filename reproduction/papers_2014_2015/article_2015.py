@@ -50,7 +50,7 @@ def draw_covariance():
 
 
 def silent_phones(phones=30, steps=60, last=30):
-    """Return errors of the position (steps, 3, phones), and sigma (steps, 3), where the height falls silent after step `last`.
+    """Return errors of the position (steps, 3, phones), and sigma (steps, 3); the height is silent after step `last`.
 
     >>> errors, sigma = silent_phones()
     >>> sigma[-1].round(1)
