@@ -281,6 +281,14 @@ def test_the_phones_that_are_drawn_stay_within_what_the_filter_states():
     assert within.mean() == pytest.approx(0.95, abs=0.03)
 
 
+def test_the_curve_of_the_figure_is_labelled_with_what_it_reads():
+    fig = article.draw_lost_axis()
+    (far,) = (ax for ax in fig.axes if ax.texts)
+    (label,) = (text for text in far.texts if "=" in text.get_text())
+    assert label.get_text() == f"2σ = {2 * article.sigma_after(30):.0f} m"
+    assert np.nanmax(far.lines[0].get_ydata()) == pytest.approx(2 * article.sigma_after(30), rel=1e-6)
+
+
 def test_the_blocks_of_the_drawn_covariance_are_equal():
     P = article.covariance()
     np.testing.assert_array_equal(P != 0, np.kron(np.eye(3), np.ones((2, 2))) != 0)
