@@ -27,7 +27,7 @@ def covariance(steps=60):
 def draw_covariance():
     """Return a figure of the entries of P, (6, 6): which are zero, and the numbers of the others."""
     P = covariance()
-    names = [rf"${kind}_{axis}$" for axis in "xyz" for kind in "sv"]
+    names = [rf"${kind}_\mathrm{{{axis}}}$" for axis in ("east", "north", "height") for kind in "sv"]
     plots.use_style()
     fig, ax = plots.panels([["P"]], height=3.6)
     ax["P"].imshow(P != 0, cmap=ListedColormap(["white", KALMAN]), alpha=0.25, aspect="auto")  # wide cells
@@ -50,7 +50,7 @@ def draw_covariance():
 
 
 def silent_phones(phones=30, steps=60, last=30):
-    """Return errors of the position (steps, 3, phones), and sigma (steps, 3), where z falls silent after step `last`.
+    """Return errors of the position (steps, 3, phones), and sigma (steps, 3); the height is silent after step `last`.
 
     >>> errors, sigma = silent_phones()
     >>> sigma[-1].round(1)
@@ -72,32 +72,30 @@ def in_one_line(x, columns):
 
 
 def draw_lost_axis(last=30):
-    """Return a figure of the errors on x, which is measured, and on z, which falls silent: phones, and twice sigma.
+    """Return a figure of the errors east, which is measured, and of the height, which falls silent: phones, 2 sigma.
 
-    Both axes stand beside each other, above in a scale that holds all of z, below in one that shows x.
+    Both stand beside each other in one scale, and below is the height again in a scale that holds all of it.
     """
     errors, sigma = silent_phones(last=last)
     k = np.arange(1, len(errors) + 1)
     plots.use_style()
-    fig, ax = plots.panels([["x", "z"], ["x near", "z near"]], height=2.2)
-    for axis, i in (("x", 0), ("z", 2)):
-        for name, limit in ((axis, 36), (f"{axis} near", 1)):
-            band = in_one_line(k, np.column_stack([2 * sigma[:, i], -2 * sigma[:, i]]))
-            ax[name].plot(*band, color="black", lw=1.0)
-            lines = in_one_line(k, errors[:, i])
-            ax[name].plot(*lines, color=KALMAN, lw=0.6, alpha=0.6)  # over the band, which would hide them from afar
-            ax[name].axvline(last, color="0.5", ls=":", visible=axis == "z")
-            ax[name].set_ylim(-limit, limit)
-            ax[name].set_xlim(0, k[-1] + 2)
-            ax[name].set_xticks([0, last, k[-1]])
-    plots.finish(ax["x"], "", "x: measured\nall the time")
-    plots.finish(ax["z"], "", f"z: silent after\nsecond {last}")
-    plots.finish(ax["x near"], "second", f"x, near: σ = {sigma[-1, 0]:.2f} m")
-    plots.finish(ax["z near"], "second", "z, near")
-    ax["x"].set_ylabel("error (m)")
-    ax["x near"].set_ylabel("error (m)")
-    ax["z"].annotate(f"σ = {sigma[-1, 2]:.1f} m", (k[-1], 34), ha="right", va="top")
-    ax["x"].annotate(f"blue: {errors.shape[2]} phones\nblack: ± 2σ", (2, -34), ha="left", va="bottom", color="0.3")
+    fig, ax = plots.panels([["east", "height"], ["far", "far"]], height=2.2)
+    for name, axis, limit in (("east", 0, 1), ("height", 2, 1), ("far", 2, 36)):
+        band = in_one_line(k, np.column_stack([2 * sigma[:, axis], -2 * sigma[:, axis]]))
+        ax[name].plot(*band, color="black", lw=1.0)
+        lines = in_one_line(k, errors[:, axis])
+        ax[name].plot(*lines, color=KALMAN, lw=0.6, alpha=0.6)  # over the band, which would hide them from afar
+        ax[name].axvline(last, color="0.5", ls=":", visible=axis == 2)
+        ax[name].set_ylim(-limit, limit)
+        ax[name].set_xlim(0, k[-1] + 2)
+        ax[name].set_xticks([0, last, k[-1]])
+    plots.finish(ax["east"], "", "east: measured\nall the time")
+    plots.finish(ax["height"], "", f"height: silent\nafter second {last}")
+    plots.finish(ax["far"], "second", "the height again, from afar")
+    ax["east"].set_ylabel("error (m)")
+    ax["far"].set_ylabel("error (m)")
+    ax["far"].annotate(f"2σ = {2 * sigma[-1, 2]:.0f} m", (k[-1], 34), ha="right", va="top")
+    ax["far"].annotate(f"blue: {errors.shape[2]} phones\nblack: ± 2σ", (2, -34), ha="left", va="bottom", color="0.3")
     title = f"{len(k) - last} seconds of silence turn {sigma[last - 1, 2]:.2f} m into {sigma[-1, 2]:.1f} m"
     fig.suptitle(title, x=0.02, ha="left", weight="bold")
     return fig
@@ -234,7 +232,7 @@ def diagonal_apart(c):
 
 
 def silent_in_company(changes, true_changes=None, errors=None, seconds=30):
-    """Return sigma of z after so many seconds of its silence, with one filter for all three axes: stated, and true.
+    """Return sigma of the height after so many seconds of its silence, with one filter for all axes: stated, and true.
 
     The filter assumes correlations (3, 3) of the random changes, and of the measurement errors (none if not given).
     What it states is true unless the true correlations of the changes are others.
