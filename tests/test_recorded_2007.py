@@ -5,8 +5,8 @@ import gzip
 import re
 import symtable
 import sys
-from dataclasses import replace
 import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
