@@ -230,16 +230,18 @@ def _are_covariances(r):
     """Say whether arrays (N, m, m) look like covariances in all epochs, where they could be variances of m tracks.
 
     A user with the covariances of a receiver would hand them in, and the shape alone does not tell: taken for variances
-    of m tracks they would make wrong estimates without a word.
+    of m tracks they would make wrong estimates without a word. Most of the epochs decide: a covariance that was rotated
+    is symmetric but for its rounding, and one of a bad fix may be singular.
     """
-    known = r[np.isfinite(r).all(axis=(1, 2))]
-    if not len(known) or (known != known.swapaxes(1, 2)).any():
+    known = r[np.isfinite(r).all(axis=(1, 2)) & (np.diagonal(r, axis1=1, axis2=2) > 0).all(axis=1)]
+    if 2 * len(known) <= np.isfinite(r).all(axis=(1, 2)).sum():
         return False
-    sigma = np.sqrt(np.abs(np.diagonal(known, axis1=1, axis2=2)))
-    if not sigma.all():
-        return False
+    sigma = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
+    scaled = known / sigma[:, :, None] / sigma[:, None]
+    symmetric = (np.abs(scaled - scaled.swapaxes(1, 2)) <= checks.ROUNDING).all(axis=(1, 2))
     # Equal variances of all tracks make a matrix of rank one, which is no covariance of noises.
-    return bool((np.linalg.eigvalsh(known / sigma[:, :, None] / sigma[:, None]) > checks.ROUNDING).all())
+    definite = (np.linalg.eigvalsh(scaled) > checks.ROUNDING).all(axis=1)
+    return bool(2 * (symmetric & definite).sum() > len(known))
 
 
 class LainiotisFilter(RecursiveFilter):
