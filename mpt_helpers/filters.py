@@ -104,6 +104,8 @@ class KalmanFilter(RecursiveFilter):
             kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
+        if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
+            checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
         if length is not None and not kf.S.max() < LARGEST:
             need = "a time after which doubles hold the variances of the measurements beside that of the prediction"
             checks.refuse("dt", need, f"{length * self.model.dt:.6g} s")
@@ -118,7 +120,8 @@ class KalmanFilter(RecursiveFilter):
         or a timedelta: a filter with times needs it, others may get it where the model takes steps of other lengths.
         r (m,) are the variances of the measurements, which a filter with variances needs. Raises ValueError or
         TypeError for other shapes, for a dt that is negative or so large that doubles do not hold the step, for states
-        and covariances that are not finite, and for a P that is no covariance.
+        and covariances that are not finite, and for a P that is no covariance as far as a glance tells: its eigenvalues
+        are not computed, but it is looked at by pairs of states, and by what it says of the measurements.
         """
         n, m = self.model.n, self.model.m
         x, P = checks.state(x, P, n)

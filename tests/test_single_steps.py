@@ -37,6 +37,23 @@ def test_a_step_refuses_a_P_that_is_no_covariance(each, P, words, kind):
         each.step(np.zeros(n), kind(whole.tolist()), np.zeros(each.model.m))
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(3, 5), st.integers(1, 2), st.sampled_from([None, 0.0, 0.1]))
+def test_a_kalman_step_refuses_a_P_that_gives_a_measurement_no_variance(seed, n, m, dt):
+    """Each pair of its states is fine, and the eigenvalue below zero lies along what is measured."""
+    rng = np.random.default_rng(seed)
+    axes = [mpt.constant_velocity(0.1, 1e-3, 1.0)] * n
+    signs = rng.choice([-1.0, 1.0], n)
+    P, H = np.eye(2 * n), rng.standard_normal((m, 2 * n))
+    P[::2, ::2] = np.where(np.eye(n), 1.0, -0.99 * signs[:, None] * signs)
+    H[-1] = 0
+    H[-1, ::2] = 3 * signs
+    kf = mpt.KalmanFilter(replace(mpt.stack(*axes), H=H, R=np.diag(rng.uniform(0.1, 1.0, m)), P0=np.eye(2 * n)))
+    z = np.where(np.arange(m) == m - 1, 1.0, rng.choice([np.nan, 2.0], m))
+    with pytest.raises(ValueError, match="P: needs a covariance, got one that gives a measurement a variance"):
+        kf.step(np.zeros(2 * n), P, z, dt)
+    assert np.isfinite(kf.step(np.zeros(2 * n), np.abs(P), z, dt)[1]).all()
+
+
 @pytest.mark.parametrize("name", ["known start", "dense", "12 states"])
 def test_a_step_takes_what_it_has_returned(name):
     """Also where variances are zero but for their rounding, and where states are of very different sizes."""
