@@ -349,6 +349,35 @@ def test_blocks_are_a_tenth_of_all_stretches_or_five_minutes_and_no_step_is_cut(
     assert len(np.unique(cleaning._blocks_of(line, scale))) == pytest.approx(blocks, abs=stretches)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixes(seed, monkeypatch):
+    """As many stretches as fit, from the first fix to the last; the first two fixes of each only tell where it begins."""
+    rng = np.random.default_rng(seed)
+    most, each, N = 60, 12, int(rng.integers(61, 300))
+    monkeypatch.setattr(cleaning, "MOST_FITTED", most)
+    monkeypatch.setattr(cleaning, "FITTED_AT_A_TIME", each)
+    z = rng.standard_normal((N, 2)).cumsum(axis=0)
+    z[rng.random(N) < 0.2] = np.nan
+    z[[0, -1]] = 0.0
+    first = np.zeros(N, bool)
+    first[[0, 1, N // 2, N // 2 + 1]] = True
+    number = np.arange(N) // (N // 2)
+    line = cleaning.Stretches(np.arange(N), np.arange(N) * 1.0, z, 0 * z, first, number, None)
+    part = cleaning._sample(line)
+    starts = np.linspace(0, N - each, most // each).astype(int)
+    rows = sorted({row for start in starts for row in range(start, start + each)})
+    np.testing.assert_array_equal(part.rows, rows)
+    np.testing.assert_array_equal(part.z, z[rows])
+    due = first.copy()
+    for start in starts:
+        left = 2
+        for row in range(start, N):
+            if left and not np.isnan(z[row]).all():
+                due[row], left = True, left - 1
+    np.testing.assert_array_equal(part.first, due[rows])
+    assert cleaning._sample(line.part(slice(most))).first.sum() == first[:most].sum()
+
+
 def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
     c = mpt.track(RIDE)
     assert c.rounding
