@@ -380,7 +380,7 @@ def test_a_damped_mode_without_process_noise_is_told_by_the_smoother():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_damped_mode_is_told_whichever_track_does_not_measure_it(seed):
-    """Beside the variance of what is measured to 1e-5 m the noise is large, beside that of what is missed it is none."""
+    """Beside the variance of what is measured to 1e-5 m the noise is large, beside that of what is missed it is nil."""
     rng = np.random.default_rng(seed)
     z, r = rng.standard_normal((12, 1, 3)), np.full((12, 1, 3), 1e-10)
     model = mpt.LinearModel(F=[[0.5]], H=[[1]], Q=[[1e-16]], R=[[1]], P0=[[1]])

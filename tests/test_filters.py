@@ -431,7 +431,8 @@ def test_joint_filters_of_separate_ones_have_the_same_times_in_every_part(seed, 
     for same in (None, own):
         first = separate(*[same] * parts)
         mpt.JoinFilter(first, separate(*[same] * parts))
-        for others in (own if same is None else None, own + rng.uniform(0.1, 9.0) * (np.arange(5) > rng.integers(1, 4))):
+        moved = own + rng.uniform(0.1, 9.0) * (np.arange(5) > rng.integers(1, 4))
+        for others in (own if same is None else None, moved):
             times = [same] * parts
             times[rng.integers(parts)] = others
             for pair in ((first, separate(*times)), (separate(*times), first)):

@@ -351,7 +351,7 @@ def test_blocks_are_a_tenth_of_all_stretches_or_five_minutes_and_no_step_is_cut(
 
 @pytest.mark.parametrize("seed", range(8))
 def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixes(seed, monkeypatch):
-    """As many stretches as fit, from the first fix to the last; the first two fixes of each only tell where it begins."""
+    """As many stretches as fit, from the first fix to the last; the first two fixes of each tell where it begins."""
     rng = np.random.default_rng(seed)
     most, each, N = 60, 12, int(rng.integers(61, 300))
     monkeypatch.setattr(cleaning, "MOST_FITTED", most)
