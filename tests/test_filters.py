@@ -418,6 +418,37 @@ def test_innovations_of_a_joint_filter_are_the_means_of_those_of_both(seed, n, m
         np.testing.assert_allclose(new.S[..., track], (S_1 + S_2) / 2, rtol=1e-8, atol=1e-8)
 
 
+@given(st.lists(st.tuples(st.integers(1, 90), st.integers(1, 5)), min_size=2, max_size=5), st.integers(0, 1000))
+def test_a_filter_that_is_used_again_keeps_nothing_of_other_tracks(sizes, seed):
+    """Shorter or longer ones, more or fewer of them, as a new filter takes them."""
+    model = mpt.stack(AXIS, AXIS)
+    for make in FILTERS:
+        used = make(model)
+        for N, M in sizes:
+            z = np.random.default_rng(seed).standard_normal((N, 2, M))
+            np.testing.assert_array_equal(used.filter(z), make(model).filter(z))
+            np.testing.assert_array_equal(used.covariances(z), make(model).covariances(z))
+
+
+class Smoothed(mpt.KalmanFilter):
+    """A filter that smooths to what it is told."""
+
+    def smooth(self, z):
+        return vars(self)["told"]
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_joint_filter_smooths_to_the_mean_of_both(seed):
+    rng = np.random.default_rng(seed)
+    told = [mpt.recursive.Estimates(rng.standard_normal((5, 2)), rng.standard_normal((5, 2, 2))) for _ in range(2)]
+    both = [Smoothed(AXIS) for _ in told]
+    for each, estimates in zip(both, told, strict=True):
+        vars(each)["told"] = estimates
+    x, P = mpt.JoinFilter(*both).smooth(np.zeros((5, 1)))
+    np.testing.assert_allclose(x, (told[0].x + told[1].x) / 2)
+    np.testing.assert_allclose(P, (told[0].P + told[1].P) / 2)
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
 def test_joint_filters_of_separate_ones_have_the_same_times_in_every_part(seed, parts):
     """A part may have times of its own: what differs in one of them, wherever it stands, is refused."""

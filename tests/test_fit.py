@@ -324,7 +324,44 @@ def test_the_errors_of_a_recorded_track_are_the_scatter_of_its_quarters(name):
     assert 1 / 2.5 < np.std(np.log(quarters), ddof=1) / (2 * f.log_errors["q"]) < 2.5
 
 
+@settings(max_examples=50, deadline=None)
+@given(SEEDS, st.integers(1, 4))
+def test_a_step_of_newton_goes_downwards_whichever_way_the_function_bends(seed, d):
+    """To the lowest point where it bends upwards, and nowhere further than a factor of e."""
+    rng = np.random.default_rng(seed)
+    curvatures = rng.uniform(0.5, 3.0, d) * rng.choice([-1.0, 1.0], d)
+    directions, _ = np.linalg.qr(rng.standard_normal((d, d)))
+    gradient = rng.uniform(0.1, 2.0) * rng.standard_normal(d)
+    step = search._newton_step(gradient, directions * curvatures @ directions.T)
+    along = directions.T @ step
+    assert (along * (directions.T @ gradient) < 0).all()
+    assert np.abs(step).max() <= 1 + 1e-12
+    whole = -(directions.T @ gradient) / np.abs(curvatures)
+    np.testing.assert_allclose(step, directions @ whole / max(1.0, np.abs(directions @ whole).max()), rtol=1e-9)
+
+
 # What is wrong with the data
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS)
+def test_the_distance_of_a_start_is_that_of_each_tracks_first_fix_by_P0_and_R_alone(seed):
+    """The motion's own noise does not count, however large; the farthest number of all tracks does."""
+    rng = np.random.default_rng(seed)
+    one = mpt.constant_velocity(1.0, 10.0 ** rng.integers(-2, 5), 1.0, x0=rng.standard_normal(2), P0=np.eye(2))
+    model = mpt.stack(one, replace(one, R=[[rng.uniform(0.1, 9.0)]]))
+    z = 30 * rng.standard_normal((8, 2, 3))
+    z[rng.random(z.shape) < 0.5] = np.nan
+    squares = [0.0]
+    for track in range(3):
+        x, P = model.x0, model.P0
+        for z_k in z[..., track]:
+            x, P = model.F @ x, model.F @ P @ model.F.T
+            if not np.isnan(z_k).all():
+                squares += [(z_k - model.H @ x) ** 2 / np.diag(model.H @ P @ model.H.T + model.R)]
+                break
+    due = np.nanmax(np.hstack(squares))
+    assert fitting._squared_distance_of_the_start(mpt.KalmanFilter(model), z) == pytest.approx(due, rel=1e-9)
 
 
 def track():
