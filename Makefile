@@ -7,18 +7,21 @@ BENCH := .venv-bench
 NOT_INSTALLED := error: pip could not install environment.lock. If it could not connect (it says Retrying, or versions: none), \
 	set HTTPS_PROXY or PIP_INDEX_URL. If it found other versions only, take a Python of 3.11 to 3.13, which were tried: \
 	make PYTHON=python3.13. If hashes do not match, the index has other files than PyPI: set PIP_INDEX_URL to another
+# The end of a command that fails, whose own exit code stays: what it said may stand far above.
+NOT_RUN = || { code=$$?; echo "make $@: not everything ran: see the error above" >&2; exit $$code; }
+NOT_WELL = || { code=$$?; echo "make $@: not all is well: see FAILED, or the error, above" >&2; exit $$code; }
 NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 
 .PHONY: reproduce test nbval site site-test build extras bench clock mutants seeds test-all workflows lock
 
 reproduce: $(VENV)/.ok
-	$(PY) -m reproduction reproduce
+	@$(PY) -m reproduction reproduce $(NOT_RUN)
 
 test: $(VENV)/.ok
 	@echo "all of the tests; a part of them: $(PY) -m pytest tests/test_filters.py -k lainiotis"
-	$(PY) -m ruff check .
-	$(PY) -m ruff format --check .
-	$(PY) -m pytest -n auto -p tests.exact $(NBVAL) mpt_helpers reproduction docs/break_sensor.py tests notebooks
+	@$(PY) -m ruff check . $(NOT_WELL)
+	@$(PY) -m ruff format --check . $(NOT_WELL)
+	@$(PY) -m pytest -n auto -p tests.exact $(NBVAL) mpt_helpers reproduction docs/break_sensor.py tests notebooks $(NOT_WELL)
 	@echo "make test: all is well: style, tests, doctests, and every byte of the notebooks' outputs and figures"
 
 # The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.

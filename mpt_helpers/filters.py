@@ -104,6 +104,8 @@ class KalmanFilter(RecursiveFilter):
             kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
+        if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
+            checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
         if length is not None and not kf.S.max() < LARGEST:
             need = "a time after which doubles hold the variances of the measurements beside that of the prediction"
             checks.refuse("dt", need, f"{length * self.model.dt:.6g} s")
@@ -118,7 +120,8 @@ class KalmanFilter(RecursiveFilter):
         or a timedelta: a filter with times needs it, others may get it where the model takes steps of other lengths.
         r (m,) are the variances of the measurements, which a filter with variances needs. Raises ValueError or
         TypeError for other shapes, for a dt that is negative or so large that doubles do not hold the step, for states
-        and covariances that are not finite, and for a P that is no covariance.
+        and covariances that are not finite, and for a P that is no covariance as far as a glance tells: its eigenvalues
+        are not computed, but it is looked at by pairs of states, and by what it says of the measurements.
         """
         n, m = self.model.n, self.model.m
         x, P = checks.state(x, P, n)
@@ -230,16 +233,18 @@ def _are_covariances(r):
     """Say whether arrays (N, m, m) look like covariances in all epochs, where they could be variances of m tracks.
 
     A user with the covariances of a receiver would hand them in, and the shape alone does not tell: taken for variances
-    of m tracks they would make wrong estimates without a word.
+    of m tracks they would make wrong estimates without a word. Most of the epochs decide: a covariance that was rotated
+    is symmetric but for its rounding, and one of a bad fix may be singular.
     """
-    known = r[np.isfinite(r).all(axis=(1, 2))]
-    if not len(known) or (known != known.swapaxes(1, 2)).any():
+    known = r[np.isfinite(r).all(axis=(1, 2)) & (np.diagonal(r, axis1=1, axis2=2) > 0).all(axis=1)]
+    if 2 * len(known) <= np.isfinite(r).all(axis=(1, 2)).sum():
         return False
-    sigma = np.sqrt(np.abs(np.diagonal(known, axis1=1, axis2=2)))
-    if not sigma.all():
-        return False
+    sigma = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
+    scaled = known / sigma[:, :, None] / sigma[:, None]
+    symmetric = (np.abs(scaled - scaled.swapaxes(1, 2)) <= checks.ROUNDING).all(axis=(1, 2))
     # Equal variances of all tracks make a matrix of rank one, which is no covariance of noises.
-    return bool((np.linalg.eigvalsh(known / sigma[:, :, None] / sigma[:, None]) > checks.ROUNDING).all())
+    definite = (np.linalg.eigvalsh(scaled) > checks.ROUNDING).all(axis=1)
+    return bool(2 * (symmetric & definite).sum() > len(known))
 
 
 class LainiotisFilter(RecursiveFilter):

@@ -239,7 +239,7 @@ def gps_ins(
     change in a step (m²/s²; the paper prints no Q), r the variances of the first two rows (m², m²/s²) or of all three
     (m², m²/s², m²). x0 (3,) and P0 (3×3) are the start.
 
-    Raises ValueError for dt <= 0, q < 0, a variance that is not positive, and for fewer or more variances.
+    Raises ValueError for dt <= 0 or above 1e60 s, q < 0, a variance that is not positive, and for fewer or more.
 
     >>> gps_ins(dt=1.0, q=0.0, r=(1.0, 1e-4)).H
     array([[1., 0., 0.],
@@ -249,7 +249,7 @@ def gps_ins(
     if not isinstance(variances, list) or len(variances) not in (2, 3):
         checks.refuse("r", "two or three variances", f"{r!r:.60}")
     R = np.diag([checks.positive("r", variance) for variance in variances])
-    dt, q = checks.duration("dt", dt), checks.not_negative("q", q)
+    dt, q, _ = _checked(dt, q, variances[0])
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
     return LinearModel(F=F, H=H[: len(R)], Q=np.diag([0, q, 0]), R=R, x0=x0, P0=P0)

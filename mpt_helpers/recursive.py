@@ -234,7 +234,7 @@ class RecursiveFilter(Filter):
 
         NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt and r are for a KalmanFilter. Raises
         ValueError or TypeError for other shapes, for states and covariances that are not finite, and for a P that is
-        no covariance.
+        no covariance as two of its states show; its eigenvalues are not computed.
         """
         for name, given in (("dt", dt), ("r", r)):
             if given is not None:

@@ -98,7 +98,7 @@ def _by_newton(function, point):
     """Return the lowest point that Newton's steps lead to."""
     for _ in range(MOST_ITERATIONS):
         value, gradient, H = differences(function, point)
-        step = _step_uphill(gradient, H)
+        step = _step_downhill(gradient, H)
         for _ in range(MOST_HALVINGS):
             if np.abs(step).max() < NEAR:
                 return point
@@ -111,7 +111,7 @@ def _by_newton(function, point):
     return point
 
 
-def _step_uphill(gradient, H):
+def _step_downhill(gradient, H):
     """Return the step (d,) to where the gradient (d,) vanishes, by the second derivatives H (d, d).
 
     It goes downwards where H curves the other way, not along a flat direction, and not too far.

@@ -35,13 +35,16 @@ def reproduce_and_say(some):
 def outcome(root, written):
     """Return a line on what a run wrote, {path: whether its bytes changed}: as committed, or what is not.
 
-    Where the project is no git checkout, what stood there before is compared.
+    Where the project is no git checkout, and where there is no git, what stood there before is compared.
     """
     made = f"all {len(written)} files that they make"
     places = [NOTEBOOKS, FIGURES, LEDGER / "*.json", "README.md"]
     git = ["git", "-C", str(root), "status", "--porcelain", "--no-renames", "--", *map(str, places)]
-    asked = subprocess.run(git, capture_output=True, text=True)
-    if asked.returncode == 0:
+    try:
+        asked = subprocess.run(git, capture_output=True, text=True)
+    except OSError:  # no git on the PATH: everything has run by now, and that must not be called an error
+        asked = None
+    if asked is not None and asked.returncode == 0:
         differ, same = [line[3:] for line in asked.stdout.splitlines()], "as committed"
     else:
         differ, same = [str(path) for path, changed in written.items() if changed], "as before"

@@ -1,7 +1,13 @@
 """Bands that follow their own errors: what they rest on, what they guarantee, that they know nothing of the future."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from oracles import plain_band
+from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
 from mpt_helpers.bands import Ahead, LiveBand, ahead, coverage, following, interval_score, placebo
@@ -82,6 +88,58 @@ def test_filters_that_agree_have_the_same_bands(same):
     whole = np.where(np.isnan(z).any(axis=1, keepdims=True), np.nan, z)
     expected = following(ahead(mpt.KalmanFilter(PLANE), whole, 4.0))
     np.testing.assert_allclose(following(ahead(same, whole, 4.0)), expected, rtol=1e-6)
+
+
+def with_a_start_of_its_own(rng, model):
+    """A filter of constant gain whose P(0/0) is not the model's."""
+    B, root = rng.uniform(0.1, 0.5, (model.n, model.m)) * (model.H.T != 0), rng.standard_normal((model.n, model.n))
+    A = (np.eye(model.n) - B @ model.H) @ model.F
+    return mpt.SteadyStateFilter(model, A=A, B=B, P=root @ root.T + 0.1 * np.eye(model.n))
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(["constant gain", "joint", "joint with a Kalman filter", "separate"]),
+    st.sampled_from([1.0, 2.5, 4.0]),
+    st.sampled_from([0.95, 0.7]),
+)
+def test_bands_of_other_filters_start_from_the_P0_of_the_filter(seed, kind, seconds, level):
+    """`ahead`, `following` and the live band against the plain loop: the first innovation is judged by that P0."""
+    rng = np.random.default_rng(seed)
+    axis = mpt.constant_velocity(0.5, 0.3, 1.0, x0=rng.standard_normal(2), P0=9 * np.eye(2))
+    plane = mpt.stack(axis, replace(axis, R=[[2.0]], Q=2 * axis.Q))
+    one, two = with_a_start_of_its_own(rng, plane), with_a_start_of_its_own(rng, plane)
+    halves = [with_a_start_of_its_own(rng, axis), with_a_start_of_its_own(rng, replace(axis, R=[[2.0]], Q=2 * axis.Q))]
+    estimator, P0 = {
+        "constant gain": (one, one.P),
+        "joint": (mpt.JoinFilter(one, two), (one.P + two.P) / 2),
+        "joint with a Kalman filter": (mpt.JoinFilter(mpt.KalmanFilter(plane), two), (plane.P0 + two.P) / 2),
+        "separate": (mpt.Separate(*halves), block_diag(*(each.P for each in halves))),
+    }[kind]
+    N, M = 30, 2
+    z = 3 * rng.standard_normal((N, 2, M))
+    z[np.repeat(rng.random((N, 1, M)) < 0.15, 2, axis=1)] = np.nan
+    t, (x, P) = 0.5 * np.arange(N), estimator.estimates(z)
+    a = ahead(estimator, z, seconds)
+    band = following(a, level=level)
+    normal = np.log([{0.95: 1.959963984540054, 0.7: 1.0364333894937898}[level]] * 2)
+    for i in range(M):
+        checked, at_rows, log_f = plain_band(
+            lambda T: plane.over(T / 0.5),
+            *(plane.H, plane.R, [plane.R] * N, (-0.5, plane.x0, P0), t),
+            *(z[..., i], x[..., i], P[..., i], seconds, level, normal),
+        )
+        of_it = a.track == i
+        np.testing.assert_allclose(a.errors[of_it], [each.errors for each in checked], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(a.sigma[of_it], [each.sigma for each in checked], rtol=1e-9)
+        np.testing.assert_allclose(a.recent[of_it], [each.c for each in checked], rtol=1e-9)
+        np.testing.assert_allclose(band[of_it], [each.half_width for each in checked], rtol=1e-9)
+        live = LiveBand(estimator, seconds, level=level)
+        for k, at_row in enumerate(at_rows):
+            expected = live.step(t[k], z[k, :, i], x[k, :, i], P[k, :, :, i])
+            np.testing.assert_allclose(expected.position, at_row.position, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(expected.half_width, at_row.half_width, rtol=1e-9)
+        np.testing.assert_allclose(live.factor, np.exp(log_f), rtol=1e-9)
 
 
 def test_times_that_are_a_horizon_apart_but_for_their_rounding_belong_together():

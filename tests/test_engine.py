@@ -378,6 +378,20 @@ def test_a_damped_mode_without_process_noise_is_told_by_the_smoother():
         smoothed(AXIS.F, np.zeros((2, 2)))
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_damped_mode_is_told_whichever_track_does_not_measure_it(seed):
+    """Beside the variance of what is measured to 1e-5 m the noise is large, beside that of what is missed it is nil."""
+    rng = np.random.default_rng(seed)
+    z, r = rng.standard_normal((12, 1, 3)), np.full((12, 1, 3), 1e-10)
+    model = mpt.LinearModel(F=[[0.5]], H=[[1]], Q=[[1e-16]], R=[[1]], P0=[[1]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mpt.KalmanFilter(model, r=r).smooth(z)
+    z[0, 0, rng.integers(3)] = np.nan
+    with pytest.warns(UserWarning, match="damped modes without process noise, 0.5,"):
+        mpt.KalmanFilter(model, r=r).smooth(z)
+
+
 REFUSED_TIMES = {
     "gsm": (lambda: timed(AXIS, t=T), "t: needs a model that says"),
     "gps_ins": (lambda: timed(mpt.gps_ins(1.0, 0.1, (1.0, 1.0)), t=T), "t: needs a model that says"),

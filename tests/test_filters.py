@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import AXIS, dense_model
+from hypothesis import given
+from hypothesis import strategies as st
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
 import mpt_helpers as mpt
@@ -377,3 +379,93 @@ def test_blocks_that_share_some_steps_have_products_of_their_own(monkeypatch):
     products = steps.products_for([first, second, first, third, first, third], tracks=1)
     assert [W[1, 0] for W in products] == [0.125, 0.0625, 0.0625]
     assert products[2] is products[1]
+
+
+def constant_gain(model, rng):
+    """A SteadyStateFilter with a gain and a P that no Riccati equation gave."""
+    B, root = 0.3 * rng.standard_normal((model.n, model.m)), rng.standard_normal((model.n, model.n))
+    return mpt.SteadyStateFilter(model, A=(np.eye(model.n) - B @ model.H) @ model.F, B=B, P=root @ root.T)
+
+
+def plain_innovations(each, z):
+    """The innovations and S of a filter of constant gain on one track, one epoch after the other."""
+    model, x, P, values, S = each.model, each.model.x0, each.P, [], []
+    keep = np.eye(model.n) - each.B @ model.H
+    for z_k in z:
+        x, P = model.F @ x, model.F @ P @ model.F.T + model.Q
+        values.append(z_k - model.H @ x)
+        S.append(model.H @ P @ model.H.T + model.R)
+        if not np.isnan(z_k).any():
+            x, P = x + each.B @ values[-1], keep @ P @ keep.T + each.B @ model.R @ each.B.T
+    return np.array(values), np.array(S)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.integers(1, 2))
+def test_innovations_of_a_joint_filter_are_the_means_of_those_of_both(seed, n, m):
+    """Of filters that differ in their gains and in where their P starts; with missed epochs."""
+    rng = np.random.default_rng(seed)
+    model = dense_model(rng.integers(1000), n, m)
+    model = replace(model, F=model.F / np.abs(np.linalg.eigvals(model.F)).max())
+    both = [constant_gain(model, rng) for _ in range(2)]
+    join = mpt.JoinFilter(*both)
+    z = rng.standard_normal((12, m, 3))
+    z[(rng.random((12, 1, 3)) < 0.2).repeat(m, axis=1)] = np.nan
+    new = mpt.metrics.innovations(join, z)
+    np.testing.assert_allclose(join.P0, (both[0].P + both[1].P) / 2)
+    for track in range(3):
+        (values_1, S_1), (values_2, S_2) = (plain_innovations(each, z[..., track]) for each in both)
+        np.testing.assert_allclose(new.values[..., track], (values_1 + values_2) / 2, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(new.S[..., track], (S_1 + S_2) / 2, rtol=1e-8, atol=1e-8)
+
+
+@given(st.lists(st.tuples(st.integers(1, 90), st.integers(1, 5)), min_size=2, max_size=5), st.integers(0, 1000))
+def test_a_filter_that_is_used_again_keeps_nothing_of_other_tracks(sizes, seed):
+    """Shorter or longer ones, more or fewer of them, as a new filter takes them."""
+    model = mpt.stack(AXIS, AXIS)
+    for make in FILTERS:
+        used = make(model)
+        for N, M in sizes:
+            z = np.random.default_rng(seed).standard_normal((N, 2, M))
+            np.testing.assert_array_equal(used.filter(z), make(model).filter(z))
+            np.testing.assert_array_equal(used.covariances(z), make(model).covariances(z))
+
+
+class Smoothed(mpt.KalmanFilter):
+    """A filter that smooths to what it is told."""
+
+    def smooth(self, z):
+        return vars(self)["told"]
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_joint_filter_smooths_to_the_mean_of_both(seed):
+    rng = np.random.default_rng(seed)
+    told = [mpt.recursive.Estimates(rng.standard_normal((5, 2)), rng.standard_normal((5, 2, 2))) for _ in range(2)]
+    both = [Smoothed(AXIS) for _ in told]
+    for each, estimates in zip(both, told, strict=True):
+        vars(each)["told"] = estimates
+    x, P = mpt.JoinFilter(*both).smooth(np.zeros((5, 1)))
+    np.testing.assert_allclose(x, (told[0].x + told[1].x) / 2)
+    np.testing.assert_allclose(P, (told[0].P + told[1].P) / 2)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_joint_filters_of_separate_ones_have_the_same_times_in_every_part(seed, parts):
+    """A part may have times of its own: what differs in one of them, wherever it stands, is refused."""
+    rng = np.random.default_rng(seed)
+    model = mpt.constant_velocity(1.0, 0.1, 0.5)
+    own = np.arange(5.0)
+
+    def separate(*times):
+        return mpt.Separate(*(mpt.KalmanFilter(model, t=t) for t in times))
+
+    for same in (None, own):
+        first = separate(*[same] * parts)
+        mpt.JoinFilter(first, separate(*[same] * parts))
+        moved = own + rng.uniform(0.1, 9.0) * (np.arange(5) > rng.integers(1, 4))
+        for others in (own if same is None else None, moved):
+            times = [same] * parts
+            times[rng.integers(parts)] = others
+            for pair in ((first, separate(*times)), (separate(*times), first)):
+                with pytest.raises(ValueError, match="second: needs a filter of the same times as the first"):
+                    mpt.JoinFilter(*pair)

@@ -197,6 +197,22 @@ def test_the_covariance_of_scores_is_that_of_their_sum():
     np.testing.assert_allclose(np.diag(J), 20 * np.array([1.0, 9.0]) * (2.093 / 1.960) ** 2, rtol=0.03)
 
 
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.sampled_from([2e-3, 0.02, 0.05, 0.3]), st.integers(2, 4))
+def test_a_parameter_is_not_known_where_a_flat_direction_moves_it_by_a_hundredth(seed, share, d):
+    """Of the direction's length; the others along it move far more."""
+    rng = np.random.default_rng(seed)
+    flat = rng.uniform(0.5, 1.0, d) * rng.choice([-1.0, 1.0], d)
+    i = rng.integers(d)
+    flat[i] = 0
+    flat *= np.sqrt(1 - share**2) / np.linalg.norm(flat)
+    flat[i] = share
+    A = rng.standard_normal((d, d + 2))
+    across = np.eye(d) - np.outer(flat, flat)
+    due = np.isinf(fitting._variances(across @ A @ A.T @ across, np.eye(d)))
+    np.testing.assert_array_equal(due, [share > 0.01 if j == i else True for j in range(d)])
+
+
 def blocks_of(z, t=None, dt=1.0):
     model = mpt.constant_velocity(dt, 0.1, 0.5)
     return fitting._blocks(mpt.KalmanFilter(model, t=t), np.asarray(z, float))
@@ -237,6 +253,27 @@ def test_tracks_are_cut_into_equally_many_blocks_the_fewest_that_make_as_many_as
     of_one = blocks_of(np.zeros((N * M, 1))).count
     assert count - M < of_one <= count  # one less in each track would not do
     assert {len(np.unique(blocks.of_rows[:, track])) for track in range(M)} == {count // M}
+
+
+@settings(max_examples=50, deadline=None)
+@given(SEEDS, st.booleans(), st.booleans())
+def test_the_usual_step_is_the_median_one_between_the_fixes_of_each_track(seed, timed, own):
+    """Rows without a fix are none, and the step from one track to the next is none."""
+    rng = np.random.default_rng(seed)
+    N, M, dt = rng.integers(1, 40), rng.integers(1, 4), 2.5
+    seen = rng.random((N, M)) < rng.uniform(0.1, 1.0)
+    t = np.cumsum(rng.choice([1.0, 3.0, 7.0], (N, M)), axis=0) if own else np.cumsum(rng.choice([1.0, 9.0], N))
+    kf = mpt.KalmanFilter(mpt.constant_velocity(dt, 0.1, 0.5), t=t if timed and N > 1 else None)
+    steps = []
+    for i in range(M):
+        last = None
+        for k in range(N):
+            if seen[k, i]:
+                now = dt * k if kf.t is None else t[k, i] if own else t[k]
+                steps += [] if last is None else [now - last]
+                last = now
+    expected = sorted(steps)[len(steps) // 2] / 2 + sorted(steps)[(len(steps) - 1) // 2] / 2 if steps else 0.0
+    assert fitting._usual_step(kf, seen) == pytest.approx(expected)
 
 
 def test_an_hour_between_two_stretches_makes_no_empty_block():
@@ -287,7 +324,44 @@ def test_the_errors_of_a_recorded_track_are_the_scatter_of_its_quarters(name):
     assert 1 / 2.5 < np.std(np.log(quarters), ddof=1) / (2 * f.log_errors["q"]) < 2.5
 
 
+@settings(max_examples=50, deadline=None)
+@given(SEEDS, st.integers(1, 4))
+def test_a_step_of_newton_goes_downwards_whichever_way_the_function_bends(seed, d):
+    """To the lowest point where it bends upwards, and nowhere further than a factor of e."""
+    rng = np.random.default_rng(seed)
+    curvatures = rng.uniform(0.5, 3.0, d) * rng.choice([-1.0, 1.0], d)
+    directions, _ = np.linalg.qr(rng.standard_normal((d, d)))
+    gradient = rng.uniform(0.1, 2.0) * rng.standard_normal(d)
+    step = search._step_downhill(gradient, directions * curvatures @ directions.T)
+    along = directions.T @ step
+    assert (along * (directions.T @ gradient) < 0).all()
+    assert np.abs(step).max() <= 1 + 1e-12
+    whole = -(directions.T @ gradient) / np.abs(curvatures)
+    np.testing.assert_allclose(step, directions @ whole / max(1.0, np.abs(directions @ whole).max()), rtol=1e-9)
+
+
 # What is wrong with the data
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS)
+def test_the_distance_of_a_start_is_that_of_each_tracks_first_fix_by_P0_and_R_alone(seed):
+    """The motion's own noise does not count, however large; the farthest number of all tracks does."""
+    rng = np.random.default_rng(seed)
+    one = mpt.constant_velocity(1.0, 10.0 ** rng.integers(-2, 5), 1.0, x0=rng.standard_normal(2), P0=np.eye(2))
+    model = mpt.stack(one, replace(one, R=[[rng.uniform(0.1, 9.0)]]))
+    z = 30 * rng.standard_normal((8, 2, 3))
+    z[rng.random(z.shape) < 0.5] = np.nan
+    squares = [0.0]
+    for track in range(3):
+        x, P = model.x0, model.P0
+        for z_k in z[..., track]:
+            x, P = model.F @ x, model.F @ P @ model.F.T
+            if not np.isnan(z_k).all():
+                squares += [(z_k - model.H @ x) ** 2 / np.diag(model.H @ P @ model.H.T + model.R)]
+                break
+    due = np.nanmax(np.hstack(squares))
+    assert fitting._squared_distance_of_the_start(mpt.KalmanFilter(model), z) == pytest.approx(due, rel=1e-9)
 
 
 def track():

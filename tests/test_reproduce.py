@@ -241,6 +241,16 @@ def test_in_a_checkout_the_last_line_says_what_is_not_as_committed(finished, cap
     assert said[1] == "the notebooks ran; not as committed: figures/b.png"
 
 
+def test_without_git_what_stood_there_before_is_compared(finished, monkeypatch, tmp_path_factory, capsys):
+    """A ZIP of the project on a machine without git: all has run, so that nothing is an error."""
+    monkeypatch.setenv("PATH", str(tmp_path_factory.mktemp("nothing")))
+    for end in ("not as before: ", "are as before, byte for byte"):
+        assert main(["reproduce"]) == 0
+        shown = capsys.readouterr()
+        assert end in shown.out.splitlines()[-1]
+        assert shown.err == ""
+
+
 def test_what_a_notebook_makes_is_moved_into_place(finished):
     before = files(finished)
     assert main(["reproduce"]) == 0

@@ -1,6 +1,8 @@
 """What is shipped, and that GitHub and `.ci/run` call the commands of the Makefile and nothing else."""
 
+import os
 import re
+import shutil
 import subprocess
 import tarfile
 import zipfile
@@ -58,6 +60,82 @@ def test_a_workflow_runs_commands_of_the_makefile_and_nothing_else(path):
     runs = [step["run"] for step in steps if "run" in step]
     assert [run for run in runs if not re.fullmatch("make [a-z-]+", run)] == []
     assert {run.removeprefix("make ") for run in runs} <= set(COMMANDS)
+
+
+@pytest.fixture
+def made(tmp_path):
+    """A function that runs `make` with the Makefile alone, and a Python that shows its arguments and ends with a code.
+
+    It returns the exit code, the arguments of each call, and the last line that is not make's own.
+    """
+    if os.name != "posix" or not shutil.which("make"):
+        pytest.skip("needs make and a shell")
+    (tmp_path / "Makefile").write_text(MAKEFILE)
+    for name in ("pyproject.toml", "environment.lock"):
+        (tmp_path / name).touch()
+
+    def make(command, fails=None, installed=True):
+        """Fail (exit code 3) where the arguments of a call have the word `fails`."""
+        python = tmp_path / "python"
+        python.write_text(f'#!/bin/sh\necho "called: $*"\ncase "$*" in *"{fails or "nothing"}"*) exit 3;; esac\n')
+        python.chmod(0o755)
+        (tmp_path / ".venv").mkdir(exist_ok=True)
+        if installed:
+            (tmp_path / ".venv" / ".ok").touch()
+        arguments = ["make", command, f"PY={python}", f"PYTHON={python}"]
+        run = subprocess.run(arguments, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        lines = run.stdout.splitlines()
+        calls = [line.removeprefix("called: ") for line in lines if line.startswith("called: ")]
+        return run.returncode, calls, [line for line in lines if not line.startswith("make: ***")][-1]
+
+    return make
+
+
+def test_make_test_runs_the_style_the_tests_and_the_bytes_and_says_at_its_end_whether_all_is_well(made):
+    code, calls, last = made("test")
+    assert code == 0
+    assert calls[:2] == ["-m ruff check .", "-m ruff format --check ."]
+    assert calls[2].startswith("-m pytest ")
+    # exact compares every byte; the sockets of its kernels are those of tests/conftest.py
+    assert " -p tests.exact --nbval --nbval-current-env " in calls[2]
+    assert calls[2].endswith(" mpt_helpers reproduction docs/break_sensor.py tests notebooks")
+    assert last.startswith("make test: all is well: ")
+    for fails, count in (("check .", 1), ("format", 2), ("pytest", 3)):
+        code, calls, last = made("test", fails)
+        assert (code, len(calls)) == (2, count)  # of make, whatever the command's own is
+        assert last == "make test: not all is well: see FAILED, or the error, above"
+
+
+def test_make_reproduce_that_fails_says_so_at_its_end(made):
+    assert made("reproduce")[:2] == (0, ["-m reproduction reproduce"])
+    code, _, last = made("reproduce", "reproduction")
+    assert (code, last) == (2, "make reproduce: not everything ran: see the error above")
+
+
+def test_make_nbval_talks_through_files(made):
+    _, (call,), _ = made("nbval")
+    assert " -p tests.sockets " in call
+    assert call.endswith(" notebooks")
+
+
+def test_where_nothing_can_be_installed_make_says_what_to_do(made):
+    code, calls, last = made("reproduce", "--require-hashes", installed=False)
+    assert code == 2
+    assert calls[-1].endswith("--require-hashes -r environment.lock")
+    assert last.startswith("error: pip could not install environment.lock. ")
+    for word in ("HTTPS_PROXY", "PIP_INDEX_URL", "make PYTHON=python3.13", "hashes"):
+        assert word in last
+    code, calls, last = made("reproduce", "import sys", installed=False)
+    assert (code, len(calls)) == (2, 1)  # the version of Python is asked first
+    assert "Python 3.11 or newer is needed" in last
+
+
+def test_the_pythons_that_were_tried_are_the_same_everywhere():
+    """In the README, where make cannot install, and in the environments of `make test-all`."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "Python 3.11 or newer, of which 3.11 to 3.13 were tried" in readme
+    assert "a Python of 3.11 to 3.13, which were tried" in MAKEFILE
+    assert shipped.metadata()["requires-python"] == ">=3.11"
 
 
 def test_every_command_of_the_makefile_is_there():

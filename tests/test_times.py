@@ -7,6 +7,8 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import mpt_helpers as mpt
 
@@ -166,6 +168,25 @@ def test_a_step_that_is_refused_to_one_filter_by_its_dt_is_refused_to_the_other_
             r_k = None if variances is None else variances[0]
             with pytest.raises(ValueError, match="dt: needs a time after") if refused else nullcontext():
                 mpt.KalmanFilter(made).step(np.zeros(made.n), 0 * made.Q, [0.0], dt=gap, r=r_k)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 4), st.booleans())
+def test_the_longest_step_of_any_track_counts_beside_the_least_variance_of_any(seed, M, own_variances):
+    """A step is refused to one track of several as it is to that track alone."""
+    rng = np.random.default_rng(seed)
+    model = mpt.constant_acceleration(1.0, 0.01, 0.1)
+    lengths = rng.choice([0.0, 1.0, 60.0], (5, M))
+    lengths[1] = 1.0
+    k, track, other = rng.integers(1, 5), *rng.permutation(M)[:2]
+    r = np.full((5, 1, M), 0.1)
+    precise = other if own_variances else track
+    r[rng.integers(5), 0, precise] = least = 0.1 * (1e-3 if own_variances else 1.0)
+    edge = (1e29 * least / model.Q[0, 0]) ** (1 / (2 * model.powers[0]))
+    for gap, refused in ((edge / 3, False), (3 * edge, True)):
+        lengths[k, track] = gap
+        kf = mpt.KalmanFilter(model, t=np.cumsum(lengths, axis=0), r=r if own_variances else None)
+        with pytest.raises(ValueError, match="t: needs steps after") if refused else nullcontext():
+            kf.filter(np.zeros((5, 1, M)))
 
 
 def test_variances_that_are_missing_refuse_no_step():

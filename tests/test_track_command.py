@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from datetime import timedelta
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -347,6 +348,99 @@ def test_blocks_are_a_tenth_of_all_stretches_or_five_minutes_and_no_step_is_cut(
     noise = cleaning.Noise(1e-6, 1.0, False)  # so still that stretches stand most of a day apart
     line = cleaning.on_one_line(t, z, None, np.arange(600) * stretches // 600, noise, scale)
     assert len(np.unique(cleaning._blocks_of(line, scale))) == pytest.approx(blocks, abs=stretches)
+
+
+def pieces_of(rng, N):
+    """The stretch of each of N fixes: 2 to 5 of them, with refused fixes inside and between."""
+    pieces = np.sort(rng.integers(0, rng.integers(2, 6), N))
+    pieces = np.unique(pieces, return_inverse=True)[1]
+    for k in range(pieces.max() + 1):
+        own = np.flatnonzero(pieces == k)
+        pieces[own[2:][rng.random(len(own[2:])) < 0.3]] = -1
+    return pieces
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_stretches_on_one_line_begin_where_the_one_before_has_ended_an_hour_later(seed):
+    """Moved as a whole, and told from which fixes their start is known."""
+    rng = np.random.default_rng(seed)
+    N = int(rng.integers(30, 80))
+    t, z, pieces = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 2)).cumsum(axis=0), pieces_of(rng, N)
+    relative = rng.uniform(0.5, 2.0, (N, 2)) if seed % 2 else None
+    noise, scale = cleaning.Noise(1.0, 1.0, False), cleaning.Scale(1.0, 2.0, 1e-6)
+    line = cleaning.on_one_line(t, z, relative, pieces, noise, scale)
+    before = None
+    for k in range(pieces.max() + 1):
+        own = np.flatnonzero(pieces == k)
+        here = np.flatnonzero(line.number == k)
+        span = np.arange(own[0], own[-1] + 1)
+        np.testing.assert_array_equal(line.rows[here], span)
+        np.testing.assert_allclose(np.diff(line.t[here]), np.diff(t[span]), rtol=1e-9, atol=1e-9)
+        kept = pieces[span] >= 0
+        np.testing.assert_allclose((line.z[here] - line.moved[here])[kept], z[span][kept], atol=1e-9)
+        assert np.isnan(line.z[here][~kept]).all()
+        assert np.ptp(line.moved[here], axis=0).max() == 0
+        np.testing.assert_array_equal(span[line.first[here]], own[:2])
+        if before is not None:
+            np.testing.assert_allclose(line.z[here[0]], line.z[before], atol=1e-9)
+            assert line.t[here[0]] - line.t[before] == pytest.approx(3600)
+        before = here[-1]
+    assert (relative is None) == (line.relative is None)
+    if relative is not None:
+        np.testing.assert_array_equal(line.relative, relative[line.rows])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_way_and_the_time_in_motion_are_those_within_stretches(seed):
+    """What lies between two stretches is no way, and the time of a pause is no motion."""
+    rng = np.random.default_rng(seed)
+    N = int(rng.integers(30, 80))
+    pieces = pieces_of(rng, N)
+    t, x, P = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 4)), np.zeros((N, 4, 4))
+    P[:, 1, 1] = rng.uniform(0.1, 2.0, N)
+    inside = np.zeros(N, bool)
+    metres = seconds = 0.0
+    for k in range(pieces.max() + 1):
+        own = np.flatnonzero(pieces == k)
+        inside[own[0] : own[-1] + 1] = True
+        for row in range(own[0] + 1, own[-1] + 1):
+            metres += np.hypot(x[row, 0] - x[row - 1, 0], x[row, 2] - x[row - 1, 2])
+            seconds += (t[row] - t[row - 1]) * (np.hypot(x[row, 1], x[row, 3]) > 0.5)
+    speed = np.hypot(x[inside, 1], x[inside, 3])
+    x[~inside] = np.nan
+    c = SimpleNamespace(t=t, x=x, P=P, pieces=pieces, stretches=pieces.max() + 1)
+    expected = [metres / 1000, seconds, 3.6 * np.median(speed[speed > 0.5]), 3.6 * np.quantile(speed, 0.999)]
+    expected.append(3.6 * np.sqrt(np.median(P[inside, 1, 1])))
+    np.testing.assert_allclose(report._numbers_of_the_way(c), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixes(seed, monkeypatch):
+    """As many stretches as fit, from the first fix to the last; the first two fixes of each tell where it begins."""
+    rng = np.random.default_rng(seed)
+    most, each, N = 60, 12, int(rng.integers(61, 300))
+    monkeypatch.setattr(cleaning, "MOST_FITTED", most)
+    monkeypatch.setattr(cleaning, "FITTED_AT_A_TIME", each)
+    z = rng.standard_normal((N, 2)).cumsum(axis=0)
+    z[rng.random(N) < 0.2] = np.nan
+    z[[0, -1]] = 0.0
+    first = np.zeros(N, bool)
+    first[[0, 1, N // 2, N // 2 + 1]] = True
+    number = np.arange(N) // (N // 2)
+    line = cleaning.Stretches(np.arange(N), np.arange(N) * 1.0, z, 0 * z, first, number, None)
+    part = cleaning._sample(line)
+    starts = np.linspace(0, N - each, most // each).astype(int)
+    rows = sorted({row for start in starts for row in range(start, start + each)})
+    np.testing.assert_array_equal(part.rows, rows)
+    np.testing.assert_array_equal(part.z, z[rows])
+    due = first.copy()
+    for start in starts:
+        left = 2
+        for row in range(start, N):
+            if left and not np.isnan(z[row]).all():
+                due[row], left = True, left - 1
+    np.testing.assert_array_equal(part.first, due[rows])
+    assert cleaning._sample(line.part(slice(most))).first.sum() == first[:most].sum()
 
 
 def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
