@@ -621,6 +621,9 @@ def guide_as_notebook(text, pictures, archive):
         block = re.fullmatch(r"(?s)```python\n(.*?)\n```(?:\n\n```text\n(.*?)```)?", part)
         if block:
             said = [nbformat.v4.new_output("stream", name="stdout", text=block[2])] if block[2] else []
+            if not any(each.cell_type == "code" for each in notebook.cells):
+                # Or a figure that pyplot has not made is shown as its name.
+                notebook.cells.append(nbformat.v4.new_code_cell("%matplotlib inline", id="pictures"))
             shows = "\nfig" if re.search(r"(?m)^fig\b[^=\n]*=[^=]", block[1]) else ""
             cell = nbformat.v4.new_code_cell(block[1] + shows, outputs=said, id=f"guide-{i}")
         elif part.strip():

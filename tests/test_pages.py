@@ -607,8 +607,9 @@ See [the other](other.md#there), <a href="tracks/ride.gpx" download>ride.gpx</a>
 ls
 ```
 """
-    install, title, code, rest = pages.guide_as_notebook(text, tmp_path, "mpt-1.tar.gz").cells
+    install, title, inline, code, rest = pages.guide_as_notebook(text, tmp_path, "mpt-1.tar.gz").cells
     assert "pip install jupyterlab ./mpt-1.tar.gz" in install.source
+    assert inline.source == "%matplotlib inline"  # or `fig` would be shown as its name
     assert title.source == "# Title\n\n![A look.](data:image/png;base64,cG5n)"
     assert code.source == "print(1)\nfig, ax = draw()\nfig"  # the last line shows it
     assert (code.outputs[0].text, base64.b64decode(code.outputs[1].data["image/png"])) == ("1\n", b"png")
