@@ -7,6 +7,7 @@ page says, corrections.py writes the corrections. The HTML is in templates/.
 
 import ast
 import base64
+import builtins
 import csv
 import doctest
 import importlib
@@ -17,6 +18,7 @@ import shutil
 import subprocess
 import tomllib
 import zlib
+from functools import cached_property
 from pathlib import Path
 from textwrap import shorten
 from typing import NamedTuple
@@ -68,6 +70,7 @@ INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
 CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  # for readers of a checkout only
 
 
+SOURCE = "<!-- archive -->"  # where the site leads to the source, which a reader of a checkout has
 # Pages whose blocks of Python can be downloaded as a notebook, and those that stand below the guide, where they are.
 GUIDES = ("guide", "by_hand")
 BELOW_GUIDE = {
@@ -256,7 +259,7 @@ def home_page(about, given, drawn):
 
     drawn maps names of figures to Drawn. Raises ValueError for a mistake whose figure no notebook draws.
     """
-    numbers, costs = home.choice(), home.mistakes()
+    numbers, costs = home.choice() | given.checked(), home.mistakes()
 
     def said(mistake):
         if mistake["figure"] not in drawn:
@@ -426,16 +429,56 @@ def picture(figure, root="", folder="figures"):
 
 # Modules that no page shows: those behind the doors. Others are listed as the package has them, so that a new one is.
 NOT_SHOWN = ["checks", "files"]
+# Modules of which a user of the filters needs nothing: they stand below the others.
+INSIDE = ["algebra", "columns", "engine", "epochs", "equations", "filters", "geodesy", "immutable", "partition"]
+INSIDE += ["predictor", "recordings", "recursive", "report", "search", "smoothing", "steps", "track_command"]
+# What a reader comes to a class for, in this order; the rest follows as the source has it.
+FOR_USERS = [
+    "from_kalman",
+    "from_lainiotis",
+    "from_steady_state",
+    "filter",
+    "estimates",
+    "covariances",
+    "smooth",
+    "step",
+]
+# What the engine asks of a filter: told once, on the page of the module `recursive`.
+FOR_THE_ENGINE = ["as_tracks", "epochs_of", "estimates_of", "in_columns", "innovations_of", "next_step", "next_steps"]
+FOR_THE_ENGINE += ["optimal", "parts", "run", "shared_steps", "times_of"]
+# How modules are used whose first example shows something else, or that have none.
+KF = "kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))"
+USES = {
+    "columns": [KF, 'kf.filter([[0.1], [float("nan")], [3.2]])  # a track with a gap runs on columns'],
+    "geodesy": ["to_plane(np.array([57.0009]), np.array([9.9]), origin=(57.0, 9.9, 0.0)).round(1)"],
+    "metrics": [KF, "z = [[0.1], [1.3], [9.9]]", "metrics.nis(kf, z), metrics.suspicious(kf, z)"],
+    "recordings": ['read_gpx("ride.gpx").time[:3]'],
+    "recursive": [KF, "isinstance(kf, RecursiveFilter), isinstance(kf, Filter)"],
+    "report": ["t = np.arange(600.0)", "c = tracks.clean(t, np.column_stack([2 * t, t]))", "print(text(c))"],
+    "search": ["value, gradient, curvature = differences(lambda point: (point**2).sum(), np.array([1.0, 2.0]))"],
+    "smoothing": [KF, "kf.smooth([[0.1], [1.3], [1.9]]).x  # forth by the filter, back by smoothing"],
+    "track_command": ['main(["ride.gpx", "--out", "."])'],
+    "tracks": ['c = track("ride.gpx")', "print(c.report())"],
+}
 
 
 class Described(NamedTuple):
-    """A page of the package's interface: a class or a module, its name, how it is used, and what stands elsewhere."""
+    """A page of the package's interface: a class or a module, its name, how it is used, and what stands elsewhere.
+
+    members are the members of a class as (name of autodoc's directive, name), in the order of the page.
+    """
 
     name: str
     path: str
     use: str
     summary: str
     elsewhere: list
+    members: list
+
+    @property
+    def inside(self):
+        """Say whether it is a module of which a user needs nothing."""
+        return self.name in INSIDE
 
 
 def interface():
@@ -459,43 +502,102 @@ def interface():
 def described(thing, path, elsewhere):
     """Return the page of a class or a module."""
     summary = " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
-    return Described(path.rpartition(".")[2], path, lines_of_use(thing, path), summary, elsewhere)
+    members = members_of(thing) if inspect.isclass(thing) else []
+    return Described(path.rpartition(".")[2], path, lines_of_use(thing, path), summary, elsewhere, members)
+
+
+def members_of(described):
+    """Return the documented members of a class, (directive of autodoc, name): first those that a user comes for."""
+    found = {}
+    for each in described.__mro__[:-1]:
+        for name, member in vars(each).items():
+            if not name.startswith("_") and name not in FOR_THE_ENGINE:
+                found.setdefault(name, member)
+    directives = {
+        name: "autoproperty" if isinstance(member, property | cached_property) else "automethod"
+        for name, member in found.items()
+        if isinstance(member, property | cached_property | classmethod) or inspect.isfunction(member)
+    }
+    first = [name for name in FOR_USERS if name in directives]
+    return [(directives[name], name) for name in [*first, *(name for name in directives if name not in first)]]
 
 
 def lines_of_use(thing, path):
-    """Return lines that use a class, or a module's first function that shows how: they run as they stand.
+    """Return lines that use a class or a module: they run as they stand, and import no more than they use.
 
-    They are the first example of the docstring, as far as the first line that uses the name.
+    Those of a module are its own of USES, or those of what the package exports of it, or of its first function with
+    an example: the first example of the docstring, as far as the first line that uses the name.
 
     >>> print(lines_of_use(mpt.FIRFilter, "mpt_helpers.steady.FIRFilter"))
-    from mpt_helpers.steady import FIRFilter, SteadyStateFilter
-    from mpt_helpers.model import gsm_axis
+    import mpt_helpers as mpt
     <BLANKLINE>
-    steady = SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1))
-    FIRFilter.from_steady_state(steady, tol=1e-3).order
+    steady = mpt.SteadyStateFilter.from_kalman(mpt.gsm_axis(dt=1.0, q=0.01, r=0.1))
+    mpt.FIRFilter.from_steady_state(steady, tol=1e-3).order
     """
-    module, used = (path.rpartition(".")[0], [thing]) if inspect.isclass(thing) else (path, public_functions(thing))
+    if inspect.isclass(thing):
+        used = [thing]
+    elif (name := path.rpartition(".")[2]) in USES:
+        return with_imports(USES[name], vars(mpt) | vars(thing))
+    else:
+        own = [each for each in vars(thing).values() if getattr(each, "__module__", "") == path]
+        used = [*(each for each in own if exported(each)), *public_functions(thing)]
     for each in used:
         lines = []
         for example in doctest.DocTestParser().get_examples(inspect.getdoc(each) or ""):
             lines.append(example.source.rstrip())
             if re.search(rf"\b{each.__name__}[.(]", lines[-1]):
-                return with_imports(lines, module)
-    return f"from {module.rpartition('.')[0]} import {module.rpartition('.')[2]}"
+                return with_imports(lines, vars(importlib.import_module(each.__module__)))
+    raise ValueError(f"docs/pages.py: USES needs lines that use {path}, which has no example")
 
 
-def with_imports(lines, module):
-    """Return lines of an example of a module with what they need: the names of the module, and numpy."""
-    said = "\n".join(line for line in lines if not line.startswith(("from ", "import ")))
-    own = vars(importlib.import_module(module))
-    used = sorted(set(re.findall(r"\b[A-Za-z_]\w*", said)))
-    names = [name for name in used if name in own and not inspect.ismodule(own[name])]
-    imports = [line for line in lines if line.startswith(("from ", "import "))]
-    known = re.findall(r"\w+", " ".join(imports))
-    needed = [name for name in names if name not in known and re.search(rf"(?<![\w.]){name}\b(?!=)", said)]
-    first = [f"from {module} import {', '.join(needed)}"] if needed else []
-    numpy = ["import numpy as np"] if "np." in said and "import numpy as np" not in imports else []
-    return "\n".join([*numpy, *first, *imports, "", said])
+def exported(thing):
+    """Say whether the package exports a function, a class or a module under its name."""
+    name = getattr(thing, "__name__", "").rpartition(".")[2]
+    return name in mpt.__all__ and getattr(mpt, name) is thing
+
+
+def with_imports(lines, names):
+    """Return lines of an example with what they need: numpy, the package as `mpt`, and what it does not export.
+
+    names are those of the module in which the example stands.
+    """
+    text = "\n".join(lines)
+    parsed = ast.parse(text)
+    brought = {}
+    exec("\n".join(ast.unparse(each) for each in parsed.body if isinstance(each, ast.Import | ast.ImportFrom)), brought)
+    known = {**names, **brought}
+    rows = text.splitlines()
+    imports, others, places = set(), {}, []
+    bound = {each.id for each in ast.walk(parsed) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}
+    bound |= {each.arg for each in ast.walk(parsed) if isinstance(each, ast.arg)}
+    bound |= {each.name for each in ast.walk(parsed) if isinstance(each, ast.FunctionDef)}
+    for each in ast.walk(parsed):
+        if not isinstance(each, ast.Name) or each.id in bound or each.id not in known or hasattr(builtins, each.id):
+            continue
+        thing = known[each.id]
+        module = getattr(thing, "__module__", "")
+        if each.id == "np":
+            imports.add("import numpy as np\n")
+        elif thing is mpt:
+            imports.add(PACKAGE)
+        elif exported(thing):
+            imports.add(PACKAGE)
+            places.append((each.lineno, each.col_offset, "mpt."))
+        elif exported(importlib.import_module(module)):
+            imports.add(PACKAGE)
+            places.append((each.lineno, each.col_offset, f"mpt.{module.rpartition('.')[2]}."))
+        else:
+            others.setdefault(module, set()).add(each.id)
+    for row, column, before in sorted(places, reverse=True):
+        rows[row - 1] = f"{rows[row - 1][:column]}{before}{rows[row - 1][column:]}"
+    skipped = {each.lineno for each in parsed.body if isinstance(each, ast.Import | ast.ImportFrom)}
+    said = [row for i, row in enumerate(rows, 1) if i not in skipped]
+    first = sorted(imports, key=lambda line: line == PACKAGE)  # numpy, then the package
+    first += [f"from {module} import {', '.join(sorted(own))}" for module, own in sorted(others.items())]
+    return "\n".join([*first, "", *said])
+
+
+PACKAGE = "import mpt_helpers as mpt"
 
 
 def public_functions(module):
@@ -504,25 +606,60 @@ def public_functions(module):
     return [each for each in own if not each.__name__.startswith("_")]
 
 
-def guide_as_notebook(text, pictures):
+def guide_as_notebook(text, pictures, archive):
     """Return the guide as a notebook that runs beside the folder tracks/: its blocks are cells, with what they print.
 
-    A picture of a block, `![...](guide/look.png)`, is what its figure `fig` shows.
+    A block that makes a figure `fig` shows it; a picture below it, `![...](guide/look.png)`, is the output of that
+    cell. Other pictures stand in the notebook itself, so that it is one file. Its first cell says how to install the
+    package from `archive`, the name of the source's file. Links to other pages become plain text.
     """
     notebook = nbformat.v4.new_notebook(metadata={"language_info": {"name": "python"}})
+    notebook.cells.append(
+        nbformat.v4.new_markdown_cell(HOW_TO_RUN.format(archive=archive or "the source"), id="install")
+    )
     for i, part in enumerate(re.split(r"(?ms)(^```python\n.*?^```$(?:\n\n```text\n.*?^```$)?)", text)):
         block = re.fullmatch(r"(?s)```python\n(.*?)\n```(?:\n\n```text\n(.*?)```)?", part)
         if block:
             said = [nbformat.v4.new_output("stream", name="stdout", text=block[2])] if block[2] else []
-            cell = nbformat.v4.new_code_cell(block[1], outputs=said)
+            if not any(each.cell_type == "code" for each in notebook.cells):
+                # Or a figure that pyplot has not made is shown as its name.
+                notebook.cells.append(nbformat.v4.new_code_cell("%matplotlib inline", id="pictures"))
+            shows = "\nfig" if re.search(r"(?m)^fig\b[^=\n]*=[^=]", block[1]) else ""
+            cell = nbformat.v4.new_code_cell(block[1] + shows, outputs=said, id=f"guide-{i}")
         elif part.strip():
-            cell = nbformat.v4.new_markdown_cell(pictures_inside(part.strip(), pictures))
+            part = part.strip()
+            if drawn := re.match(r"!\[([^\]]*)\]\((guide/\w+\.png)\)\n*", part) if i else None:
+                data = {"image/png": base64.b64encode((pictures / drawn[2]).read_bytes()).decode()}
+                notebook.cells[-1].outputs.append(nbformat.v4.new_output("display_data", data))
+                part = part[drawn.end() :]
+            cell = nbformat.v4.new_markdown_cell(without_links(pictures_inside(part, pictures)), id=f"guide-{i}")
         else:
             continue
-        cell["id"] = f"guide-{i}"
         notebook.cells.append(cell)
     nbformat.validate(notebook)
     return notebook
+
+
+HOW_TO_RUN = """\
+This notebook needs Python 3.11 or newer, the package `mpt_helpers`, and the file `ride.gpx` in a folder `tracks` \
+beside it. Where it was downloaded lie that file and the source, {archive}. In a terminal:
+
+```
+python3 -m venv .venv && . .venv/bin/activate
+python -m pip install jupyterlab ./{archive}
+jupyter lab
+```"""
+
+
+def without_links(text):
+    """Return Markdown in which links to other pages and places are plain text: in a notebook they would be dead.
+
+    >>> without_links("See [speed](speed.md#fast), [numpy](https://numpy.org) and <a href='a.gpx' download>a.gpx</a>.")
+    'See speed, [numpy](https://numpy.org) and a.gpx.'
+    """
+    text = re.sub(r"(?m)^<a href=\"#.*\n+", "", text)  # the line of contents
+    text = re.sub(r"(?<!!)\[([^\]]*)\]\((?!https?:)[^)]*\)", r"\1", text)
+    return re.sub(r"""<a href=["'](?!https?:)[^>]*>(.*?)</a>""", r"\1", text)
 
 
 def pictures_inside(text, folder):
@@ -656,7 +793,9 @@ def main():
     shutil.copytree(DOCS / "tracks", BUILD / "extra" / "tracks")
     for page in [DOCS / f"{name}.md" for name in GUIDES if (DOCS / f"{name}.md").exists()]:
         text = CHECKOUT.sub("", page.read_text(encoding="utf-8"))
-        nbformat.write(guide_as_notebook(text, DOCS), BUILD / "extra" / f"{page.stem}.ipynb")
+        archive = env.globals["archive"] and f"{env.globals['archive']}.tar.gz"
+        text = text.replace(SOURCE, f" ({archive}, unpacked)" if archive else "")
+        nbformat.write(guide_as_notebook(text, DOCS, archive), BUILD / "extra" / f"{page.stem}.ipynb")
     write_tables(given, BUILD / "extra")
     colours = "".join(f"--{name}: {colour}; " for name, colour in plots.COLOUR_OF.items() if colour.startswith("#"))
     (BUILD / "static" / "colours.css").write_text(f":root {{ {colours}}}\n", encoding="utf-8")
@@ -682,6 +821,7 @@ def write_pages(env):
         # In a checkout, the notebooks' folder stands beside docs/; on the site, below its pages.
         text = page.read_text(encoding="utf-8").replace("](../notebooks/", "](notebooks/")
         text = INCLUDE.sub(raw_html(r'{% include "\1" %}'), CHECKOUT.sub("", text))
+        text = text.replace(SOURCE, LEADS_TO_SOURCE)
         text = env.from_string(text).render(root="")
         if page.stem in (said := env.globals["texts"]["descriptions"]):
             text = f"---\n{yaml.safe_dump({'myst': described_as(said[page.stem])})}---\n{text}"
@@ -691,6 +831,12 @@ def write_pages(env):
         if page.stem == "guide":
             text += toctree({name: words for name, words in BELOW_GUIDE.items() if (DOCS / f"{name}.md").exists()})
         (BUILD / "source" / page.name).write_text(text, encoding="utf-8")
+
+
+LEADS_TO_SOURCE = (
+    '{% if archive %} (<a href="{{ archive }}.tar.gz" download>download it</a>, {{ archive_size }}, and unpack it)'
+    "{% endif %}"
+)
 
 
 def download(name):
@@ -723,6 +869,9 @@ def write_article(env, key, notebook, own, live):
         page = html | {"top": env.get_template("top.html").render(here, whole=whole, first=first)}
         made = prepared(key, notebook, page, whole)
         made["metadata"] = made["metadata"] | {"myst": described_as(f"{about['authors']}, checked. {about['outcome']}")}
+        if whole:  # what is searched is found in the article
+            made["metadata"]["nosearch"] = True
+            made["cells"][0] |= {"source": re.sub(r"\A# ", "# The full notebook: ", made["cells"][0]["source"])}
         text = json.dumps(made, ensure_ascii=False)
         (BUILD / "source" / "notebooks" / f"{name}.ipynb").write_text(text, encoding="utf-8")
 

@@ -250,8 +250,10 @@ def test_a_link_that_says_how_many_opens_as_many_values(visit):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_first_screen_says_what_it_is_for_whom_and_where_the_doors_are(visit, width):
     page = visit("index.html", width)
-    assert page.locator("h1").inner_text().startswith("Four papers on tracking a position, reproduced")
-    assert "Python package" in page.locator("p.about").inner_text()
+    assert page.locator("h1").inner_text().startswith("Four papers on tracking a position, checked")
+    about = page.locator("p.about").inner_text()
+    assert "Python package" in about
+    assert "reproduced" in about
     for reader in ("students", "engineers", "readers of the papers"):
         assert reader in page.locator("p.for").inner_text()
     assert page.locator(".bd-article .sd-btn").count() == 1
@@ -276,16 +278,60 @@ def test_the_first_screen_says_what_it_is_for_whom_and_where_the_doors_are(visit
         ]
 
 
-def test_each_door_leads_where_it_says(visit):
-    for name, heading in {
-        "Track your own ride": "Your own track",
-        "Use a filter": "Filters",
-        "Check a number": "All values",
-    }.items():
-        page = visit("index.html")
-        page.locator(".doors .sd-card", has_text=name).click()
-        page.wait_for_url("**/*.html")
-        assert page.locator("h1").inner_text().startswith(heading)
+DOORS = ["Your own track", "Filters", "Values and corrections"]
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_a_door_has_one_name_on_its_card_in_the_navigation_on_its_page_and_to_a_screen_reader(visit, door):
+    page = visit("index.html")
+    assert page.locator(".doors .sd-card-title").all_inner_texts() == DOORS
+    assert page.locator(".bd-header .navbar-nav").get_by_role("link", name=door, exact=True).count() == 1
+    assert page.locator(".doors").get_by_role("link", name=door, exact=True).count() == 1
+    page.locator(".doors .sd-card", has_text=door).click()
+    page.wait_for_url("**/*.html")
+    assert page.locator("h1").evaluate("each => each.firstChild.data") == door
+
+
+def test_a_door_is_reached_by_keyboard_and_seen_to_be(visit):
+    page = visit("index.html")
+    page.locator(".bd-article .sd-btn").focus()
+    outline = "each => getComputedStyle(each).outlineStyle + parseFloat(getComputedStyle(each).outlineWidth)"
+    for i, door in enumerate(DOORS):
+        card = page.locator(".doors .sd-card").nth(i)
+        assert card.evaluate(outline).startswith("none")
+        for _ in range(10):  # what lies between: the card before, the figure
+            page.keyboard.press("Tab")
+            if card.evaluate("each => each.contains(document.activeElement)"):
+                break
+        assert page.evaluate("document.activeElement.textContent") == door
+        assert card.evaluate(outline) == "solid3"
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/values.html")
+
+
+def test_corrections_are_one_link_away_from_their_door(visit):
+    page = visit("values.html")
+    first = page.locator("h1 + p.links, h1 ~ p.links").first
+    assert first.bounding_box()["y"] < page.locator(".bd-article p:not(.links)").first.bounding_box()["y"]
+    assert first.get_by_role("link").first.inner_text() == "Corrections"
+    links = first.get_by_role("link").evaluate_all("all => all.map((each) => each.getAttribute('href'))")
+    assert set(links) >= {"corrections.html", *(f"corrections/{key}.html" for key in keys())}
+
+
+def test_the_navigation_of_the_filters_has_what_users_need_first_and_the_inside_below(visit):
+    page = visit("filters.html")
+    captions = page.locator(".bd-sidebar-primary .caption-text").all_inner_texts()
+    assert captions == ["Filters and what they need", "Inside"]
+    above, inside = page.locator(".bd-sidebar-primary nav.bd-links ul.nav").all()
+    assert "KalmanFilter" in above.inner_text().split()
+    assert inside.inner_text().split() == pages.INSIDE
+
+
+def test_the_articles_have_titles_of_one_kind_in_the_navigation(visit):
+    labels = visit("papers.html").locator(".bd-sidebar-primary nav.bd-links a").all_inner_texts()
+    titles = [visit(place).locator("h1").evaluate("each => each.firstChild.data") for place in ARTICLES]
+    years = [re.search(r"\d{4}", place)[0] for place in ARTICLES]
+    assert labels[:4] == [f"{year}: {title}" for year, title in zip(years, titles, strict=True)]
 
 
 def test_what_a_reader_searches_is_found(visit):
@@ -294,6 +340,16 @@ def test_what_a_reader_searches_is_found(visit):
     page.locator("input[type=search]:visible").fill("Lainiotis")
     page.keyboard.press("Enter")
     page.locator("#search-results li a", has_text="LainiotisFilter").first.wait_for()
+
+
+def test_an_article_is_found_once(visit):
+    page = visit("search.html?q=one+step+late")
+    page.locator("#search-results li a").first.wait_for()
+    page.wait_for_function("document.querySelector('#search-results p')?.textContent.includes('found')")
+    found = page.locator("#search-results li > a").evaluate_all("all => all.map((each) => new URL(each.href).pathname)")
+    assert found.count("/notebooks/2014_gsm_2d.html") == 1
+    whole = page.locator("#search-results li > a[href*='-full.html']").all_inner_texts()
+    assert all(each.startswith("The full notebook: ") for each in whole)
 
 
 def test_code_without_a_span_has_the_colour_that_the_span_had():
@@ -624,6 +680,17 @@ def test_the_live_figure_follows_keyboard_presets_and_address(visit, width):
     assert again.locator(".live .said").inner_text() == said
 
 
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_panels_of_the_live_figure_stand_side_by_side_where_there_is_room_with_letters_of_one_size(visit, width):
+    page = visit(LIVE, width)
+    first, second, third = (each.bounding_box() for each in page.locator(".live .panels svg").all())
+    assert (second["y"] == third["y"]) is (width == 1280)
+    assert first["y"] + first["height"] <= second["y"]
+    scale = "all => all.map((each) => each.getBoundingClientRect().width / each.viewBox.baseVal.width)"
+    for each in page.locator(".live .panels svg").evaluate_all(scale):
+        assert each == pytest.approx(1, abs=0.05)
+
+
 def test_a_curve_of_the_live_figure_leaves_its_panel_where_the_error_does(visit):
     chosen = {"model": "cv", "dt": 1, "q": 0.01, "r": 0.1, "v": 20, "M": 20}
     page = visit(f"{LIVE}#{urlencode(chosen)}")
@@ -944,7 +1011,7 @@ def words_of(place):
     """Return how many words a page has, in its article."""
     text = (HTML / place).read_text(encoding="utf-8")
     article = re.search(r'(?s)<article class="bd-article".*?</article>', text)[0]
-    return len(re.sub(r"<[^>]+>", " ", re.sub(r"(?s)<(script|style).*?</\\1>", " ", article)).split())
+    return len(re.sub(r"<[^>]+>", " ", re.sub(r"(?s)<(script|style).*?</\1>", " ", article)).split())
 
 
 @pytest.mark.parametrize("place", INTERFACE)
@@ -982,12 +1049,19 @@ def test_a_guide_is_a_notebook_that_runs_and_prints_where_it_says_so(tmp_path, n
     (tmp_path / "tracks").symlink_to(HTML / "tracks")
     notebook = nbformat.read(HTML / f"{name}.ipynb", as_version=4)
     code = [each for each in notebook.cells if each.cell_type == "code"]
-    said = [each.outputs[0].text if each.outputs else "" for each in code]
+    said = [any(out.output_type == "stream" for out in each.outputs) for each in code]
+    draws = [each.source.endswith("\nfig") for each in code]
     assert len(code) > 3
+    assert any(draws)
+    assert "pip install" in notebook.cells[0].source
+    prose = "\n".join(each.source for each in notebook.cells if each.cell_type == "markdown")
+    assert re.findall(r"\]\((?!https?:|data:)[^)]*\)|href=\"(?!https?:)", prose) == []  # they would be dead
     nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
     printed = ["".join(out.text for out in each.outputs if out.get("name") == "stdout") for each in code]
     # What it prints to the byte is held by the tests of the guide.
-    assert [bool(each) for each in printed] == [bool(each) for each in said]
+    assert [bool(each) for each in printed] == said
+    pictures = [sum("image/png" in out.get("data", {}) for out in each.outputs) for each in code]
+    assert pictures == draws
 
 
 # Corrections.

@@ -20,6 +20,11 @@ from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, OF_CLAIMS, OF_VALUES, WR
 from .project import FIGURES, LEDGER, NOTEBOOKS, CommandError, chosen, chosen_notebooks, project
 from .runner import reproduce
 
+# The sentence of the README's opening with the counts, as it is written and as it is found.
+COUNTS = (
+    "{all} numbers, formulas, claims and figures, {checked} could be checked: {hold} hold, {part} in part, {fail} fail"
+)
+WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
 BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
 
 
@@ -131,10 +136,12 @@ def readme(verdicts):
 
 
 def write_readme():
-    """Write the block on the verdicts into the README; raises CommandError where it has no place for it."""
+    """Write the counts and the verdicts into the README; raises CommandError where they have no place."""
     path = project() / "README.md"
-    block = readme(shipped_verdicts())
-    text, places = BLOCK.subn(lambda old: f"{old[1]}\n{block}\n\n{old[2]}", path.read_text(encoding="utf-8"))
+    verdicts = shipped_verdicts()
+    block = readme(verdicts)
+    text = WRITTEN_COUNTS.sub(COUNTS.format(**verdicts.checked()), path.read_text(encoding="utf-8"))
+    text, places = BLOCK.subn(lambda old: f"{old[1]}\n{block}\n\n{old[2]}", text)
     if places != 1:
         raise CommandError(f"{path.name}: needs one place for the verdicts, got {places}")
     write_whole(path, text.encode())

@@ -125,7 +125,7 @@ def test_the_site_has_the_new_paper(copy):
     run(copy, "-c", SITE)
     source = copy / "docs" / "_build" / "source"
     papers = (source / "papers.md").read_text(encoding="utf-8")
-    assert f"A random walk (1960) <notebooks/{KEY}>" in papers
+    assert f"1960: A random walk is known to 0.79, not to 0.83 <notebooks/{KEY}>" in papers
     assert "How far off is a walker whose steps are random?" in papers
     assert "is 0.618034, not 0.681" in papers
     assert (source / "notebooks" / f"{KEY}.ipynb").is_file()

@@ -1,8 +1,13 @@
 """What the site is made of, where no browser is needed."""
 
+import base64
 import doctest
+import importlib
 import json
 import re
+import shutil
+import subprocess
+import sys
 import tarfile
 
 import break_sensor
@@ -15,10 +20,11 @@ import speed
 from conftest import NOTEBOOKS, ROOT, cells_of, prose
 
 import mpt_helpers as mpt
+from mpt_helpers import recursive
 from reproduction import burden
 from reproduction.ledger import Verdicts, keys, stored_verdicts
 from reproduction.ledger.paper import Cause
-from reproduction.ledger.verdicts import FAILS, Verdict
+from reproduction.ledger.verdicts import FAILS, HOLDS, Verdict
 
 
 def verdict(id, where="Table 4, row 1", verdict="reproduced", cause="", **other):
@@ -129,6 +135,16 @@ def test_a_mistake_of_metres_costs_what_simulated_tracks_say():
     x, z = mpt.simulate(truth, 12, np.random.default_rng(3), tracks=2_000)
     off = np.abs((steady.filter(z) - x)[:, 0].mean(axis=1))
     assert off.max() == pytest.approx(float(costs["start"]["metres"]), abs=0.5)
+
+
+def test_the_home_page_says_how_many_could_be_checked_and_how_they_came_out(given, drawn):
+    about = pages.home_page(pages.texts(given), given, drawn)["about"]
+    counts = [
+        sum(each.verdict in some for each in given) for some in (HOLDS, ("holds in part",), ("differs", "erratum"))
+    ]
+    said = re.search(r"(\d+) numbers.*, (\d+) could be checked: (\d+) hold, (\d+) in part, (\d+) fail\.", about)
+    assert list(map(int, said.groups())) == [len(given), sum(counts), *counts]
+    assert sum(counts) == len(given) - sum(each.verdict == "cannot be checked" for each in given)
 
 
 def test_outcomes_add_up_to_all_claims_and_values(given):
@@ -525,7 +541,7 @@ def test_two_figures_may_share_a_caption():
     assert pages.names_of("Figure 1 falls, **as it should**.") == []
 
 
-def test_every_class_and_module_of_the_package_has_a_page_and_its_lines_of_use_run():
+def test_every_class_and_module_of_the_package_has_a_page():
     classes, modules = pages.interface()
     names = [each.name for each in classes]
     assert set(names) == {name for name in mpt.__all__ if isinstance(getattr(mpt, name), type)}
@@ -534,16 +550,67 @@ def test_every_class_and_module_of_the_package_has_a_page_and_its_lines_of_use_r
     assert on_disk - shown == set(pages.NOT_SHOWN)
     for some in (classes, modules):  # on a disk that ignores case each has a file of its own
         assert len({each.name.lower() for each in some}) == len(some)
+    assert set(pages.INSIDE) | set(pages.USES) <= shown
+
+
+def test_the_lines_of_use_run_as_they_stand_import_no_more_than_they_use_and_say_mpt(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "docs" / "tracks" / "ride.gpx", tmp_path)
+    classes, modules = pages.interface()
     for each in (*classes, *modules):
-        exec(each.use, {})
-        assert re.search(rf"\b{each.name}\b", each.use), each.name
+        names = {}
+        exec(each.use, names)
+        (tmp_path / f"{each.path}.py").write_text(each.use, encoding="utf-8")
+        own = [each.name]
+        if each in modules:
+            module = importlib.import_module(each.path)
+            own += [name for name, thing in vars(module).items() if getattr(thing, "__module__", "") == each.path]
+        assert any(re.search(rf"\b{name}\b", each.use) for name in own), each.path
+        assert not set(names) & set(mpt.__all__), each.path  # what the package exports is written `mpt.`
+    command = [sys.executable, "-m", "ruff", "check", "--isolated", "--select", "F", "--output-format", "concise", "."]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_a_class_shows_first_what_users_come_for_and_nothing_that_the_engine_asks():
+    classes, _ = pages.interface()
+    members = {each.name: [name for _, name in each.members] for each in classes}
+    assert members["KalmanFilter"][:5] == ["filter", "estimates", "covariances", "smooth", "step"]
+    assert members["SteadyStateFilter"][:3] == ["from_kalman", "from_lainiotis", "filter"]
+    assert not [name for own in members.values() for name in own if name in pages.FOR_THE_ENGINE]
+    told = {name for each in (recursive.Filter, recursive.RecursiveFilter) for name in vars(each)}
+    assert set(pages.FOR_THE_ENGINE) <= told  # on the page of that module
 
 
 def test_the_guide_as_a_notebook_has_its_blocks_what_they_print_and_its_pictures(tmp_path):
     (tmp_path / "guide").mkdir()
     (tmp_path / "guide" / "look.png").write_bytes(b"png")
-    text = "# Title\n\n```python\nprint(1)\n```\n\n```text\n1\n```\n\n![A look.](guide/look.png)\n\n```sh\nls\n```\n"
-    title, code, rest = pages.guide_as_notebook(text, tmp_path).cells
-    assert (title.source, code.source, code.outputs[0].text) == ("# Title", "print(1)", "1\n")
-    assert rest.source.startswith("![A look.](data:image/png;base64,cG5n)")
-    assert "```sh" in rest.source
+    text = """\
+# Title
+
+![A look.](guide/look.png)
+
+```python
+print(1)
+fig, ax = draw()
+```
+
+```text
+1
+```
+
+![A look.](guide/look.png)
+
+See [the other](other.md#there), <a href="tracks/ride.gpx" download>ride.gpx</a>.
+
+```sh
+ls
+```
+"""
+    install, title, inline, code, rest = pages.guide_as_notebook(text, tmp_path, "mpt-1.tar.gz").cells
+    assert "pip install jupyterlab ./mpt-1.tar.gz" in install.source
+    assert inline.source == "%matplotlib inline"  # or `fig` would be shown as its name
+    assert title.source == "# Title\n\n![A look.](data:image/png;base64,cG5n)"
+    assert code.source == "print(1)\nfig, ax = draw()\nfig"  # the last line shows it
+    assert (code.outputs[0].text, base64.b64decode(code.outputs[1].data["image/png"])) == ("1\n", b"png")
+    assert rest.source == "See the other, ride.gpx.\n\n```sh\nls\n```"

@@ -8,9 +8,11 @@ from conftest import NOTEBOOKS, ROOT, cells_of, part_one, parts, source
 from test_package import ROOMS_OF_THE_PACKAGE
 from tools import shipped
 
-from reproduction.__main__ import BLOCK, readme
+from reproduction.__main__ import BLOCK, COUNTS, WRITTEN_COUNTS, readme
 from reproduction.ledger import shipped_verdicts
 
+HOLDS, FAIL = ("reproduced", "within band"), ("differs", "erratum")
+CHECKED = (*HOLDS, "holds in part", *FAIL)
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -55,6 +57,11 @@ def test_the_counts_are_those_of_the_verdicts():
     verdicts = shipped_verdicts()
     (block,) = BLOCK.finditer(README)
     assert block[0] == f"{block[1]}\n{readme(verdicts)}\n\n{block[2]}", "stale: python -m reproduction readme"
+    (counts,) = WRITTEN_COUNTS.findall(README)
+    given = [each.verdict for each in verdicts]
+    numbers = [len(given), *(sum(each in some for each in given) for some in (CHECKED, HOLDS, ["holds in part"], FAIL))]
+    assert [int(each) for each in re.findall(r"\d+", counts)] == numbers, "stale: python -m reproduction readme"
+    assert counts == COUNTS.format(**verdicts.checked())
 
 
 def test_the_list_of_papers_is_that_of_the_notebooks():
@@ -69,16 +76,16 @@ def test_the_list_of_papers_is_that_of_the_notebooks():
 
 
 def test_the_numbers_of_the_opening_stand_in_the_articles():
-    opening = README.partition("**Everything again")[0]
+    opening = WRITTEN_COUNTS.sub("", README.partition("**Everything again")[0])  # the counts have a test of their own
     said = " ".join(map(part_one, NOTEBOOKS))
-    numbers = re.findall(r"(?<![\d_])\d{2,}(?![\d_])", re.sub(r"\[\w+\]\([^)]*\)|!\[[^\]]*\]\([^)]*\)", "", opening))
+    numbers = re.findall(r"(?<![\d_])\d{2,}(?![\d_])", re.sub(r"\[\w+\]\([^)]*\)|<img [^>]*>", "", opening))
     assert numbers
     for number in numbers:
         assert re.search(rf"(?<!\d){number}(?!\d)", said), number
 
 
 def test_links_and_pictures_exist():
-    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", README):
+    for target in re.findall(r"""(?:\]\(|src=")(?!https?:)([^)"]+)[)"]""", README):
         path, _, anchor = target.partition("#")
         path = path or "README.md"
         assert (ROOT / path).is_file(), target
@@ -89,7 +96,7 @@ def test_links_and_pictures_exist():
 
 def test_the_first_lines_hold_the_outcome_the_commands_the_guide_and_a_picture():
     first = "\n".join(README.splitlines()[:50])
-    for part in ("make reproduce", "make test", "python -m mpt_helpers track", "(docs/guide.md)", "!["):
+    for part in ("make reproduce", "make test", "python -m mpt_helpers track", "(docs/guide.md)", "<img "):
         assert part in first
 
 

@@ -103,9 +103,11 @@ for (const figure of typeof document === "undefined" ? [] : document.querySelect
     const late = errors.flat().filter(([at]) => at > live.STEPS / 3).map(([, error]) => Math.abs(error));
     const worst = Math.max(...errors[1].map(([, error]) => Math.abs(error)));
     const reach = 1.1 * Math.max(4 * Math.sqrt(P[0]), ...late);
-    const wide = { x: [0.01, 100], logs: "xy" };
+    // The lower panels stand side by side where there is room; each is drawn at its own width, so that letters have one size.
+    const room = figure.querySelector(".panels").clientWidth, columns = room >= 560 ? 2 : 1;
+    const wide = { x: [0.01, 100], logs: "xy", width: Math.max(Math.floor((room - 7 * (columns - 1)) / columns), 270) };
     figure.querySelector(".panels").innerHTML = [
-      panel("error of one track (m)", "step k", { x: [1, live.STEPS], y: [-reach, reach], logs: "", width: Math.min(Math.max(figure.clientWidth - 30, 360), 740),
+      panel("error of one track (m)", "step k", { x: [1, live.STEPS], y: [-reach, reach], logs: "", width: Math.max(room, 270),
         band: k.map((each, i) => [each, 2 * t.sigma[i]]), curves: [{ name: "Kalman", points: errors[0] }, { name: "FIR", points: errors[1] }] }),
       panel("σ of the position (m)", "time step Δt (s)", { ...wide, y: spread(sigma.map(([, s]) => s)), mark: [[dt, Math.sqrt(P[0])]],
         curves: [{ name: "σ", points: sigma }] }),

@@ -163,6 +163,13 @@ class Verdicts(list[Verdict]):
         values = Counter(each.verdict for each in self if each.kind != "claim")
         return Tally(claims, values, causes)
 
+    def checked(self) -> dict[str, int]:
+        """Return how many items there are, could be checked, hold, hold in part and fail, by short names."""
+        given = Counter(each.verdict for each in self)
+        hold, fail = given[REPRODUCED] + given[WITHIN_BAND], given[DIFFERS] + given[ERRATUM]
+        checked = len(self) - given[CANNOT_BE_CHECKED]
+        return {"all": len(self), "checked": checked, "hold": hold, "part": given[IN_PART], "fail": fail}
+
     def summary(self) -> str:
         """Return the counts in one line."""
         given = Counter(each.verdict for each in self)
