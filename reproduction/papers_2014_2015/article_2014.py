@@ -209,10 +209,11 @@ def draw_late():
     return fig
 
 
-def draw_pieces(in_pieces, pieces=4, L=30):
+def draw_pieces(in_pieces, begun_early, pieces=4, L=30):
     """Return a figure of a track cut into pieces: each from a pretended start, the runner, and both ways' difference.
 
-    in_pieces(z, L, H) is the article's: estimates (N, 2) of measurements (N,), from 0 and P = 100 I.
+    in_pieces(z, L, H) and begun_early(z, L, H, early) are the article's: estimates (N, 2) of measurements (N,), from 0
+    and P = 100 I with a runner between the pieces, and with each piece begun some rows early from an unknown start.
     """
     states, measured = walk(pieces * L)
     pretended = KalmanFilter(RIGHT).filter(measured.reshape(pieces, L).T[:, None])[:, 0]  # from 0 exactly
@@ -241,9 +242,13 @@ def draw_pieces(in_pieces, pieces=4, L=30):
     tenth = 10 * np.sqrt(SteadyStateFilter.from_kalman(RIGHT).P[0, 0])  # of sigma, in cm
     ax["3"].axhspan(-tenth, tenth, color=GREY, lw=0)
     gap = np.round(in_pieces(measured, L, RIGHT.H)[:, 0] - whole, 9) + 0  # to a nanometre; no -0
+    seams = np.round(begun_early(measured, L, RIGHT.H, 10)[:, 0] - whole, 9) + 0
     for of_piece in k:
         ax["3"].plot(of_piece, 100 * gap[of_piece - 1], color=blue)
+    for of_piece in k[1:]:  # before the first piece there are no rows to begin in
+        ax["3"].plot(of_piece, 100 * seams[of_piece - 1], "--", lw=1.2, color=COLOUR_OF["kalman"])
     ax["3"].set(ylim=(-4.5, 4.5))
+    ax["3"].annotate("dashed: begun 10 rows early", (pieces * L, -4), ha="right", color=COLOUR_OF["kalman"])
     said = {
         "1": "each pretends to start at 0",
         "2": "the runner: one step for each piece",
