@@ -293,7 +293,8 @@ def test_part_two_has_what_part_one_refers_to():
     section = ARTICLE.evidence.split("### 6. ")[1].split("### 7. ")[0]
     assert "Together 268." in section
     says(
-        "Three exercises, which say how far off you are, stand at the end of Part II. So, tonight: feed your filter a ramp."
+        "Three exercises, which say how far off you are, stand at the end of Part II. "
+        "So, tonight: feed your filter a ramp."
     )
     assert [cell["id"] for cell in ARTICLE.cells[-3:]] == list(SOLUTIONS)
 
@@ -455,7 +456,7 @@ def test_pieces_that_begin_early_forget_their_start(taught):
     says("forty are exact to a thousandth of a millimetre")
     says("Let each piece begin 40 rows early, and drop those rows")
     says("and the same to a thousandth of a millimetre")
-    says("Twenty rows would do")
+    says("Twenty rows would do here")
     off = {
         early: np.abs(taught["begun_early"](taught["recording"], 80, NOW, early) - taught["plain"])
         for early in (20, 40)
@@ -484,7 +485,7 @@ def test_where_pieces_that_begin_early_fail(taught):
 
 def test_one_piece_ends_where_the_loop_does():
     lines = printed_by("one-piece").splitlines()
-    runner, mended, pretended, end, loop = (re.search(r"[\d.]+(?= m)", line)[0] for line in lines)
+    pretended, end, loop = (re.search(r"[\d.]+(?= m)", line)[0] for line in lines[2:])
     assert end == loop
     assert abs(float(pretended) - float(loop)) > 1
     before, after = (float(re.search(r"give or take ([\d.]+)", line)[1]) for line in lines[:2])
@@ -526,7 +527,7 @@ def test_from_which_step_on_fir_pays():
     adds(f"take 28 + 16 L operations, which reach {total} at L = {equal}")
     assert (int(np.ceil(108 / one)), int(np.ceil(total / one))) == (3, 7)
     adds(f"FIR pays from every 7th step on, not every 3rd; if steps are collected, from every {equal}th")
-    says("FIR pays if you want a result at every seventh step, not at every third")
+    says("FIR pays for a result at every seventh step, not at every third")
     says(f"FIR pays only from every {equal}th step on, and with H = [1 0], where M is")
     M = order_of(settled(NOW)[0])
     total = burden.total(burden.fir(4, 2, M))

@@ -210,7 +210,7 @@ def draw_late():
 
 
 def draw_pieces(pieces=4, L=30):
-    """Return a figure of a track cut into pieces: each run from a pretended start, then the runner who brings the real."""
+    """Return a figure of a track cut into pieces: pretended starts, then the real ones that a runner brings."""
     states, measured = walk(pieces * L)
     pretended = KalmanFilter(RIGHT).filter(measured.reshape(pieces, L).T[:, None])[:, 0]  # from 0 exactly
     whole = KalmanFilter(from_unknown(RIGHT)).filter(measured[:, None])[:, 0]
