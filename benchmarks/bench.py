@@ -263,6 +263,9 @@ def pieces():
     expected = kf.filter(gappy)
     for name, work in works.items():
         same(work(), expected, name)
+    early = f"{track}: begun 40 rows early"
+    works[early] = partial(article["begun_early"], gappy[:, 0], 80, H)
+    same(works[early]()[100:], expected[100:], early)  # in the first rows it knows nothing of the start
     whole = f"{track}, none missing: lfilter"
     works[whole] = partial(peers.by_lfilter(steady_of(axis)), z)
     same(works[whole]()[100:], kf.filter(z)[100:, 0], whole)  # in 100 rows the start is forgotten to 1e-16

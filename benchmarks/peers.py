@@ -22,7 +22,7 @@ from mpt_helpers.equations import predicted_covariance
 HERE = Path(__file__).parent
 COMPILER = shutil.which("cc")
 ARTICLE = HERE.parent / "notebooks" / "2014_gsm_2d.ipynb"
-TAUGHT = ("kalman-step", "pretend", "relay", "pieces", "one-by-one")  # the cells of it that define its filters
+TAUGHT = ("kalman-step", "one-by-one", "early", "pretend", "relay", "pieces")  # the cells of it that define its filters
 
 try:
     import jax

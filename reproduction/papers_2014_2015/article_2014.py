@@ -209,25 +209,20 @@ def draw_late():
     return fig
 
 
-def draw_pieces(in_pieces, pieces=4, L=30):
-    """Return a figure of a track cut into pieces: each from a pretended start, the runner, and both ways' difference.
-
-    in_pieces(z, L, H) is the article's: estimates (N, 2) of measurements (N,), from 0 and P = 100 I.
-    """
+def draw_pieces(pieces=4, L=30):
+    """Return a figure of a track cut into pieces: pretended starts, then the real ones that a runner brings."""
     states, measured = walk(pieces * L)
     pretended = KalmanFilter(RIGHT).filter(measured.reshape(pieces, L).T[:, None])[:, 0]  # from 0 exactly
     whole = KalmanFilter(from_unknown(RIGHT)).filter(measured[:, None])[:, 0]
     k = np.arange(1, pieces * L + 1).reshape(pieces, L)
     junctions = L * np.arange(pieces)
     at_junctions = np.concatenate([[0.0], whole[L - 1 :: L][: pieces - 1]])
-    fig, ax = plots.panels([["1"], ["2"], ["3"]], height=1.75)
-    for name in ax:
+    fig, ax = plots.panels([["1"], ["2"]], height=2.1)
+    for axes in ax.values():
         for at in junctions[1:]:
-            ax[name].axvline(at, color="0.6", lw=0.8, ls=":")
-        ax[name].set(xlim=(-6, pieces * L + 6))
-    for name in "12":
-        ax[name].plot(k.ravel(), states[:, 0], color="0.8", lw=4)
-        ax[name].set(ylim=(-12, 1.1 * states[:, 0].max()))
+            axes.axvline(at, color="0.6", lw=0.8, ls=":")
+        axes.plot(k.ravel(), states[:, 0], color="0.8", lw=4)
+        axes.set(xlim=(-6, pieces * L + 6), ylim=(-12, 1.1 * states[:, 0].max()))
     blue = COLOUR_OF["lainiotis"]
     for of_piece, estimates in zip(k, pretended.T, strict=True):
         ax["1"].plot(np.append(of_piece[0] - 1, of_piece), np.append(0, estimates), color=blue)
@@ -238,23 +233,12 @@ def draw_pieces(in_pieces, pieces=4, L=30):
     for i in range(pieces):
         arrow = {"arrowstyle": "->", "color": blue, "lw": 1.6, "shrinkA": 4, "shrinkB": 4}
         ax["2"].annotate("", (ends[i + 1], at_ends[i + 1]), (ends[i], at_ends[i]), arrowprops=arrow)
-    tenth = 10 * np.sqrt(SteadyStateFilter.from_kalman(RIGHT).P[0, 0])  # of sigma, in cm
-    ax["3"].axhspan(-tenth, tenth, color=GREY, lw=0)
-    gap = np.round(in_pieces(measured, L, RIGHT.H)[:, 0] - whole, 9) + 0  # to a nanometre; no -0
-    for of_piece in k:
-        ax["3"].plot(of_piece, 100 * gap[of_piece - 1], color=blue)
-    ax["3"].set(ylim=(-4.5, 4.5))
-    said = {
-        "1": "each pretends to start at 0",
-        "2": "the runner: one step for each piece",
-        "3": "each from its real start: no seam",
-    }
+    said = {"1": "each pretends to start at 0", "2": "the runner: one step for each piece"}
     for name, text in said.items():
-        ax[name].annotate(text, (1, 3 if name == "3" else 0.85 * states[:, 0].max()), color=blue)
+        ax[name].annotate(text, (1, 0.85 * states[:, 0].max()), color=blue)
     plots.finish(ax["1"], "", "1  all pieces at once (m)")
-    plots.finish(ax["2"], "", "2  one piece after the other (m)")
-    plots.finish(ax["3"], "second", "3  pieces minus one long run (cm); grey: ± σ/10")
-    fig.suptitle("Pieces run all at once, the runner visits them,\nand they run all at once again", weight="bold")
+    plots.finish(ax["2"], "second", "2  one piece after the other (m)")
+    fig.suptitle("All pieces run at once from a pretended start.\nThen a runner visits them.", weight="bold")
     return fig
 
 
