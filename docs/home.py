@@ -40,7 +40,8 @@ def choice():
         "constant": steady,
         "fir": of_fir,
         "settled": break_sensor.settled(),
-        "every": math.ceil(of_fir / steady),
+        # A constant gain that collects its measurements takes them in one product: FIR must take no more than that.
+        "every": next(L for L in range(1, fir.order + 10) if AXES * burden.total(burden.lifted(2, 1, L)) >= of_fir),
         "near": near(),
         "order": fir.order,
         "lost": len(gap.lost),
