@@ -4,7 +4,6 @@ Each number is computed here, by the package or from the verdicts; the words and
 papers.toml.
 """
 
-import math
 from typing import NamedTuple
 
 import break_sensor
