@@ -29,6 +29,9 @@ LONG = 3 * 3600.0  # s, from where on the picture counts hours
 # The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
 LONGEST_LINE = 5_000  # points that are drawn of a curve
+NUMBERS = 5  # steps of an axis at most: six numbers of five digits fit
+# The tag that a fix begins with. A value in quotes may hold a >.
+START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 
 
 def text(c: Cleaned) -> str:
@@ -238,18 +241,17 @@ def gpx_bytes(c: Cleaned) -> bytes:
     pieces, at = [], 0
     for fix, (begin, end) in enumerate(places.tolist()):
         pieces.append(data[at:begin])
-        at = data.index(b">", end) + 1
+        opening = START_TAG.match(data, begin)[0]
+        # Of an element without content, <trkpt .../>, the end is that of its tag.
+        at = begin + len(opening) if opening.endswith(b"/>") else data.index(b">", end) + 1
         row = row_of.get(fix)
         if row is None or math.isnan(lat[row]):
             continue
-        point = data[begin:at]
-        tag = re.match(rb"<([\w.-]+:)?trkpt", point)
         if row in new_segments:
-            prefix = tag[1] or b""
+            prefix = re.match(rb"<([\w.-]+:)?trkpt", opening)[1] or b""
             pieces.append(b"</%strkseg><%strkseg>" % (prefix, prefix))
-        close = point.index(b">")
-        head = _with_number(_with_number(point[:close], b"lat", lat[row]), b"lon", lon[row])
-        pieces.append(head + point[close:])
+        pieces.append(_with_number(_with_number(opening, b"lat", lat[row]), b"lon", lon[row]))
+        pieces.append(data[begin + len(opening) : at])
     pieces.append(data[at:])
     return _signed(b"".join(pieces))
 
@@ -299,6 +301,7 @@ def figure(c: Cleaned) -> Figure:
     """Return the picture of a Cleaned: the map, and below it the speed with its band."""
     import matplotlib
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     from .plots import COLOURS, STYLE
 
@@ -309,7 +312,9 @@ def figure(c: Cleaned) -> Figure:
         _draw_map(axes[0], c, line=blue, refused=orange, start=green)
         _draw_speed(axes[1], c, line=blue, refused=orange, band=pink)
         handles, labels = (a + b for a, b in zip(*(ax.get_legend_handles_labels() for ax in axes), strict=True))
-        fig.legend(handles, labels, loc="outside lower center", ncols=3)
+        fig.legend(handles, labels, loc="outside lower center", ncols=2)
+        for ax in axes:
+            ax.xaxis.set_major_locator(MaxNLocator(NUMBERS))
     return fig
 
 

@@ -1,5 +1,6 @@
 """`python -m mpt_helpers track`: what it prints, what it writes, what it refuses, and that it says so in words."""
 
+import itertools
 import json
 import re
 import subprocess
@@ -275,6 +276,32 @@ def test_what_was_taken_from_the_file_goes_back_into_any_encoding(spoilt, capsys
     assert [len(each.t) for each in after] == [99, 100, 100]
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r"><ele>30.5</ele><time>[^<]*</time></trkpt></trkseg>", "/></trkseg>"),  # of an element without content
+        ("<trkpt lat", "<trkpt name='north > south' lat"),
+        (r'" lon="', '" note="/>" lon="'),
+    ],
+)
+def test_fixes_written_in_any_way_that_xml_allows_are_replaced_in_place(tmp_path, capsys, old, new):
+    _, lat, lon = positions()
+    lat[50] += 0.01  # an outlier, which would stand in the new file if its numbers were not found
+    lon[50] += 0.01
+    fixes = [fix(*place, k) for k, place in enumerate(zip(lat, lon, strict=True))]
+    path = tmp_path / "walk.gpx"
+    path.write_text(re.sub(old, new, gpx_of(fixes[:100], fixes[100:])), encoding="utf-8")
+    before = recordings.read_gpx(path)
+    assert said(capsys, path)[0] == 0
+    after = recordings.read_gpx(tmp_path / "walk_smooth.gpx")
+    timed = before.time != recordings.NO_TIME  # others are left out
+    np.testing.assert_array_equal(after.time, before.time[timed])
+    np.testing.assert_array_equal(after.segment, before.segment[timed])
+    for change in (after.lat - before.lat[timed], after.lon - before.lon[timed]):
+        assert -0.011 < change[50] < -0.009
+        assert np.abs(np.delete(change, 50)).max() < 2e-4
+
+
 @pytest.mark.parametrize("distance", [1e3, 150e3, 1000e3])
 def test_degrees_are_the_inverse_of_local(distance):
     angle = np.linspace(0, 2 * np.pi, 24)
@@ -432,6 +459,36 @@ def test_the_picture_shows_jumps_and_the_end_and_counts_hours_of_long_tracks():
     np.testing.assert_allclose(jump, c.x[[199, 200]][:, ::2] / 1000)
     assert below.get_xlabel() == "time (h)"
     assert tracks.clean(np.arange(300.0), z).plot().axes[1].get_xlabel() == "time (min)"
+
+
+@pytest.mark.parametrize("wide", [1.0, 40.0])
+def test_all_text_of_the_picture_lies_inside_it_and_numbers_stand_apart(wide):
+    z, _, _ = positions()
+    z = 130e3 + z * [wide, 1]
+    z[50] += 9e4  # off the map
+    z[100] += [30, 60]
+    z[200:] += 1000
+    fig = tracks.clean(np.arange(300.0), z).plot()
+    fig.draw_without_rendering()
+    (legend,) = fig.legends
+    assert len(legend.get_texts()) == 6
+    texts = [legend, *legend.get_texts()]
+    for ax in fig.axes:
+        texts += [ax.xaxis.label, ax.yaxis.label, ax._left_title]
+        along, up = (
+            [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+            for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim()))
+        )
+        texts += along + up
+        ends = [each.get_window_extent() for each in along]
+        for one, following in itertools.pairwise(ends):
+            assert following.x0 - one.x1 > 4  # points of 1/100 inch
+    for each in texts:
+        extent = each.get_window_extent()
+        assert fig.bbox.x0 <= extent.x0, each
+        assert extent.x1 <= fig.bbox.x1, each
+        assert fig.bbox.y0 <= extent.y0, each
+        assert extent.y1 <= fig.bbox.y1, each
 
 
 def test_lengths_of_time_are_taken_for_what_they_are(tmp_path):
