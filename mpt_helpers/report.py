@@ -29,6 +29,11 @@ LONG = 3 * 3600.0  # s, from where on the picture counts hours
 # The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
 LONGEST_LINE = 5_000  # points that are drawn of a curve
+# A usual recording is neither so fast nor so slow: a fighter's speed, a snail's. Between fixes of RARELY or more a
+# tenth of a second may lie, in milliseconds. A larger share of fixes than MANY is hardly one of faults.
+VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
+RARELY = 100.0  # s
+MANY = 0.1
 NUMBERS = 5  # steps of an axis at most: six numbers of five digits fit
 # The tag that a fix begins with. A value in quotes may hold a >.
 START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
@@ -37,8 +42,7 @@ START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 def text(c: Cleaned) -> str:
     """Return the report of a Cleaned."""
     lines = [_heading(c), *_faults(c), _motion_line(c), _precision(c), _prediction(c), _way(c)]
-    if c.source is not None:
-        lines += [f"note: {each}" for each in c.source.said]
+    lines += [f"note: {each}" for each in _notes(c)]
     filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
     return "\n".join(filled).replace(TOGETHER, " ")
 
@@ -69,8 +73,54 @@ def summary(c: Cleaned) -> dict[str, Any]:
         "median_speed_km_h": speed,
         "fastest_km_h": fastest,
         "speed_error_km_h": error,
-        "notes": [] if c.source is None else c.source.said,
+        "notes": _notes(c),
     }
+
+
+def _notes(c):
+    """Return what was taken for what, and what is unusual, in words."""
+    return [*([] if c.source is None else c.source.said), *c.unusual]
+
+
+def unusual(c: Cleaned) -> list[str]:
+    """Return what is unusual for a recorded track, as questions: it may be in other units, or have too few digits.
+
+    Times in milliseconds that are taken for seconds make a quarter of an hour of each second, and a snail of a car: a
+    track that hardly moves is asked about, and one with rare fixes that would be no faster than a usual one.
+    """
+    found = []
+    fixes = np.isfinite(c.z).all(axis=1)
+    seconds, moved = np.diff(c.t[fixes]), np.linalg.norm(np.diff(c.z[fixes], axis=0), axis=1)
+    later = seconds > 0
+    if later.any():
+        in_degrees = c.source is not None and bool(c.source.origins)
+        found += _of_speeds(moved[later] / seconds[later], float(np.median(seconds[later])), in_degrees)
+    share = _share_refused(c)
+    if share > MANY:
+        many = f"{share:.0%} of the fixes are refused. So many are hardly faults"
+        found.append(f"ATTENTION: {many}: are digits missing, or is the noise large?")
+    return found
+
+
+def _of_speeds(speeds, step, in_degrees):
+    """Ask about units where the speed (m/s) that 99 of 100 steps have at most is unusual for a usual step (s)."""
+    speed = float(np.quantile(speeds, 0.99))
+    rarely = f", with a fix every {step:g} s" if step >= RARELY else ""
+    if speed > VERY_FAST:
+        units = "degrees" if in_degrees else "metres, not millimetres"
+        seen = f"one step in a hundred is faster than {speed:.0f} m/s"
+        return [f"ATTENTION: {seen}: are the times in seconds, and the positions in {units}?"]
+    if speed == 0:
+        return ["ATTENTION: 99 of 100 fixes stand where the one before them stood: are digits missing?"]
+    if speed < VERY_SLOW or (rarely and speed < VERY_FAST / 1000):
+        units = "" if in_degrees else ", and the positions in metres, not degrees or kilometres"
+        seen = f"99 of 100 steps are slower than {speed:.1g} m/s{rarely}"
+        return [f"ATTENTION: {seen}: are the times in seconds, not milliseconds{units}?"]
+    return []
+
+
+def _share_refused(c):
+    return len(c.refused) / max(np.isfinite(c.z).any(axis=1).sum(), 1)
 
 
 def _of_file(c, rows):
@@ -103,9 +153,8 @@ def _faults(c):
         why = ", ".join(f"{count:,} with {reason}" for reason, count in c.source.left_out.items())
         lines.append(f"not used: {why}")
     if len(c.refused):
-        share = len(c.refused) / max(np.isfinite(c.z).any(axis=1).sum(), 1)
         fixes = _count(len(c.refused), "fix", "fixes")
-        lines.append(f"refused as faults: {fixes} ({share:.2%}), {_moments(c, _first_of_runs(c.refused))}")
+        lines.append(f"refused as faults: {fixes} ({_share_refused(c):.2%}), {_moments(c, _first_of_runs(c.refused))}")
     else:
         lines.append("refused as faults: none")
     if len(c.starts):

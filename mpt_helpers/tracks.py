@@ -36,8 +36,6 @@ DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
 GRIDS_OF_METRES = DECIMALS
 A_WHILE = 3600.0  # s between segments that overlap in time
-# A usual recording has neither: a fighter's speed, a snail's.
-VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
 
 
 class Track(NamedTuple):
@@ -277,7 +275,6 @@ def track(
         grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
-    said += unusual(t, z)
     c = clean(
         t,
         z,
@@ -378,19 +375,3 @@ def _precision(recording, rows):
         if known.mean() > 0.9 and np.ptp(sigma[rows][known]) > 0:
             return np.where(known, sigma[rows], np.median(sigma[rows][known])) ** 2, name
     return None, None
-
-
-def unusual(t: Array, z: Array) -> list[str]:
-    """Return warnings of a track that is too fast or too slow for a recorded one: it may be in other units."""
-    seconds = np.diff(t)
-    moved = np.linalg.norm(np.diff(z, axis=0), axis=1)[seconds > 0]
-    speed = float(np.quantile(moved / seconds[seconds > 0], 0.99))
-    if speed > VERY_FAST:
-        return [
-            f"ATTENTION: one step in a hundred is faster than {speed:.0f} m/s: are these seconds, degrees and metres?"
-        ]
-    if speed < VERY_SLOW:
-        return [
-            f"ATTENTION: 99 of 100 steps are slower than {speed:.1g} m/s: are the times in seconds, not milliseconds?"
-        ]
-    return []

@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
@@ -238,6 +239,78 @@ def test_unusual_numbers_are_named_and_absurd_ones_set_no_scale(tmp_path):
     again = [*fixes[:9], fixes[8], *fixes[9:]]
     path.write_text(gpx_of(again), encoding="utf-8")
     assert "not used: 1 with a time that is not after the one before" in in_one_line(mpt.track(path).report())
+
+
+SLOW = "ATTENTION: 99 of 100 steps are slower than"
+
+
+@pytest.mark.parametrize(
+    ("step", "metres", "words"),
+    [
+        (1, 1, None),
+        (1e3, 1, SLOW),  # milliseconds
+        (1, 1e-3, SLOW),  # kilometres
+        (1, 9e-6, SLOW),  # degrees
+        (1, 1e3, "ATTENTION: one step in a hundred is faster than"),  # millimetres
+        (1e3, 2, f"{SLOW} 0.03 m/s, with a fix every 1000 s"),  # a car in milliseconds
+        (4e3, 60, f"{SLOW} 0.2 m/s, with a fix every 4000 s"),  # an aircraft
+        (100, 0.3, f"{SLOW} 0.05 m/s, with a fix every 100 s"),  # a car ten times a second
+        (3600, 5 * 360, None),  # a ship
+        (3600, 60, SLOW),  # a ship that drifts: it is asked, and not refused
+        (60, 6, None),  # a walk, rarely
+    ],
+)
+def test_other_units_are_asked_for_where_numbers_are_handed_in_too(step, metres, words):
+    z, _, _ = positions()
+    c = tracks.clean(step * np.arange(300.0), metres * z)
+    asked = " ".join(c.unusual)
+    assert in_one_line(c.report()).endswith(asked)
+    assert c.summary()["notes"] == c.unusual
+    if words is None:
+        assert asked == ""
+        return
+    assert words in asked
+    assert "are the times in seconds" in asked
+    assert "in metres, not" in asked
+    if words.startswith(SLOW):
+        assert "seconds, not milliseconds, and the positions in metres, not degrees or kilometres?" in asked
+
+
+def test_a_file_in_degrees_is_asked_for_its_times_only(tmp_path):
+    _, lat, lon = positions()
+    path = tmp_path / "car.csv"
+    rows = [f"{1000 * k},{place[0]:.7f},{place[1]:.7f}" for k, place in enumerate(zip(lat, lon, strict=True))]
+    path.write_text("\n".join(["t,lat,lon", *rows]))
+    c = mpt.track(path)
+    (asked,) = c.unusual
+    assert asked.endswith(", with a fix every 1000 s: are the times in seconds, not milliseconds?")
+    assert c.summary()["notes"][-1] == asked
+
+
+def test_so_many_refused_fixes_are_called_no_faults():
+    z, _, _ = positions()
+    c = tracks.clean(np.arange(300.0), z)
+    c.pieces[100:130] = -1
+    assert c.unusual == []
+    c.pieces[130] = -1
+    words = "10% of the fixes are refused. So many are hardly faults: are digits missing, or is the noise large?"
+    assert words in in_one_line(c.report())
+
+
+def test_a_track_of_too_few_digits_is_told_so():
+    z, _, _ = positions()
+    t = np.arange(300.0)
+    c = replace(tracks.clean(t, z), z=np.where(t[:, None] < 298, z[0], z))
+    assert c.unusual == ["ATTENTION: 99 of 100 fixes stand where the one before them stood: are digits missing?"]
+    with pytest.raises(ValueError, match=r"a track that moves, got 260 of 300 fixes standing .* are digits missing\?"):
+        tracks.clean(t, z.round(-2))
+
+
+def test_a_first_half_that_rests_tells_no_band():
+    z, _, _ = positions()
+    c = tracks.clean(np.arange(300.0), np.where(np.arange(300)[:, None] < 170, z[0], z))
+    assert c.band is None
+    assert c.stretches == 2
 
 
 def test_a_fix_that_is_left_out_counts_for_one_reason(tmp_path):
