@@ -118,15 +118,31 @@ def moment_of(time: int) -> datetime:
 def read(path: str | PathLike[str], columns: dict[str, str] | None = None) -> Recording:
     """Return the Recording of a GPX or CSV file, which may be compressed (.gz). Raises ValueError for another file."""
     path = Path(path)
+    return read_gpx(path) if _is_xml(path) else read_csv(path, columns or {})
+
+
+def in_degrees(path: str | PathLike[str], columns: dict[str, str] | None = None) -> bool:
+    """Tell whether a file has degrees, and not metres, by its first lines. Raises ValueError as `read_csv`."""
+    path = Path(path)
+    if _is_xml(path):
+        return True
+    with _opened_as_text(path) as text:
+        _, _, found = _head(path, text, columns or {})
+    return "lat" in found
+
+
+def _is_xml(path):
     with _opened(path) as file:
         start = file.read(64)
-    if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
-        return read_gpx(path)
-    return read_csv(path, columns or {})
+    return start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff"))
 
 
 def _opened(path):
     return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
+
+
+def _opened_as_text(path):
+    return io.TextIOWrapper(_opened(path), encoding="utf-8-sig", errors="replace", newline="")
 
 
 def read_gpx(path: str | PathLike[str]) -> Recording:
@@ -235,12 +251,8 @@ def read_csv(path: str | PathLike[str], columns: dict[str, str]) -> Recording:
     names. Raises ValueError for a file without such columns, naming those that it has.
     """
     path = Path(path)
-    with _opened(path) as file:
-        text = io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace", newline="")
-        first = text.readline()
-        delimiter = max(",;\t", key=first.count)
-        header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-        found = _columns(path, header, columns)
+    with _opened_as_text(path) as text:
+        header, delimiter, found = _head(path, text, columns)
         cells = list(zip(*csv.reader(_lines_of(text, len(header), delimiter), delimiter=delimiter), strict=False))
     if not cells:
         raise ValueError(f"{path}: needs a recorded track, got no fixes")
@@ -257,6 +269,19 @@ def read_csv(path: str | PathLike[str], columns: dict[str, str]) -> Recording:
     one = np.ones(N, dtype=np.int64)
     said = (f"columns: {took}", *said)
     return Recording(time, lat, lon, metres, height, hdop, one, 1, unread, None, dated, said, numbers.get("accuracy"))
+
+
+def _head(path, text, columns):
+    """Return the names of columns, what stands between them, and {what: number of the column}, from the first line.
+
+    Lines before it that begin with a # are passed over.
+    """
+    first = text.readline()
+    while first.startswith("#"):
+        first = text.readline()
+    delimiter = max(",;\t", key=first.count)
+    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+    return header, delimiter, _columns(path, header, columns)
 
 
 def _lines_of(text, width, delimiter):
@@ -299,7 +324,8 @@ def _times(texts, name, comma):
     numbers = _numbers(texts, comma)
     time, unread = np.full(len(texts), NO_TIME, dtype=np.int64), {}
     known = np.isfinite(numbers)
-    if np.mean(known) > 0.5:
+    filled = sum(bool(text.strip()) for text in texts)
+    if known.sum() > 0.5 * filled:
         unit, said = _unit(numbers[known], name)
         whole = np.round(numbers[known] * unit)
         fits = np.abs(whole) < 2.0**62

@@ -313,8 +313,6 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
         if len(rows):
             kept.append(rows[longest_in_order(time[rows])])
     rows = np.concatenate(kept) if kept else np.empty(0, dtype=int)
-    if len(rows) < FEWEST:
-        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {len(rows)} of {N}")
     unread = ~timed & np.isin(np.arange(N), list(recording.unread))
     reasons = {  # each row counts for one
         "no position on the Earth": int((~somewhere).sum()),
@@ -322,7 +320,21 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
         "a time that cannot be read": int((somewhere & unread).sum()),
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
-    return rows, {reason: count for reason, count in reasons.items() if count > 0}
+    left_out = {reason: count for reason, count in reasons.items() if count > 0}
+    if len(rows) < FEWEST:
+        got = ", ".join([f"{len(rows)} of {N}", *(f"{count} with {reason}" for reason, count in left_out.items())])
+        got += _what_ails(np.diff(time[somewhere & timed]))
+        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
+    return rows, left_out
+
+
+def _what_ails(steps):
+    """Say what is wrong with times if most steps between them are negative or zero."""
+    if len(steps) and np.mean(steps < 0) > 0.5:
+        return ": most times are before the one before them; if the file begins with the last fix, turn it round"
+    if len(steps) and np.mean(steps == 0) > 0.5:
+        return ": most times are equal to the one before them; have they lost digits (as float32)?"
+    return ""
 
 
 def _one_clock(t, segment):

@@ -1,5 +1,6 @@
 """`python -m mpt_helpers track`: what it prints, what it writes, what it refuses, and that it says so in words."""
 
+import gzip
 import itertools
 import json
 import re
@@ -13,7 +14,7 @@ import pytest
 from conftest import ROOT
 
 import mpt_helpers as mpt
-from mpt_helpers import cleaning, recordings, report, tracks
+from mpt_helpers import cleaning, recordings, report, track_command, tracks
 from mpt_helpers.__main__ import main
 
 RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
@@ -161,6 +162,70 @@ def test_a_csv_is_read_by_the_usual_names_of_its_columns_or_by_those_given(tmp_p
     assert "times taken for milliseconds since 1970" in found["notes"]
     assert found["r"] == pytest.approx(4.0, rel=0.3)
     assert found["files"][0].endswith("metres_smooth.csv")
+
+
+@pytest.mark.parametrize(
+    ("times", "why"),
+    [
+        (np.float32(1.7e9 + np.arange(1000)), "9 of 1000, 991 with a time that is not after .*have they lost digits"),
+        (np.arange(1000)[::-1], "1 of 1000, 999 with a time .*before them; if the file begins with the last fix"),
+        (np.where(np.arange(1000) < 8, np.arange(1000), np.nan), r"8 of 1000, 992 with no time$"),
+    ],
+)
+def test_why_too_few_fixes_are_left_is_told(tmp_path, times, why):
+    _, lat, lon = positions(N=1000)
+    path = tmp_path / "few.csv"
+    rows = [f"{'' if np.isnan(t) else f'{t:.0f}'},{a:.7f},{b:.7f}" for t, a, b in zip(times, lat, lon, strict=True)]
+    path.write_text("\n".join(["time,lat,lon", *rows]))
+    with pytest.raises(ValueError, match=f"few.csv: needs at least 10 fixes with a time and a position, got {why}"):
+        mpt.track(path)
+
+
+def test_the_command_reads_what_it_has_written(tmp_path, capsys):
+    z, _, _ = positions()
+    path = tmp_path / "metres.csv"
+    path.write_text("\n".join(["t,x,y", *(f"{k},{x:.3f},{y:.3f}" for k, (x, y) in enumerate(z))]))
+    assert said(capsys, path)[0] == 0
+    code, out, err = said(capsys, tmp_path / "metres_smooth.csv")
+    assert (code, err) == (0, "")
+    assert "300 fixes" in out
+
+
+def test_what_would_be_overwritten_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    z, lat, lon = positions()
+    tables = {"degrees": ("t,lat,lon", lat, lon, "gpx"), "metres": ("t,x,y", *z.T, "csv")}
+    for name, (head, first, second, kind) in tables.items():
+        path = tmp_path / f"{name}.csv"
+        rows = [f"{k},{a:.7f},{b:.7f}" for k, (a, b) in enumerate(zip(first, second, strict=True))]
+        path.write_text("\n".join([head, *rows]))
+        other = tmp_path / f"{name}_smooth.{'csv' if kind == 'gpx' else 'gpx'}"
+        other.write_text("mine")  # it does not stand in the way
+        assert said(capsys, path)[0] == 0
+        (tmp_path / f"{name}_smooth.{kind}").write_text("mine")
+        with monkeypatch.context() as patched:
+            patched.setattr(tracks, "track", None)
+            code, _, err = said(capsys, path)
+        assert code == 1
+        assert f"{name}_smooth.{kind}: exists and is not from this command" in err
+
+
+def test_a_word_beforehand_tells_time_and_memory_of_a_large_file_packed_or_not(tmp_path, capsys):
+    words = r"MB{}, some 1,0\d\d,000 fixes: about 1 min and 1\.\d GB of memory"
+    path = tmp_path / "large.gpx"
+    path.write_bytes(b" " * 101_000_000)
+    track_command._Progress(path)
+    assert re.search(words.format(""), capsys.readouterr().err)
+    packed = tmp_path / "large.gpx.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes(), 1))
+    assert packed.stat().st_size < 1e6
+    track_command._Progress(packed)
+    assert re.search(words.format(" unpacked"), capsys.readouterr().err)
+
+
+def test_help_says_what_a_pause_is(capsys):
+    with pytest.raises(SystemExit):
+        main(["track", "--help"])
+    assert "without a fix (60, or ten usual steps if these are longer)" in in_one_line(capsys.readouterr().out)
 
 
 def test_hdop_weighs_the_fixes(tmp_path):
