@@ -512,8 +512,8 @@ class Cleaned:
     pieces (N,): the stretch of each fix, 0, 1, ..., and -1 where it is refused or there is none
     x (N, 2 m), P (N, 2 m, 2 m): smoothed position and velocity of each axis, [east, v_east, north, v_north], and their
         covariance; NaN where a row lies in no stretch
-    q, r: of all axes, m²/s³ and m²; log_errors: standard errors of their logarithms, infinite for an r that is the
-        rounding of the numbers
+    q, r: of all axes, m²/s³ and m², as the fixes have them that are kept; log_errors: standard errors of their
+        logarithms, infinite for an r that is the rounding of the numbers
     band: a Band, or None for a track too short to judge one on
     rounding: whether r is that rounding: the recorder has smoothed the positions, and their noise does not show
     filter: the KalmanFilter of all stretches on one line of time, `line`

@@ -7,6 +7,7 @@ the same with numbers. `gpx` only reads, and refuses a file whose times are not 
 from __future__ import annotations
 
 import bisect
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -28,6 +29,7 @@ __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 # Latitudes and longitudes (°) and heights (m) are not beyond these, and no height is below the lowest. A number that
 # is counts as missing: some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
+LARGEST_METRES = 2e7  # m: half around the Earth
 # Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
 ONE_PLANE = 500e3
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
@@ -186,7 +188,12 @@ def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) ->
 def _no_times(recording):
     """Say what stands in place of times."""
     unread = next(iter(recording.unread.values()), None)
-    return "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
+    if unread is None:
+        return "no times"
+    said = f"times that cannot be read, as {unread!r:.40}"
+    if re.match(r"\s*\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}", unread):
+        said += ": is the day first, or the month? Write dates as 2025-05-03"
+    return said
 
 
 def _on_earth(lat, lon):
@@ -198,6 +205,8 @@ def _no_degrees(lat, lon):
     """Say what stands in place of degrees."""
     if not len(lat):
         return "none"
+    if np.abs(lat).max() > LARGEST_METRES:
+        return "much larger numbers: are they 1e7 to a degree? Columns of such are named latE7 and lonE7"
     if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
         return "latitudes beyond 90: are the two exchanged?"
     return "others: none, metres, or the two exchanged"

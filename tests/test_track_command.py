@@ -228,6 +228,71 @@ def test_help_says_what_a_pause_is(capsys):
     assert "without a fix (60, or ten usual steps if these are longer)" in in_one_line(capsys.readouterr().out)
 
 
+def table(path, head, *columns):
+    rows = [",".join(map(str, each)) for each in zip(*columns, strict=True)]
+    path.write_text("\n".join([head, *rows]), encoding="utf-8")
+    return path
+
+
+CLOCK = [f"{(23 * 60 + 58 + k // 60) // 60 % 24:02d}:{(58 + k // 60) % 60:02d}:{k % 60:02d}" for k in range(300)]
+
+
+def test_a_date_and_a_time_in_two_columns_and_times_of_a_day_over_midnight_are_read(tmp_path):
+    _, lat, lon = positions()
+    dates = ["2025-05-03"] * 120 + ["2025/05/04"] * 180
+    path = tmp_path / "two.csv"
+    r = recordings.read(table(path, "Date,Time,lat,lon", dates, CLOCK, lat, lon))
+    assert recordings.moment_of(r.time[0]).isoformat() == "2025-05-03T23:58:00+00:00"
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    assert "date from 'Date'" in r.said[0]
+    r = recordings.read(table(path, "time,lat,lon", CLOCK, lat, lon))
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    assert (r.time[0], r.dated) == (recordings.microseconds("1970-01-01T23:58:00Z"), False)
+    assert "times of day without a date: they count from the first midnight" in r.said
+    whole = [f"{day}T{clock}" for day, clock in zip(dates, CLOCK, strict=True)]
+    r = recordings.read(table(path, "time,day,lat,lon", whole, dates, lat, lon))  # a date that is not needed
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    r = recordings.read(table(path, "date,lat,lon", whole, lat, lon))
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+
+
+def test_columns_of_ten_millionths_of_a_degree_are_read_by_their_names(tmp_path):
+    _, lat, lon = positions()
+    whole = [np.round(1e7 * each).astype(int) for each in (lat, lon)]
+    path = tmp_path / "e7.csv"
+    for head in ("t,latE7,lonE7", "t,latitudeE7,longitudeE7"):
+        r = recordings.read(table(path, head, range(300), *whole))
+        np.testing.assert_allclose([r.lat, r.lon], [lat, lon], atol=1e-7)
+    with pytest.raises(ValueError, match=r"are they 1e7 to a degree\? Columns of such are named latE7 and lonE7"):
+        mpt.track(table(path, "t,lat,lon", range(300), *whole))
+
+
+def test_dates_of_unknown_order_and_commas_among_commas_are_refused_with_what_was_seen(tmp_path):
+    _, lat, lon = positions()
+    path = tmp_path / "seen.csv"
+    seen = r"as '05/03/2025 23:58:00': is the day first, or the month\? Write dates as 2025-05-03"
+    times = [f"05/03/2025 {clock}" for clock in CLOCK]
+    with pytest.raises(ValueError, match=seen):
+        mpt.track(table(path, "time,lat,lon", times, lat, lon))
+    with pytest.raises(ValueError, match=seen):
+        mpt.track(table(path, "date,time,lat,lon", ["05/03/2025"] * 300, CLOCK, lat, lon))
+    quoted = [[f'"{value:.6f}"'.replace(".", ",") for value in each] for each in (lat, lon)]
+    with pytest.raises(ValueError, match=r"needs decimal points, .* got decimal commas in column 'lat', as '57,0000"):
+        mpt.track(table(path, "time,lat,lon", range(300), *quoted))
+
+
+def test_r_is_that_of_the_fixes_that_are_kept():
+    """With noise of Student's t, two degrees of freedom, of which some are refused as faults."""
+    for seed in range(4):
+        z, _, _ = positions(N=1000, seed=seed)
+        rng = np.random.default_rng(seed)
+        noise = 3 * rng.standard_t(2, z.shape)
+        c = tracks.clean(np.arange(1000.0), z + noise)
+        assert len(c.refused) > 0
+        assert c.r == pytest.approx(4 + np.mean(noise[c.mask] ** 2), rel=0.2)
+        assert c.r < 4 + np.mean(noise**2)
+
+
 def test_hdop_weighs_the_fixes(tmp_path):
     z, _, _ = positions()
     hdop = np.where(np.arange(300) % 3 == 0, 5.0, 1.0)
