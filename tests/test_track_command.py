@@ -389,6 +389,7 @@ SLOW = "ATTENTION: 99 of 100 steps are slower than"
         (3600, 60, SLOW),  # a ship that drifts: it is asked, and not refused
         (60, 6, None),  # a walk, rarely
     ],
+    ids=["s_m", "ms", "km", "degrees", "mm", "car_ms", "plane_ms", "10_Hz_ms", "ship", "drift", "walk"],
 )
 def test_other_units_are_asked_for_where_numbers_are_handed_in_too(step, metres, words):
     z, _, _ = positions()
