@@ -301,6 +301,13 @@ def fitted(line: Stretches, guess: Noise, scale: Scale) -> Noise:
     return Noise(q, scale.rounding, True)
 
 
+def stands_still(line: Stretches, scale: Scale) -> bool:
+    """Tell whether all fixes of a line are one, but for their rounding: no q and r can be fitted to such a line."""
+    there = line.z[np.isfinite(line.z).any(axis=1)]
+    width = np.nanmax(there, axis=0) - np.nanmin(there, axis=0)
+    return bool((width < math.sqrt(scale.rounding)).all())
+
+
 def _nis_and_log_S(line, rho, about_q, scale):
     """Return NIS and log S of each number of a line for q = 1 and r = rho, (K, m); NaN for the first of stretches.
 
@@ -438,10 +445,13 @@ def _from_an_unknown_start(line, q, r, scale, unit=1.0):
 def band_of(line: Stretches, noise: Noise, scale: Scale, seconds: float) -> Band | None:
     """Return the Band of the second half of a line, or None where it has too few predictions.
 
-    q and r are fitted anew, on the first half.
+    q and r are fitted anew, on the first half; where it stands still there is none.
     """
     half = len(line.rows) // 2
-    first = fitted(line.part(slice(half)), noise, scale)
+    before = line.part(slice(half))
+    if stands_still(before, scale):
+        return None
+    first = fitted(before, noise, scale)
     kf = filter_of(first, scale, line.t, line.relative, line.z.shape[1])
     fixes = np.isfinite(line.z).any(axis=1)
     t = line.t[fixes]
@@ -482,7 +492,7 @@ class Source:
     rows (N,): which fixes of the recording those of the track are; left_out: how many others there are, by reason
     origins: of each plane of the track the latitude, longitude (°) and height (m); plane (N,): in which one a fix lies;
     empty and zero for a file in metres
-    said: what was taken for what, and what is unusual, in words
+    said: what was taken for what, in words
     """
 
     path: Path
@@ -502,8 +512,8 @@ class Cleaned:
     pieces (N,): the stretch of each fix, 0, 1, ..., and -1 where it is refused or there is none
     x (N, 2 m), P (N, 2 m, 2 m): smoothed position and velocity of each axis, [east, v_east, north, v_north], and their
         covariance; NaN where a row lies in no stretch
-    q, r: of all axes, m²/s³ and m²; log_errors: standard errors of their logarithms, infinite for an r that is the
-        rounding of the numbers
+    q, r: of all axes, m²/s³ and m², as the fixes have them that are kept; log_errors: standard errors of their
+        logarithms, infinite for an r that is the rounding of the numbers
     band: a Band, or None for a track too short to judge one on
     rounding: whether r is that rounding: the recorder has smoothed the positions, and their noise does not show
     filter: the KalmanFilter of all stretches on one line of time, `line`
@@ -540,6 +550,11 @@ class Cleaned:
     def stretches(self) -> int:
         """The number of stretches."""
         return int(self.pieces.max()) + 1
+
+    @property
+    def unusual(self) -> list[str]:
+        """What is unusual for a recorded track, in words: it may be in other units, or have too few digits."""
+        return report.unusual(self)
 
     def report(self) -> str:
         """Return a report, in words, of what was done to the track and what was found about it."""
@@ -593,8 +608,8 @@ def clean(
     of z have; without it their grid is searched. seconds and pause are numbers or timedeltas. show is called with what
     is done next, in words.
 
-    Raises ValueError for times that decrease or are all equal, fewer than ten fixes, a track that does not move, and
-    for other shapes.
+    Raises ValueError for times that decrease or are all equal, fewer than ten fixes, a track that does not move, or
+    only by what looks like faults, and for other shapes.
 
     >>> from mpt_helpers.model import simulate
     >>> axis = constant_velocity(dt=1.0, q=0.04, r=4.0)
@@ -622,6 +637,9 @@ def clean(
         if before is not None and np.array_equal(pieces, before):
             break
         line = on_one_line(t, z, relative, pieces, noise, scale)
+        if stands_still(line, scale):
+            still = f"{(pieces >= 0).sum()} of {np.isfinite(z).any(axis=1).sum()} fixes standing still"
+            checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
         show("fitting")
         noise = fitted(line, noise, scale)
     line = on_one_line(t, z, relative, pieces, noise, scale)

@@ -53,6 +53,9 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     Where all parameters scale Q and R alike, as q and r do, it goes along their ratio first; elsewhere, it is Nelder
     and Mead's. Newton's steps follow, and a look further along each parameter.
 
+    Rows at steps of different lengths need a filter with times `t`. Nothing tells that they were forgotten: the mobile
+    seems to move wildly, and q comes out a hundred times too large, and more.
+
     `log_errors` hold for the data as they are, and not only if the model is right (White 1982). No recorded track moves
     by one q: the curvature of log L alone, which takes the model for true, states errors five to twenty times too
     small there. So the score of each block of a track, by how much it pulls at the parameters, is computed, and the

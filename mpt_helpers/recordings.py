@@ -48,14 +48,30 @@ NAMES = {
         "seconds",
         "secs",
     ],
-    "lat": ["lat", "latitude", "lat_deg", "latitude_deg", "position_lat", "y_lat"],
-    "lon": ["lon", "lng", "long", "longitude", "lon_deg", "longitude_deg", "position_long", "x_lon"],
+    "date": ["date", "day", "date_utc", "utc_date"],
+    "lat": ["lat", "latitude", "lat_deg", "latitude_deg", "position_lat", "y_lat", "late7", "latitudee7"],
+    "lon": [
+        "lon",
+        "lng",
+        "long",
+        "longitude",
+        "lon_deg",
+        "longitude_deg",
+        "position_long",
+        "x_lon",
+        "lone7",
+        "longitudee7",
+    ],
     "east": ["east", "easting", "x", "e", "east_m", "x_m", "utm_x", "utm_e"],
     "north": ["north", "northing", "y", "n", "north_m", "y_m", "utm_y", "utm_n"],
     "height": ["ele", "elevation", "alt", "altitude", "height", "z", "up", "ele_m", "alt_m", "altitude_m", "height_m"],
     "hdop": ["hdop"],
     "accuracy": ["accuracy", "horizontal_accuracy", "hacc", "h_acc", "accuracy_m", "sigma", "std"],
 }
+# A time of day. Without a date it counts from the first midnight; where it runs back by more than half a day, another
+# day has begun.
+OF_A_DAY = re.compile(r"\s*(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d+)?))?\s*")
+DAY = 86_400_000_000  # microseconds
 # From these sizes on a number that stands for a time counts milli-, micro- or nanoseconds since 1970: in seconds it
 # would be after the year 5138.
 UNITS_OF_TIMES = ((1e17, 1e-3, "nanoseconds"), (1e14, 1.0, "microseconds"), (1e11, 1e3, "milliseconds"))
@@ -118,15 +134,31 @@ def moment_of(time: int) -> datetime:
 def read(path: str | PathLike[str], columns: dict[str, str] | None = None) -> Recording:
     """Return the Recording of a GPX or CSV file, which may be compressed (.gz). Raises ValueError for another file."""
     path = Path(path)
+    return read_gpx(path) if _is_xml(path) else read_csv(path, columns or {})
+
+
+def in_degrees(path: str | PathLike[str], columns: dict[str, str] | None = None) -> bool:
+    """Tell whether a file has degrees, and not metres, by its first lines. Raises ValueError as `read_csv`."""
+    path = Path(path)
+    if _is_xml(path):
+        return True
+    with _opened_as_text(path) as text:
+        _, _, found = _head(path, text, columns or {})
+    return "lat" in found
+
+
+def _is_xml(path):
     with _opened(path) as file:
         start = file.read(64)
-    if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
-        return read_gpx(path)
-    return read_csv(path, columns or {})
+    return start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff"))
 
 
 def _opened(path):
     return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
+
+
+def _opened_as_text(path):
+    return io.TextIOWrapper(_opened(path), encoding="utf-8-sig", errors="replace", newline="")
 
 
 def read_gpx(path: str | PathLike[str]) -> Recording:
@@ -231,22 +263,34 @@ def _number(text):
 def read_csv(path: str | PathLike[str], columns: dict[str, str]) -> Recording:
     """Return the Recording of a table with a line of names: times, and degrees or metres.
 
-    columns names some of time, lat, lon, east, north, height, hdop, accuracy; the others are found by their usual
-    names. Raises ValueError for a file without such columns, naming those that it has.
+    columns names some of time, date, lat, lon, east, north, height, hdop, accuracy; the others are found by their
+    usual names. A date of its own is taken where the time has none; columns whose names end with E7 have ten millionths
+    of a degree. Raises ValueError for a file without such columns, naming those that it has.
     """
     path = Path(path)
-    with _opened(path) as file:
-        text = io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace", newline="")
-        first = text.readline()
-        delimiter = max(",;\t", key=first.count)
-        header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-        found = _columns(path, header, columns)
+    with _opened_as_text(path) as text:
+        header, delimiter, found = _head(path, text, columns)
         cells = list(zip(*csv.reader(_lines_of(text, len(header), delimiter), delimiter=delimiter), strict=False))
     if not cells:
         raise ValueError(f"{path}: needs a recorded track, got no fixes")
     comma = delimiter != ","
-    numbers = {name: _numbers(cells[column], comma) for name, column in found.items() if name != "time"}
-    time, unread, dated, said = _times(cells[found["time"]], header[found["time"]], comma)
+    numbers = {}
+    for name, column in found.items():
+        if name not in ("time", "date"):
+            numbers[name] = _numbers(cells[column], comma)
+            _refuse_commas(path, header[column], cells[column], numbers[name])
+            if header[column].lower().endswith("e7"):
+                numbers[name] /= 1e7
+    texts = cells[found["time"]]
+    of_a_day = any(texts) and all(OF_A_DAY.fullmatch(text) for text in texts if text.strip())
+    if of_a_day and "date" in found:
+        texts = [f"{day.strip()} {clock.strip()}" for day, clock in zip(cells[found["date"]], texts, strict=True)]
+    else:
+        found.pop("date", None)
+    if of_a_day and "date" not in found:
+        time, unread, dated, said = _times_of_a_day(texts)
+    else:
+        time, unread, dated, said = _times(texts, header[found["time"]], comma)
     N = len(time)
     nothing = np.full(N, math.nan)
     lat, lon, metres = numbers.get("lat"), numbers.get("lon"), None
@@ -257,6 +301,19 @@ def read_csv(path: str | PathLike[str], columns: dict[str, str]) -> Recording:
     one = np.ones(N, dtype=np.int64)
     said = (f"columns: {took}", *said)
     return Recording(time, lat, lon, metres, height, hdop, one, 1, unread, None, dated, said, numbers.get("accuracy"))
+
+
+def _head(path, text, columns):
+    """Return the names of columns, what stands between them, and {what: number of the column}, from the first line.
+
+    Lines before it that begin with a # are passed over.
+    """
+    first = text.readline()
+    while first.startswith("#"):
+        first = text.readline()
+    delimiter = max(",;\t", key=first.count)
+    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+    return header, delimiter, _columns(path, header, columns)
 
 
 def _lines_of(text, width, delimiter):
@@ -299,7 +356,8 @@ def _times(texts, name, comma):
     numbers = _numbers(texts, comma)
     time, unread = np.full(len(texts), NO_TIME, dtype=np.int64), {}
     known = np.isfinite(numbers)
-    if np.mean(known) > 0.5:
+    filled = sum(bool(text.strip()) for text in texts)
+    if known.sum() > 0.5 * filled:
         unit, said = _unit(numbers[known], name)
         whole = np.round(numbers[known] * unit)
         fits = np.abs(whole) < 2.0**62
@@ -314,6 +372,27 @@ def _times(texts, name, comma):
             if text.strip():
                 unread[k] = text
     return time, unread, True, ()
+
+
+def _refuse_commas(path, name, texts, numbers):
+    """Refuse a column without any number, but with decimal commas where commas stand between the columns too."""
+    with_comma = next((text for text in texts if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", text)), None)
+    if with_comma is not None and not np.isfinite(numbers).any():
+        need = "decimal points, or semicolons between the columns"
+        raise ValueError(f"{path}: needs {need}, got decimal commas in column {name!r}, as {with_comma!r:.40}")
+
+
+def _times_of_a_day(texts):
+    """Return what `_times` does of hours, minutes and seconds without a date."""
+    time = np.full(len(texts), NO_TIME, dtype=np.int64)
+    for k, text in enumerate(texts):
+        if text.strip():
+            hours, minutes, seconds = OF_A_DAY.fullmatch(text).groups()
+            seconds = float((seconds or "0").replace(",", "."))
+            time[k] = (int(hours) * 60 + int(minutes)) * 60_000_000 + round(seconds * 1e6)
+    known = time != NO_TIME
+    time[known] += DAY * np.cumsum(np.diff(time[known], prepend=0) < -DAY // 2)
+    return time, {}, False, ("times of day without a date: they count from the first midnight",)
 
 
 def _unit(numbers, name):

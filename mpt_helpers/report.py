@@ -29,13 +29,20 @@ LONG = 3 * 3600.0  # s, from where on the picture counts hours
 # The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
 LONGEST_LINE = 5_000  # points that are drawn of a curve
+# A usual recording is neither so fast nor so slow: a fighter's speed, a snail's. Between fixes of RARELY or more a
+# tenth of a second may lie, in milliseconds. A larger share of fixes than MANY is hardly one of faults.
+VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
+RARELY = 100.0  # s
+MANY = 0.1
+NUMBERS = 5  # steps of an axis at most: six numbers of five digits fit
+# The tag that a fix begins with. A value in quotes may hold a >.
+START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 
 
 def text(c: Cleaned) -> str:
     """Return the report of a Cleaned."""
     lines = [_heading(c), *_faults(c), _motion_line(c), _precision(c), _prediction(c), _way(c)]
-    if c.source is not None:
-        lines += [f"note: {each}" for each in c.source.said]
+    lines += [f"note: {each}" for each in _notes(c)]
     filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
     return "\n".join(filled).replace(TOGETHER, " ")
 
@@ -66,8 +73,54 @@ def summary(c: Cleaned) -> dict[str, Any]:
         "median_speed_km_h": speed,
         "fastest_km_h": fastest,
         "speed_error_km_h": error,
-        "notes": [] if c.source is None else c.source.said,
+        "notes": _notes(c),
     }
+
+
+def _notes(c):
+    """Return what was taken for what, and what is unusual, in words."""
+    return [*([] if c.source is None else c.source.said), *c.unusual]
+
+
+def unusual(c: Cleaned) -> list[str]:
+    """Return what is unusual for a recorded track, as questions: it may be in other units, or have too few digits.
+
+    Times in milliseconds that are taken for seconds make a quarter of an hour of each second, and a snail of a car: a
+    track that hardly moves is asked about, and one with rare fixes that would be no faster than a usual one.
+    """
+    found = []
+    fixes = np.isfinite(c.z).all(axis=1)
+    seconds, moved = np.diff(c.t[fixes]), np.linalg.norm(np.diff(c.z[fixes], axis=0), axis=1)
+    later = seconds > 0
+    if later.any():
+        in_degrees = c.source is not None and bool(c.source.origins)
+        found += _of_speeds(moved[later] / seconds[later], float(np.median(seconds[later])), in_degrees)
+    share = _share_refused(c)
+    if share > MANY:
+        many = f"{share:.0%} of the fixes are refused. So many are hardly faults"
+        found.append(f"ATTENTION: {many}: are digits missing, or is the noise large?")
+    return found
+
+
+def _of_speeds(speeds, step, in_degrees):
+    """Ask about units where the speed (m/s) that 99 of 100 steps have at most is unusual for a usual step (s)."""
+    speed = float(np.quantile(speeds, 0.99))
+    rarely = f", with a fix every {step:g} s" if step >= RARELY else ""
+    if speed > VERY_FAST:
+        units = "degrees" if in_degrees else "metres, not millimetres"
+        seen = f"one step in a hundred is faster than {speed:.0f} m/s"
+        return [f"ATTENTION: {seen}: are the times in seconds, and the positions in {units}?"]
+    if speed == 0:
+        return ["ATTENTION: 99 of 100 fixes stand where the one before them stood: are digits missing?"]
+    if speed < VERY_SLOW or (rarely and speed < VERY_FAST / 1000):
+        units = "" if in_degrees else ", and the positions in metres, not degrees or kilometres"
+        seen = f"99 of 100 steps are slower than {speed:.1g} m/s{rarely}"
+        return [f"ATTENTION: {seen}: are the times in seconds, not milliseconds{units}?"]
+    return []
+
+
+def _share_refused(c):
+    return len(c.refused) / max(np.isfinite(c.z).any(axis=1).sum(), 1)
 
 
 def _of_file(c, rows):
@@ -100,9 +153,8 @@ def _faults(c):
         why = ", ".join(f"{count:,} with {reason}" for reason, count in c.source.left_out.items())
         lines.append(f"not used: {why}")
     if len(c.refused):
-        share = len(c.refused) / max(np.isfinite(c.z).any(axis=1).sum(), 1)
         fixes = _count(len(c.refused), "fix", "fixes")
-        lines.append(f"refused as faults: {fixes} ({share:.2%}), {_moments(c, _first_of_runs(c.refused))}")
+        lines.append(f"refused as faults: {fixes} ({_share_refused(c):.2%}), {_moments(c, _first_of_runs(c.refused))}")
     else:
         lines.append("refused as faults: none")
     if len(c.starts):
@@ -238,18 +290,17 @@ def gpx_bytes(c: Cleaned) -> bytes:
     pieces, at = [], 0
     for fix, (begin, end) in enumerate(places.tolist()):
         pieces.append(data[at:begin])
-        at = data.index(b">", end) + 1
+        opening = START_TAG.match(data, begin)[0]
+        # Of an element without content, <trkpt .../>, the end is that of its tag.
+        at = begin + len(opening) if opening.endswith(b"/>") else data.index(b">", end) + 1
         row = row_of.get(fix)
         if row is None or math.isnan(lat[row]):
             continue
-        point = data[begin:at]
-        tag = re.match(rb"<([\w.-]+:)?trkpt", point)
         if row in new_segments:
-            prefix = tag[1] or b""
+            prefix = re.match(rb"<([\w.-]+:)?trkpt", opening)[1] or b""
             pieces.append(b"</%strkseg><%strkseg>" % (prefix, prefix))
-        close = point.index(b">")
-        head = _with_number(_with_number(point[:close], b"lat", lat[row]), b"lon", lon[row])
-        pieces.append(head + point[close:])
+        pieces.append(_with_number(_with_number(opening, b"lat", lat[row]), b"lon", lon[row]))
+        pieces.append(data[begin + len(opening) : at])
     pieces.append(data[at:])
     return _signed(b"".join(pieces))
 
@@ -299,6 +350,7 @@ def figure(c: Cleaned) -> Figure:
     """Return the picture of a Cleaned: the map, and below it the speed with its band."""
     import matplotlib
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     from .plots import COLOURS, STYLE
 
@@ -309,7 +361,9 @@ def figure(c: Cleaned) -> Figure:
         _draw_map(axes[0], c, line=blue, refused=orange, start=green)
         _draw_speed(axes[1], c, line=blue, refused=orange, band=pink)
         handles, labels = (a + b for a, b in zip(*(ax.get_legend_handles_labels() for ax in axes), strict=True))
-        fig.legend(handles, labels, loc="outside lower center", ncols=3)
+        fig.legend(handles, labels, loc="outside lower center", ncols=2)
+        for ax in axes:
+            ax.xaxis.set_major_locator(MaxNLocator(NUMBERS))
     return fig
 
 

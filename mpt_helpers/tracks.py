@@ -7,6 +7,7 @@ the same with numbers. `gpx` only reads, and refuses a file whose times are not 
 from __future__ import annotations
 
 import bisect
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -28,6 +29,7 @@ __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 # Latitudes and longitudes (°) and heights (m) are not beyond these, and no height is below the lowest. A number that
 # is counts as missing: some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
+LARGEST_METRES = 2e7  # m: half around the Earth
 # Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
 ONE_PLANE = 500e3
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
@@ -36,8 +38,6 @@ DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
 GRIDS_OF_METRES = DECIMALS
 A_WHILE = 3600.0  # s between segments that overlap in time
-# A usual recording has neither: a fighter's speed, a snail's.
-VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
 
 
 class Track(NamedTuple):
@@ -188,7 +188,12 @@ def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) ->
 def _no_times(recording):
     """Say what stands in place of times."""
     unread = next(iter(recording.unread.values()), None)
-    return "no times" if unread is None else f"times that cannot be read, as {unread!r:.40}"
+    if unread is None:
+        return "no times"
+    said = f"times that cannot be read, as {unread!r:.40}"
+    if re.match(r"\s*\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}", unread):
+        said += ": is the day first, or the month? Write dates as 2025-05-03"
+    return said
 
 
 def _on_earth(lat, lon):
@@ -200,6 +205,8 @@ def _no_degrees(lat, lon):
     """Say what stands in place of degrees."""
     if not len(lat):
         return "none"
+    if np.abs(lat).max() > LARGEST_METRES:
+        return "much larger numbers: are they 1e7 to a degree? Columns of such are named latE7 and lonE7"
     if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
         return "latitudes beyond 90: are the two exchanged?"
     return "others: none, metres, or the two exchanged"
@@ -277,7 +284,6 @@ def track(
         grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
-    said += unusual(t, z)
     c = clean(
         t,
         z,
@@ -316,8 +322,6 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
         if len(rows):
             kept.append(rows[longest_in_order(time[rows])])
     rows = np.concatenate(kept) if kept else np.empty(0, dtype=int)
-    if len(rows) < FEWEST:
-        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {len(rows)} of {N}")
     unread = ~timed & np.isin(np.arange(N), list(recording.unread))
     reasons = {  # each row counts for one
         "no position on the Earth": int((~somewhere).sum()),
@@ -325,7 +329,21 @@ def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
         "a time that cannot be read": int((somewhere & unread).sum()),
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
-    return rows, {reason: count for reason, count in reasons.items() if count > 0}
+    left_out = {reason: count for reason, count in reasons.items() if count > 0}
+    if len(rows) < FEWEST:
+        got = ", ".join([f"{len(rows)} of {N}", *(f"{count} with {reason}" for reason, count in left_out.items())])
+        got += _what_ails(np.diff(time[somewhere & timed]))
+        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
+    return rows, left_out
+
+
+def _what_ails(steps):
+    """Say what is wrong with times if most steps between them are negative or zero."""
+    if len(steps) and np.mean(steps < 0) > 0.5:
+        return ": most times are before the one before them; if the file begins with the last fix, turn it round"
+    if len(steps) and np.mean(steps == 0) > 0.5:
+        return ": most times are equal to the one before them; have they lost digits (as float32)?"
+    return ""
 
 
 def _one_clock(t, segment):
@@ -378,19 +396,3 @@ def _precision(recording, rows):
         if known.mean() > 0.9 and np.ptp(sigma[rows][known]) > 0:
             return np.where(known, sigma[rows], np.median(sigma[rows][known])) ** 2, name
     return None, None
-
-
-def unusual(t: Array, z: Array) -> list[str]:
-    """Return warnings of a track that is too fast or too slow for a recorded one: it may be in other units."""
-    seconds = np.diff(t)
-    moved = np.linalg.norm(np.diff(z, axis=0), axis=1)[seconds > 0]
-    speed = float(np.quantile(moved / seconds[seconds > 0], 0.99))
-    if speed > VERY_FAST:
-        return [
-            f"ATTENTION: one step in a hundred is faster than {speed:.0f} m/s: are these seconds, degrees and metres?"
-        ]
-    if speed < VERY_SLOW:
-        return [
-            f"ATTENTION: 99 of 100 steps are slower than {speed:.1g} m/s: are the times in seconds, not milliseconds?"
-        ]
-    return []

@@ -488,3 +488,16 @@ def test_what_cannot_be_rescaled_is_refused():
         fitting.rescaled(mpt.LainiotisFilter(plane(0.2, 4.0)), z, 10)
     with pytest.raises(ValueError, match="level: needs a number in"):
         fitting.rescaled(mpt.KalmanFilter(plane(0.2, 4.0)), z, 10, level=1.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_times_that_were_forgotten_look_like_a_wild_motion_and_nothing_tells():
+    """Of every second to every fifth row: the limit of what can be known, which the guide says."""
+    make = lambda q, r: mpt.stack(*[mpt.constant_velocity(dt=1.0, q=q, r=r, P0=np.diag([1e4, 400.0]))] * 2)  # noqa: E731
+    rng = np.random.default_rng(0)
+    _, z = mpt.simulate(make(0.3, 4.0), 1500, rng)
+    rows = np.cumsum(rng.integers(1, 6, 400))
+    f = mpt.fit(make, z[rows], q=0.1, r=1.0)
+    assert f.values["q"] > 30
+    assert mpt.metrics.suspicious(f.filter, z[rows]) == {}
+    assert mpt.fit(lambda q, r: mpt.KalmanFilter(make(q, r), t=rows), z[rows], q=0.1, r=1.0).values["q"] < 0.6

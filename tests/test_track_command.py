@@ -1,9 +1,12 @@
 """`python -m mpt_helpers track`: what it prints, what it writes, what it refuses, and that it says so in words."""
 
+import gzip
+import itertools
 import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import timedelta
 from types import SimpleNamespace
 
@@ -12,7 +15,7 @@ import pytest
 from conftest import ROOT
 
 import mpt_helpers as mpt
-from mpt_helpers import cleaning, recordings, report, tracks
+from mpt_helpers import cleaning, recordings, report, track_command, tracks
 from mpt_helpers.__main__ import main
 
 RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
@@ -162,6 +165,135 @@ def test_a_csv_is_read_by_the_usual_names_of_its_columns_or_by_those_given(tmp_p
     assert found["files"][0].endswith("metres_smooth.csv")
 
 
+@pytest.mark.parametrize(
+    ("times", "why"),
+    [
+        (np.float32(1.7e9 + np.arange(1000)), "9 of 1000, 991 with a time that is not after .*have they lost digits"),
+        (np.arange(1000)[::-1], "1 of 1000, 999 with a time .*before them; if the file begins with the last fix"),
+        (np.where(np.arange(1000) < 8, np.arange(1000), np.nan), r"8 of 1000, 992 with no time$"),
+    ],
+)
+def test_why_too_few_fixes_are_left_is_told(tmp_path, times, why):
+    _, lat, lon = positions(N=1000)
+    path = tmp_path / "few.csv"
+    rows = [f"{'' if np.isnan(t) else f'{t:.0f}'},{a:.7f},{b:.7f}" for t, a, b in zip(times, lat, lon, strict=True)]
+    path.write_text("\n".join(["time,lat,lon", *rows]))
+    with pytest.raises(ValueError, match=f"few.csv: needs at least 10 fixes with a time and a position, got {why}"):
+        mpt.track(path)
+
+
+def test_the_command_reads_what_it_has_written(tmp_path, capsys):
+    z, _, _ = positions()
+    path = tmp_path / "metres.csv"
+    path.write_text("\n".join(["t,x,y", *(f"{k},{x:.3f},{y:.3f}" for k, (x, y) in enumerate(z))]))
+    assert said(capsys, path)[0] == 0
+    code, out, err = said(capsys, tmp_path / "metres_smooth.csv")
+    assert (code, err) == (0, "")
+    assert "300 fixes" in out
+
+
+def test_what_would_be_overwritten_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    z, lat, lon = positions()
+    tables = {"degrees": ("t,lat,lon", lat, lon, "gpx"), "metres": ("t,x,y", *z.T, "csv")}
+    for name, (head, first, second, kind) in tables.items():
+        path = tmp_path / f"{name}.csv"
+        rows = [f"{k},{a:.7f},{b:.7f}" for k, (a, b) in enumerate(zip(first, second, strict=True))]
+        path.write_text("\n".join([head, *rows]))
+        other = tmp_path / f"{name}_smooth.{'csv' if kind == 'gpx' else 'gpx'}"
+        other.write_text("mine")  # it does not stand in the way
+        assert said(capsys, path)[0] == 0
+        (tmp_path / f"{name}_smooth.{kind}").write_text("mine")
+        with monkeypatch.context() as patched:
+            patched.setattr(tracks, "track", None)
+            code, _, err = said(capsys, path)
+        assert code == 1
+        assert f"{name}_smooth.{kind}: exists and is not from this command" in err
+
+
+def test_a_word_beforehand_tells_time_and_memory_of_a_large_file_packed_or_not(tmp_path, capsys):
+    words = r"MB{}, some 1,0\d\d,000 fixes: about 1 min and 1\.\d GB of memory"
+    path = tmp_path / "large.gpx"
+    path.write_bytes(b" " * 101_000_000)
+    track_command._Progress(path)
+    assert re.search(words.format(""), capsys.readouterr().err)
+    packed = tmp_path / "large.gpx.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes(), 1))
+    assert packed.stat().st_size < 1e6
+    track_command._Progress(packed)
+    assert re.search(words.format(" unpacked"), capsys.readouterr().err)
+
+
+def test_help_says_what_a_pause_is(capsys):
+    with pytest.raises(SystemExit):
+        main(["track", "--help"])
+    assert "without a fix (60, or ten usual steps if these are longer)" in in_one_line(capsys.readouterr().out)
+
+
+def table(path, head, *columns):
+    rows = [",".join(map(str, each)) for each in zip(*columns, strict=True)]
+    path.write_text("\n".join([head, *rows]), encoding="utf-8")
+    return path
+
+
+CLOCK = [f"{(23 * 60 + 58 + k // 60) // 60 % 24:02d}:{(58 + k // 60) % 60:02d}:{k % 60:02d}" for k in range(300)]
+
+
+def test_a_date_and_a_time_in_two_columns_and_times_of_a_day_over_midnight_are_read(tmp_path):
+    _, lat, lon = positions()
+    dates = ["2025-05-03"] * 120 + ["2025/05/04"] * 180
+    path = tmp_path / "two.csv"
+    r = recordings.read(table(path, "Date,Time,lat,lon", dates, CLOCK, lat, lon))
+    assert recordings.moment_of(r.time[0]).isoformat() == "2025-05-03T23:58:00+00:00"
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    assert "date from 'Date'" in r.said[0]
+    r = recordings.read(table(path, "time,lat,lon", CLOCK, lat, lon))
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    assert (r.time[0], r.dated) == (recordings.microseconds("1970-01-01T23:58:00Z"), False)
+    assert "times of day without a date: they count from the first midnight" in r.said
+    whole = [f"{day}T{clock}" for day, clock in zip(dates, CLOCK, strict=True)]
+    r = recordings.read(table(path, "time,day,lat,lon", whole, dates, lat, lon))  # a date that is not needed
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    r = recordings.read(table(path, "date,lat,lon", whole, lat, lon))
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+
+
+def test_columns_of_ten_millionths_of_a_degree_are_read_by_their_names(tmp_path):
+    _, lat, lon = positions()
+    whole = [np.round(1e7 * each).astype(int) for each in (lat, lon)]
+    path = tmp_path / "e7.csv"
+    for head in ("t,latE7,lonE7", "t,latitudeE7,longitudeE7"):
+        r = recordings.read(table(path, head, range(300), *whole))
+        np.testing.assert_allclose([r.lat, r.lon], [lat, lon], atol=1e-7)
+    with pytest.raises(ValueError, match=r"are they 1e7 to a degree\? Columns of such are named latE7 and lonE7"):
+        mpt.track(table(path, "t,lat,lon", range(300), *whole))
+
+
+def test_dates_of_unknown_order_and_commas_among_commas_are_refused_with_what_was_seen(tmp_path):
+    _, lat, lon = positions()
+    path = tmp_path / "seen.csv"
+    seen = r"as '05/03/2025 23:58:00': is the day first, or the month\? Write dates as 2025-05-03"
+    times = [f"05/03/2025 {clock}" for clock in CLOCK]
+    with pytest.raises(ValueError, match=seen):
+        mpt.track(table(path, "time,lat,lon", times, lat, lon))
+    with pytest.raises(ValueError, match=seen):
+        mpt.track(table(path, "date,time,lat,lon", ["05/03/2025"] * 300, CLOCK, lat, lon))
+    quoted = [[f'"{value:.6f}"'.replace(".", ",") for value in each] for each in (lat, lon)]
+    with pytest.raises(ValueError, match=r"needs decimal points, .* got decimal commas in column 'lat', as '57,0000"):
+        mpt.track(table(path, "time,lat,lon", range(300), *quoted))
+
+
+def test_r_is_that_of_the_fixes_that_are_kept():
+    """With noise of Student's t, of so few degrees of freedom that some fixes are refused as faults."""
+    for seed in range(4):
+        z, _, _ = positions(N=1000, seed=seed)
+        rng = np.random.default_rng(seed)
+        noise = 2 * rng.standard_t(1.5, z.shape)
+        c = tracks.clean(np.arange(1000.0), z + noise)
+        assert len(c.refused) > 0
+        assert c.r == pytest.approx(4 + np.mean(noise[c.mask] ** 2), rel=0.05)
+        assert c.r < 0.5 * (4 + np.mean(noise**2))
+
+
 def test_hdop_weighs_the_fixes(tmp_path):
     z, _, _ = positions()
     hdop = np.where(np.arange(300) % 3 == 0, 5.0, 1.0)
@@ -240,6 +372,79 @@ def test_unusual_numbers_are_named_and_absurd_ones_set_no_scale(tmp_path):
     assert "not used: 1 with a time that is not after the one before" in in_one_line(mpt.track(path).report())
 
 
+SLOW = "ATTENTION: 99 of 100 steps are slower than"
+
+
+@pytest.mark.parametrize(
+    ("step", "metres", "words"),
+    [
+        (1, 1, None),
+        (1e3, 1, SLOW),  # milliseconds
+        (1, 1e-3, SLOW),  # kilometres
+        (1, 9e-6, SLOW),  # degrees
+        (1, 1e3, "ATTENTION: one step in a hundred is faster than"),  # millimetres
+        (1e3, 2, f"{SLOW} 0.03 m/s, with a fix every 1000 s"),  # a car in milliseconds
+        (4e3, 60, f"{SLOW} 0.2 m/s, with a fix every 4000 s"),  # an aircraft
+        (100, 0.3, f"{SLOW} 0.05 m/s, with a fix every 100 s"),  # a car ten times a second
+        (3600, 5 * 360, None),  # a ship
+        (3600, 60, SLOW),  # a ship that drifts: it is asked, and not refused
+        (60, 6, None),  # a walk, rarely
+    ],
+    ids=["s_m", "ms", "km", "degrees", "mm", "car_ms", "plane_ms", "10_Hz_ms", "ship", "drift", "walk"],
+)
+def test_other_units_are_asked_for_where_numbers_are_handed_in_too(step, metres, words):
+    z, _, _ = positions()
+    c = tracks.clean(step * np.arange(300.0), metres * z)
+    asked = " ".join(c.unusual)
+    assert in_one_line(c.report()).endswith(asked)
+    assert c.summary()["notes"] == c.unusual
+    if words is None:
+        assert asked == ""
+        return
+    assert words in asked
+    assert "are the times in seconds" in asked
+    assert "in metres, not" in asked
+    if words.startswith(SLOW):
+        assert "seconds, not milliseconds, and the positions in metres, not degrees or kilometres?" in asked
+
+
+def test_a_file_in_degrees_is_asked_for_its_times_only(tmp_path):
+    _, lat, lon = positions()
+    path = tmp_path / "car.csv"
+    rows = [f"{1000 * k},{place[0]:.7f},{place[1]:.7f}" for k, place in enumerate(zip(lat, lon, strict=True))]
+    path.write_text("\n".join(["t,lat,lon", *rows]))
+    c = mpt.track(path)
+    (asked,) = c.unusual
+    assert asked.endswith(", with a fix every 1000 s: are the times in seconds, not milliseconds?")
+    assert c.summary()["notes"][-1] == asked
+
+
+def test_so_many_refused_fixes_are_called_no_faults():
+    z, _, _ = positions()
+    c = tracks.clean(np.arange(300.0), z)
+    c.pieces[100:130] = -1
+    assert c.unusual == []
+    c.pieces[130] = -1
+    words = "10% of the fixes are refused. So many are hardly faults: are digits missing, or is the noise large?"
+    assert words in in_one_line(c.report())
+
+
+def test_a_track_of_too_few_digits_is_told_so():
+    z, _, _ = positions()
+    t = np.arange(300.0)
+    c = replace(tracks.clean(t, z), z=np.where(t[:, None] < 298, z[0], z))
+    assert c.unusual == ["ATTENTION: 99 of 100 fixes stand where the one before them stood: are digits missing?"]
+    with pytest.raises(ValueError, match=r"a track that moves, got 260 of 300 fixes standing .* are digits missing\?"):
+        tracks.clean(t, z.round(-2))
+
+
+def test_a_first_half_that_rests_tells_no_band():
+    z, _, _ = positions()
+    c = tracks.clean(np.arange(300.0), np.where(np.arange(300)[:, None] < 170, z[0], z))
+    assert c.band is None
+    assert c.stretches == 2
+
+
 def test_a_fix_that_is_left_out_counts_for_one_reason(tmp_path):
     """Without a time, with one that cannot be read, without a position, and without both."""
     _, lat, lon = positions()
@@ -274,6 +479,32 @@ def test_what_was_taken_from_the_file_goes_back_into_any_encoding(spoilt, capsys
     assert said(capsys, spoilt)[0] == 0
     after = tracks.gpx(spoilt.parent / "giro_smooth.gpx")
     assert [len(each.t) for each in after] == [99, 100, 100]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r"><ele>30.5</ele><time>[^<]*</time></trkpt></trkseg>", "/></trkseg>"),  # of an element without content
+        ("<trkpt lat", "<trkpt name='north > south' lat"),
+        (r'" lon="', '" note="/>" lon="'),
+    ],
+)
+def test_fixes_written_in_any_way_that_xml_allows_are_replaced_in_place(tmp_path, capsys, old, new):
+    _, lat, lon = positions()
+    lat[50] += 0.01  # an outlier, which would stand in the new file if its numbers were not found
+    lon[50] += 0.01
+    fixes = [fix(*place, k) for k, place in enumerate(zip(lat, lon, strict=True))]
+    path = tmp_path / "walk.gpx"
+    path.write_text(re.sub(old, new, gpx_of(fixes[:100], fixes[100:])), encoding="utf-8")
+    before = recordings.read_gpx(path)
+    assert said(capsys, path)[0] == 0
+    after = recordings.read_gpx(tmp_path / "walk_smooth.gpx")
+    timed = before.time != recordings.NO_TIME  # others are left out
+    np.testing.assert_array_equal(after.time, before.time[timed])
+    np.testing.assert_array_equal(after.segment, before.segment[timed])
+    for change in (after.lat - before.lat[timed], after.lon - before.lon[timed]):
+        assert -0.011 < change[50] < -0.009
+        assert np.abs(np.delete(change, 50)).max() < 2e-4
 
 
 @pytest.mark.parametrize("distance", [1e3, 150e3, 1000e3])
@@ -526,6 +757,36 @@ def test_the_picture_shows_jumps_and_the_end_and_counts_hours_of_long_tracks():
     np.testing.assert_allclose(jump, c.x[[199, 200]][:, ::2] / 1000)
     assert below.get_xlabel() == "time (h)"
     assert tracks.clean(np.arange(300.0), z).plot().axes[1].get_xlabel() == "time (min)"
+
+
+@pytest.mark.parametrize("wide", [1.0, 40.0])
+def test_all_text_of_the_picture_lies_inside_it_and_numbers_stand_apart(wide):
+    z, _, _ = positions()
+    z = 130e3 + z * [wide, 1]
+    z[50] += 9e4  # off the map
+    z[100] += [30, 60]
+    z[200:] += 1000
+    fig = tracks.clean(np.arange(300.0), z).plot()
+    fig.draw_without_rendering()
+    (legend,) = fig.legends
+    assert len(legend.get_texts()) == 6
+    texts = [legend, *legend.get_texts()]
+    for ax in fig.axes:
+        texts += [ax.xaxis.label, ax.yaxis.label, ax._left_title]
+        along, up = (
+            [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+            for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim()))
+        )
+        texts += along + up
+        ends = [each.get_window_extent() for each in along]
+        for one, following in itertools.pairwise(ends):
+            assert following.x0 - one.x1 > 4  # points of 1/100 inch
+    for each in texts:
+        extent = each.get_window_extent()
+        assert fig.bbox.x0 <= extent.x0, each
+        assert extent.x1 <= fig.bbox.x1, each
+        assert fig.bbox.y0 <= extent.y0, each
+        assert extent.y1 <= fig.bbox.y1, each
 
 
 def test_lengths_of_time_are_taken_for_what_they_are(tmp_path):
