@@ -261,7 +261,8 @@ def _constant_gain(estimator):
         return _constant_gain(estimator.first)  # its `step` asks whether the second has the same
     if isinstance(estimator, Separate):
         return block_diag(*map(_constant_gain, estimator.filters))
-    return np.full((estimator.model.n, estimator.model.m), 0.0 if estimator.optimal else np.nan)
+    n = len(estimator.P0)  # a filter that has no step raises here, by name
+    return np.full((n, estimator.model.m), 0.0 if estimator.optimal else np.nan)
 
 
 def _require_equally_far_ahead(name, first, other):
