@@ -223,8 +223,10 @@ def measurements(z: object, m: int) -> Array:
     z = real_numbers("z", z, need)
     if z.ndim not in (2, 3) or z.shape[1] != m or 0 in z.shape:
         refuse("z", need, f"shape {z.shape}")
+    if z.dtype == float:
+        return z
     with np.errstate(over="ignore"):  # a long double beyond the range of doubles becomes infinite
-        return z.astype(float, copy=False)
+        return z.astype(float)
 
 
 def no_infinity(z: np.ndarray, name: str = "z") -> None:

@@ -58,12 +58,13 @@ def estimates(estimator, epochs, x, covariances):
     # Without covariances some may. A gap is NaN, which spreads to all that follows: tracks whose last state is NaN had
     # one, and run again as columns.
     gaps = np.isnan(x[-1]).any(axis=0)
+    if not gaps.any():
+        return None
     if gaps.all():
         return _by_columns(estimator, epochs, x, covariances)
-    if gaps.any():
-        of_gaps = np.empty((*x.shape[:2], gaps.sum()))
-        _by_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
-        x[..., gaps] = of_gaps
+    of_gaps = np.empty((*x.shape[:2], gaps.sum()))
+    _by_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
+    x[..., gaps] = of_gaps
     return None
 
 
