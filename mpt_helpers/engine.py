@@ -78,7 +78,7 @@ def _columns_will_do_all(epochs, covariances):
     """
     if covariances:
         return bool(epochs.missing.any())
-    if epochs.z.shape[2] > FEW_TRACKS or not epochs.missing.any():
+    if epochs.z.shape[2] > FEW_TRACKS or epochs.complete:
         return False
     return bool(epochs.missing.any(axis=(0, 1)).all())
 

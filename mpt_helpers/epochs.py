@@ -26,6 +26,7 @@ Layout(one_column=True)
         [5.]]]), array([[ True]]))
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -93,6 +94,11 @@ class Epochs:
     def missing(self):
         """The mask of the measurements that are missing, (N, m, M)."""
         return np.isnan(self.z)
+
+    @property
+    def complete(self):
+        """Say whether nothing is missing: a NaN makes the sum of squares NaN, sooner seen than a mask."""
+        return not math.isnan(np.vdot(self.z, self.z))
 
     @property
     def differ_in_gaps_only(self):
