@@ -686,19 +686,19 @@ def drive_in_pieces(rng, acceleration):
 
 
 def test_fit_and_test_take_the_same_minutes_on_purpose(taught):
-    """Other seeds: of drives of the model 25 in 150 outside with halves, 0 in 120 without; of turning ones 29, 40 of 40."""
+    """Other seeds: with halves 25 of 150 usual drives outside, 29 of 40 turning ones; else 0 of 120, and 40 of 40."""
     says("one drive in six that the model itself had made lay outside")
-    says("On the same ten minutes hardly any did, and the turning drives were found more often")
+    says("Fitted and tested on the same ten minutes hardly any did, and the turning drives were found more often")
     rng = taught["rng"] = np.random.default_rng(21)
     outside = {}
-    usual = taught["drives"](taught["F"], taught["Q"], table1.R, 1200, 1, 48)
-    turning = [drive_in_pieces(rng, 0.3) for _ in range(24)]
-    for kind, each in {"usual": [usual[:, [i]] for i in range(48)], "turning": turning}.items():
+    usual = taught["drives"](taught["F"], taught["Q"], table1.R, 1200, 1, 30)
+    turning = [drive_in_pieces(rng, 0.3) for _ in range(12)]
+    for kind, each in {"usual": [usual[:, [i]] for i in range(30)], "turning": turning}.items():
         for steps in (1200, 600):
             places = [miss_and_range(taught, z[:steps]) for z in each]
             outside[kind, steps] = np.mean([miss < low or miss > high for miss, low, high in places])
     assert 0.06 < outside["usual", 1200] < 0.3
-    assert outside["usual", 600] <= 1 / 48
+    assert outside["usual", 600] <= 1 / 30
     assert outside["turning", 600] > outside["turning", 1200]
 
 
@@ -806,7 +806,8 @@ def test_a_mobile_that_accelerates_leaves_the_filter_of_constant_velocity_behind
     np.testing.assert_allclose(lag["ca"], 0, atol=1e-6)  # positions of 45,000 m, with some ten digits
     position, velocity = COLUMNS["cv"].steady.B[:, 0]
     assert now == pytest.approx((1 - position) / velocity)
-    says(f"a surprise of 1/{velocity:.3f} = {1 / velocity:.1f} m is needed. The gain takes {position:.3f} of that away")
+    says(f"a surprise of 1/{velocity:.3f} = {1 / velocity:.1f} m to make it grow by 1 m/s in each step")
+    says(f"The gain takes {position:.3f} of that away")
 
 
 def test_a_filter_that_meets_a_braking_car():
@@ -900,7 +901,8 @@ def test_in_percent_the_time_step_matters_and_the_velocity_does_not():
         f"10,000 steps of 0.5 s leave {percent[0]:.4f} percent without noise, and as many of 2 s leave {percent[2]:.4f}"
     )
     as_long = [100 * article.without_noise(table1.columns(dt=dt)["cv"], round(STEPS / dt))[0] for dt in (0.5, 1.0, 2.0)]
-    says(f"Runs that last equally long differ less, {as_long[0]:.4f} and {as_long[2]:.4f}")
+    says("Runs that last equally long differ less, and the paper may have meant these")
+    says(f"these: {as_long[0]:.4f} and {as_long[2]:.4f}")
 
 
 def test_two_half_steps_make_one():
