@@ -653,7 +653,7 @@ def test_the_ranges_of_the_test_are_those_of_simulated_drives(taught):
         np.testing.assert_allclose([float(n) for n in numbers], each, rtol=0.04)
     low, high = ranges[10, 1]
     assert low < float(found) < high
-    says(f"Yours has ten minutes: its {found} m lie in {printed[3][0]} to {printed[3][1]} m")
+    says(f"Yours has ten minutes: its {found} m lie in the range of pushed drives, {printed[3][0]} to {printed[3][1]} m")
     assert taught["yours"].shape == (600, 1)
 
 
@@ -723,7 +723,7 @@ def test_what_the_miss_says_of_the_fit(taught):
         for miss, low, high in (miss_and_range(taught, drive_in_pieces(rng, 0.1)[:600]) for _ in range(8))
     ]
     assert np.mean(inside) > 0.8
-    says("Below the second range: the car strays less than $Q$ allows")
+    says("Below it: the car strays less than $Q$ allows")
     F, Q = taught["F"], taught["Q"]
     calm = taught["typical_miss"](taught["drives"](F, Q / 10, 0.1, 600, 1, 300), F, Q, 0.1, 5)
     usual = taught["typical_miss"](taught["drives"](F, Q, 0.1, 600, 1, 300), F, Q, 0.1, 5)
