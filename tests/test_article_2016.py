@@ -653,7 +653,9 @@ def test_the_ranges_of_the_test_are_those_of_simulated_drives(taught):
         np.testing.assert_allclose([float(n) for n in numbers], each, rtol=0.04)
     low, high = ranges[10, 1]
     assert low < float(found) < high
-    says(f"Yours has ten minutes: its {found} m lie in the range of pushed drives, {printed[3][0]} to {printed[3][1]} m")
+    says(
+        f"Yours has ten minutes: its {found} m lie in the range of pushed drives, {printed[3][0]} to {printed[3][1]} m"
+    )
     assert taught["yours"].shape == (600, 1)
 
 
