@@ -46,6 +46,7 @@ def taught():
     for cell in article_cells:
         if cell["cell_type"] == "code" and "save_figure(" not in source(cell):
             exec(source(cell), names)
+    names["F_3"], names["Q_3"] = names["motion_3"](1.0, table1.Q)
     return names
 
 
@@ -64,7 +65,7 @@ def test_the_claim_is_told_with_the_papers_numbers():
     printed = [number for numbers in table1.PRINTED.values() for number in numbers]
     says(f"average errors of Table 1 lie between {min(printed):.3f} and {max(printed):.3f} percent")
     assert sum(each.id.startswith("table1.") and each.verdict in HOLDS for each in stored_verdicts(ARTICLE.path)) == 12
-    says("under both readings that fit its twelve averages (Part II)")  # see test_both_readings_give_all_twelve_numbers
+    says("whether its numbers are percent or fractions (Part II)")  # see test_both_readings_give_all_twelve_numbers
     assert re.search(r"it starts one step ahead +below -10\nit accelerates from 20 m/s +below -10", printed_by("tried"))
     says("Of the starts that we tried only this one gives the numbers of Table 1")
 
@@ -89,6 +90,7 @@ def test_table_1_beside_what_is_computed():
     assert max(gaps) == pytest.approx(float(rows[2][1]) - float(rows[3][1]))
     apart = [100 * (1 - table1.of_both_axes(each, STEPS) * 100 / each.printed) for each in COLUMNS.values()]
     adds("Ten of the twelve agree within 2 %")
+    says("Ten of its twelve averages come out within 2 %, and all within the scatter of runs")  # all hold, see above
     assert (np.abs(np.hstack(apart)) < 2).sum() == 10
     adds(f"For {rows[2][2]} ours is {apart[1][1]:.0f} % lower")
     adds(f"is {apart[1][0]:.0f} % apart")
@@ -101,10 +103,11 @@ def test_the_error_of_the_papers_start():
     assert f"frozen at once, as in the paper: up to {largest['cv', 0]:.0f} m off" in printed_by("start")
     measurement = np.sqrt(table1.R)
     worse = np.flatnonzero(rms("cv", 0)[0] > measurement) + 1
-    says("For twelve steps the orange filter is worse than no filter, but for one moment at step 8")
+    says("the orange filter is worse than no filter for twelve steps, but for one moment at step 8")
+    says("there its mean error passes from behind the car to ahead of it")
     assert worse.tolist() == [1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12]
     mean, _ = table1.mean_and_variance(COLUMNS["cv"], 0, 60)
-    assert mean[0, 6] > 0 > mean[0, 8]  # its error passes through zero there
+    assert mean[0, 6] > 0 > mean[0, 8]  # real minus estimated position: it passes through zero there
     says("For a dozen steps it is worse than the bare measurements")
     for axis in (0, 1):
         assert (np.flatnonzero(rms("ca", axis)[0] > measurement) + 1).tolist() == [1, 2, 3, 4, 5, 6]
@@ -129,7 +132,7 @@ def test_a_gain_that_varies_first_is_never_worse_than_a_measurement():
 
 def test_freezing_after_eight_steps_costs_nothing_once_settled(taught):
     """The gain of step eight is kept, which is not quite the limit: σ with it, by a long loop."""
-    says("That changes the typical error by less than 1 %")
+    says("To keep the gain of step eight for ever, as `track` does, changes the typical error by less than 1 %")
     for F, Q, key in (("F", "Q", "cv"), ("F_3", "Q_3", "ca")):
         F, Q = taught[F], taught[Q]
         _, gains, _ = taught["track"](np.zeros(9), F, Q, table1.R, 1e4 * np.eye(len(F)), 8)
@@ -178,6 +181,26 @@ def test_the_start_redone_by_hand():
     np.testing.assert_allclose(gains[1], [1, 1], atol=1e-4)  # so the velocity is the difference of the first two
     later = [f"{each:.2f}" for each in gains[2:, 0]]
     says(f"falls to {', '.join(later[:-1])} and {later[-1]}")
+
+
+def test_the_prediction_at_the_start():
+    """Five seconds ahead at 20 m/s, by loops over the mean error and the variance of both filters."""
+    model = COLUMNS["cv"].steady.model
+    off = {}
+    for name, gains in {
+        "paper": np.repeat(COLUMNS["cv"].steady.B[None], 60, axis=0),
+        "ours": article.FrozenLater(model, after=8).coefficients(60).B,
+    }.items():
+        ahead = np.array([1.0, 5.0])
+        mean, C, off[name] = np.array([0.0, 20.0]), np.zeros((2, 2)), []
+        for K in gains:
+            left = np.eye(2) - K @ model.H
+            mean, C = left @ model.F @ mean, left @ model.F @ C @ model.F.T @ left.T + table1.R * K @ K.T
+            off[name].append(np.sqrt((ahead @ mean) ** 2 + ahead @ C @ ahead))
+    paper, ours = off["paper"], np.array(off["ours"])
+    says("After the second measurement the prediction of the paper's filter, five seconds ahead, is")
+    says(f"five seconds ahead, is {paper[1]:.0f} m off. Ours is {ours[1]:.1f} m off, and 0.6 m from the sixth")
+    assert {f"{each:.1f}" for each in ours[5:]} == {"0.6"} != {f"{ours[4]:.1f}"}
 
 
 def test_when_a_gain_may_be_frozen():
@@ -297,6 +320,8 @@ def test_the_package_takes_over_where_the_program_froze(taught):
     )
     assert float(now) == pytest.approx(position, abs=0.1)
     assert float(later) == pytest.approx(position + 5 * velocity, abs=0.2)
+    says(f"{float(later) - float(now):.0f} m of road in the next five seconds, give or take a metre")
+    assert round(float(error_ahead)) == 1
     assert (error, error_ahead) == ("0.2", f"{sigma_by_hand('cv', 5, 1.0, 1):.1f}")
 
 
@@ -322,26 +347,25 @@ def test_the_first_ten_steps_make_most_of_each_number_under_both_readings():
 def test_the_sum_that_makes_the_first_number():
     cv, ca = (article.percent_of_position(column).cumsum() for column in COLUMNS.values())
     assert [start[-1] * STEPS for start in table1.STARTS["cv"]] == [200_000, 300_000]
-    says("positions of up to 300 km")
     says(f"The ten steps add up to {cv[9]:.1f} % (the bars are rounded). The other 9,990 add {cv[-1] - cv[9]:.1f} %")
+    says("nearly all of it the sensor's noise: so little, since they are divided by positions of up to 300 km")
     exact = 20.0 * np.arange(1, 11)
     first = 100 * np.abs(1 - COLUMNS["cv"].steady.filter(exact[:, None])[:, 0] / exact).sum()
     later = 100 * article.without_noise(COLUMNS["cv"])[0] * STEPS - first
-    says(f"nearly all of it the sensor's noise ({later:.1f} % remain without it)")
     assert later < (cv[-1] - cv[9]) / 10
     says(
-        f"At the first step {cv[0]:.0f} % of the way is missing, because the gain is {COLUMNS['cv'].steady.B[0, 0]:.3f}"
+        f"{cv[0]:.0f} % of the way is missing at the first step, because the gain is {COLUMNS['cv'].steady.B[0, 0]:.3f}"
     )
     assert cv[0] == pytest.approx(100 * (1 - COLUMNS["cv"].steady.B[0, 0]), abs=0.01)  # the noise adds next to nothing
-    says("A run twice as long would have had half of it")
+    says("a run twice as long would have had half of it")
     assert table1.of_both_axes(COLUMNS["cv"], 20_000)[0] == pytest.approx(cv[-1] / STEPS / 200, rel=0.01)
-    says("How fast the car is does not show")
+    says("It does not tell how fast the car was, since error and position both grow with the velocity")
     for velocity in (1.0, 300.0):
         other = replace(COLUMNS["cv"], starts=([0.0, velocity], [0.0, velocity]))
         np.testing.assert_allclose(article.without_noise(other), article.without_noise(COLUMNS["cv"]))
     assert "The first ten of 10,000 steps make nearly all of the average" in printed_by("sum")
     assert cv[9] / cv[-1] > 0.95
-    says(f"That makes {cv[-1]:.1f} %, and divided by 10,000 steps it is the number, {cv[-1] / STEPS:.4f} percent")
+    says(f"Together that is {cv[-1]:.1f} %. Divided by 10,000 steps it is the number, {cv[-1] / STEPS:.4f} percent")
     assert f"{cv[-1] / STEPS:.4f}" == f"{table1.PRINTED['cv'][0]}"
     says(f"The first number is {table1.PRINTED['cv'][0]} percent")
     assert f"{ca[-1] / STEPS:.4f}" == "0.0065"
@@ -455,7 +479,7 @@ def test_a_varying_step_written_out_is_that_of_the_package():
     P_right = kf.coefficients(1).P[0]
     np.testing.assert_allclose(P, [P_right[0, 0], P_right[0, 1], P_right[1, 1]], rtol=1e-12)
     says("a step at constant velocity takes 22 operations while the gain varies, and 7 once it is frozen")
-    says("freezing still saves two thirds")
+    says("Freezing still saves two thirds")
     assert pytest.approx(2 / 3, abs=0.02) == 1 - 7 / 22
 
 
@@ -504,7 +528,7 @@ def test_the_operations_are_those_of_the_papers_counts():
     assert prediction[1:] == [row, 2 * 3 - 1]
     assert kalman[1:] == [burden.value(printed, n=n, m=1) for n in (2, 3)]
     least = min(1 - frozen[i] / kalman[i] for i in (1, 2))
-    says(f"The frozen gain saves {int(100 * least)} % of the Kalman filter's operations, or more")
+    says(f"that saves {int(100 * least)} % of the Kalman filter's operations, or more")
 
 
 # The table to print instead, and the time step
@@ -539,9 +563,8 @@ def test_settled_sigma_is_that_of_a_loop(key, noise, dt):
 @pytest.mark.parametrize(("key", "make"), [("cv", "motion"), ("ca", "motion_3")])
 @pytest.mark.parametrize("pushed", [0, 1])
 def test_the_typical_error_of_the_article_is_that_of_a_loop(taught, key, make, pushed):
-    for dt in (0.5, 1.0):
-        F, Q = taught[make](dt, table1.Q)
-        own = [taught["typical_error"](F, Q, table1.R, round(ahead / dt), pushed) for ahead in (0, 1, 5)]
+    for dt in (0.5, 1.0, 2.0):  # five seconds are no whole number of steps of 2 s
+        own = [taught["typical_error"](taught[make], dt, table1.Q, table1.R, ahead, pushed) for ahead in (0, 1, 5)]
         np.testing.assert_allclose(own, [sigma_by_hand(key, each, dt, pushed) for each in (0, 1, 5)], rtol=1e-6)
 
 
@@ -549,17 +572,18 @@ def test_the_metres_of_the_article_are_those_of_loops():
     for name, noise in {"exact motion": 0, "pushed as Q says": 1}.items():
         now, *ahead = (f"{sigma_by_hand('cv', seconds, 1.0, noise):.2f}" for seconds in (0, 1, 3, 5))
         assert f"{name}: {now} m now; 1, 3 and 5 s ahead {', '.join(ahead)} m" in printed_by("sigma")
-    for key in COLUMNS:
-        exact, pushed = (sigma_by_hand(key, 5, 1.0, noise) for noise in (0, 1))
-        assert f"{exact:.2f} m in exact motion, {pushed:.2f} m if pushed" in printed_by("accelerate")
+    exact, pushed = (sigma_by_hand("cv", 5, 1.0, noise) for noise in (0, 1))
+    says(f"what the driver asked for: {exact:.2f} m, or {pushed:.2f} m if the car is pushed")
+    says("Most of the second number comes from the pushes")
+    assert pushed**2 - exact**2 > exact**2  # C is linear in Q and R: it is the sum of what each brings in
 
 
 def test_the_typical_error_of_another_sensor(taught):
     """A worse one takes more steps to settle; what is printed of it must not depend on how many are taken."""
-    F, Q = taught["motion"](0.1, table1.Q)
     for pushed in (0, 1):
         (sigma,) = article.settled_sigma(table1.columns(dt=0.1, r=25.0)["cv"], [5], pushed)
-        assert taught["typical_error"](F, Q, 25.0, 50, pushed) == pytest.approx(sigma, rel=1e-3)
+        own = taught["typical_error"](taught["motion"], 0.1, table1.Q, 25.0, 5, pushed)
+        assert own == pytest.approx(sigma, rel=1e-3)
 
 
 def test_what_to_expect_now_and_five_seconds_ahead():
@@ -571,8 +595,6 @@ def test_what_to_expect_now_and_five_seconds_ahead():
     assert f"{now:.1f}" == f"{sigma['cv', 1][0]:.1f}" == "0.2"
     says("expect 0.2 m now")
     says(f"expect {ahead:.1f} m if the velocity is exactly constant, and {pushed:.1f} m if random pushes change it")
-    says(f"now {now:.2f} m; in five seconds {ahead:.2f} m")
-    says(f"If the car is pushed, the second line says {pushed:.2f} m")
     missed = [np.hypot(sigma["cv", noise][1], np.sqrt(table1.R)) for noise in (0, 1)]
     says("a filter misses by a little more than its typical error")
     assert [f"{each:.2f}" for each in missed] == ["0.65", "1.14"]
@@ -631,6 +653,10 @@ def test_the_ranges_of_the_test_are_those_of_simulated_drives(taught):
         np.testing.assert_allclose([float(n) for n in numbers], each, rtol=0.04)
     low, high = ranges[10, 1]
     assert low < float(found) < high
+    says(
+        f"Yours has ten minutes: its {found} m lie in the range of pushed drives, {printed[3][0]} to {printed[3][1]} m"
+    )
+    assert taught["yours"].shape == (600, 1)
 
 
 def test_the_fit_of_the_article_finds_what_made_the_recording():
@@ -645,19 +671,37 @@ def model_3(q, r):
 
 
 def miss_and_range(taught, z, acceleration=False):
-    """The miss of a recording (600, 1), and the range of pushed drives by the q and R that the fit finds."""
+    """The miss of the last 600 steps of a recording, and the range of pushed drives by the fit of the first 600."""
     make = model_3 if acceleration else taught["model"]
     motion = taught["motion_3" if acceleration else "motion"]
-    q, r = mpt.fit(make, z - z[0], q=1.0, r=1.0).values.values()
+    half, other = z[:600], z[-600:]
+    q, r = mpt.fit(make, half - half[0], q=1.0, r=1.0).values.values()
     own = *motion(1.0, q), r
     usual = taught["typical_miss"](taught["drives"](*own, 600, 1, 300), *own, 5)
-    return taught["typical_miss"](z, *own, 5)[0], *np.quantile(usual, [0.025, 0.975])
+    return taught["typical_miss"](other, *own, 5)[0], *np.quantile(usual, [0.025, 0.975])
 
 
 def drive_in_pieces(rng, acceleration):
-    """Ten minutes, measured, in pieces of ten seconds, each at minus or plus this acceleration (m/s²) or at none."""
-    velocity = np.repeat(rng.choice([-acceleration, 0, acceleration], 60), 10).cumsum()
-    return velocity.cumsum()[:, None] + rng.normal(0, np.sqrt(table1.R), (600, 1))
+    """Twenty minutes, measured, in pieces of ten seconds, each at minus or plus this acceleration (m/s²) or at none."""
+    velocity = np.repeat(rng.choice([-acceleration, 0, acceleration], 120), 10).cumsum()
+    return velocity.cumsum()[:, None] + rng.normal(0, np.sqrt(table1.R), (1200, 1))
+
+
+def test_fit_and_test_take_the_same_minutes_on_purpose(taught):
+    """Other seeds: with halves 25 of 150 usual drives outside, 29 of 40 turning ones; else 0 of 120, and 40 of 40."""
+    says("one drive in six that the model itself had made lay outside")
+    says("Fitted and tested on the same ten minutes hardly any did, and the turning drives were found more often")
+    rng = taught["rng"] = np.random.default_rng(21)
+    outside = {}
+    usual = taught["drives"](taught["F"], taught["Q"], table1.R, 1200, 1, 30)
+    turning = [drive_in_pieces(rng, 0.3) for _ in range(12)]
+    for kind, each in {"usual": [usual[:, [i]] for i in range(30)], "turning": turning}.items():
+        for steps in (1200, 600):
+            places = [miss_and_range(taught, z[:steps]) for z in each]
+            outside[kind, steps] = np.mean([miss < low or miss > high for miss, low, high in places])
+    assert 0.06 < outside["usual", 1200] < 0.3
+    assert outside["usual", 600] <= 1 / 30
+    assert outside["turning", 600] > outside["turning", 1200]
 
 
 def test_what_the_miss_says_of_the_fit(taught):
@@ -667,19 +711,21 @@ def test_what_the_miss_says_of_the_fit(taught):
     says("Keep the filter that misses by less")
     says("`mpt.constant_acceleration(dt, q, r, P0=1e4 np.eye(3))` in `model`, and `motion_3` for `motion`")
     rng = taught["rng"] = np.random.default_rng(3)  # so that the order of tests does not matter
-    strong = [drive_in_pieces(rng, 0.3) for _ in range(8)]
+    strong = [drive_in_pieces(rng, 0.3)[:600] for _ in range(16)]
     above, better = [], []
     for z in strong:
         miss, _, high = miss_and_range(taught, z)
         above.append(miss > high)
         better.append(miss_and_range(taught, z, acceleration=True)[0] / miss)
     assert np.mean(above) > 0.8  # of drives that the fit describes it is one in forty
-    assert np.mean(better) < 0.97
+    says("In our drives that one missed by about 7 % less")  # 5, 8 and 8 % in three times sixteen drives
+    assert 0.90 < np.mean(better) < 0.96
     inside = [
-        low <= miss <= high for miss, low, high in (miss_and_range(taught, drive_in_pieces(rng, 0.1)) for _ in range(8))
+        low <= miss <= high
+        for miss, low, high in (miss_and_range(taught, drive_in_pieces(rng, 0.1)[:600]) for _ in range(8))
     ]
     assert np.mean(inside) > 0.8
-    says("Below the second range: the car strays less than $Q$ allows")
+    says("Below it: the car strays less than $Q$ allows")
     F, Q = taught["F"], taught["Q"]
     calm = taught["typical_miss"](taught["drives"](F, Q / 10, 0.1, 600, 1, 300), F, Q, 0.1, 5)
     usual = taught["typical_miss"](taught["drives"](F, Q, 0.1, 600, 1, 300), F, Q, 0.1, 5)
@@ -730,7 +776,7 @@ def test_a_start_that_is_known_and_another_time_step(taught):
     exact = 7.0 + 20.0 * np.arange(1, 20)
     x, _, _ = taught["track"](exact, taught["F"], taught["Q"], 0.1, 0 * taught["Q"], 1, x=np.array([[7.0], [20.0]]))
     np.testing.assert_allclose(x[:, 0, 0], exact)
-    says("for the moment one step before the first measurement and counted from that measurement")
+    says("`x` is the state one step before the first measurement, minus that measurement")
     known = {}
     for at in (-20.0, 0.0):  # one step before the first measurement, and at it
         start = np.array([[at], [20.0]])
@@ -756,27 +802,43 @@ def test_a_mobile_that_accelerates_leaves_the_filter_of_constant_velocity_behind
         lag[key] = t[-1] ** 2 / 2 - x[0], (t[-1] + 5) ** 2 / 2 - ahead
     now, ahead = lag["cv"]
     slow = t[-1] - COLUMNS["cv"].steady.filter(t[:, None] ** 2 / 2)[-1, 1]
-    says(f"and {now:.1f} m remain. It is that far behind already after some eight seconds")
-    says(f"It is also {slow:.1f} m/s too slow")
-    eighth = t[7] ** 2 / 2 - article.unknown_start(COLUMNS["cv"].steady.model).filter(t[:8, None] ** 2 / 2)[-1, 0]
-    assert eighth == pytest.approx(now, rel=0.05)
-    says("if you brake at 3 m/s² for six seconds, the filter is three times as far off, ahead of you")
-    speed = np.concatenate([np.full(60, 20.0), 20 - 3 * np.arange(1.0, 7)])
-    road = np.cumsum(speed + np.concatenate([np.zeros(60), np.full(6, 1.5)]))
-    assert speed[-1] > 0  # it has not stopped
-    ahead_of_it = COLUMNS["cv"].steady.filter(road[:, None])[-1, 0] - road[-1]
-    assert ahead_of_it == pytest.approx(3 * now, rel=0.05)
+    says(f"and {now:.1f} m remain. The filter is also {slow:.1f} m/s too slow")
     says(f"makes {now:.1f} + 5 · {slow:.1f} m, and the acceleration that it does not know adds 12.5 m: {ahead:.0f} m")
     assert now + 5 * slow + 5**2 / 2 == pytest.approx(ahead)
     np.testing.assert_allclose(lag["ca"], 0, atol=1e-6)  # positions of 45,000 m, with some ten digits
     position, velocity = COLUMNS["cv"].steady.B[:, 0]
     assert now == pytest.approx((1 - position) / velocity)
-    says(f"a surprise of 1/{velocity:.3f} = {1 / velocity:.1f} m is needed. The gain takes {position:.3f} of that away")
-    third, without = (article.settled_sigma(COLUMNS[name], [5])[0] for name in ("ca", "cv"))
-    says(f"Five seconds ahead the typical error is {third:.2f} m with it and {without:.2f} m without")
-    says("a smaller one lowers the price")
-    smaller = table1.columns(q=1e-4)["ca"]
-    assert article.settled_sigma(smaller, [5])[0] < third / 3
+    says(f"a surprise of 1/{velocity:.3f} = {1 / velocity:.1f} m to make it grow by 1 m/s in each step")
+    says(f"The gain takes {position:.3f} of that away")
+
+
+def test_a_filter_that_meets_a_braking_car():
+    speed = np.concatenate([np.full(60, 20.0), 20 - 3 * np.arange(1.0, 7)])
+    road = np.cumsum(speed + np.concatenate([np.zeros(60), np.full(6, 1.5)]))
+    assert speed[-1] > 0  # it has not stopped
+    position, velocity = COLUMNS["cv"].steady.filter(road[:, None])[-1]
+    says(f"Brake at 3 m/s²: after six seconds the filter is {position - road[-1]:.1f} m ahead of you")
+    too_far = position + 5 * velocity - (road[-1] + 5 * speed[-1])
+    says(f"If you then stop braking, its prediction is {too_far:.0f} m too far")
+
+
+def test_what_a_larger_q_and_a_third_unknown_cost():
+    """The four lines of the article: lags by the package's settled filter on an exact track, and prices by its σ."""
+    t = np.arange(1.0, 301)
+    prices, printed = [], printed_by("accelerate")
+    for key, q in (("cv", 0.01), ("cv", 1), ("ca", 0.01), ("ca", 0.0001)):
+        steady = table1.columns(q=q)[key].steady
+        x = steady.filter(t[:, None] ** 2 / 2)[-1]
+        now, later = t[-1] ** 2 / 2 - x[0], (t[-1] + 5) ** 2 / 2 - np.linalg.matrix_power(steady.model.F, 5)[0] @ x
+        price = article.settled_sigma(table1.columns(q=q)[key], [5])[0]
+        name = table1.NAMES[key]
+        (numbers,) = re.findall(rf"{name}, q = {q}: behind by (\S+) m, in 5 s by (\S+) m; price (\S+) m", printed)
+        np.testing.assert_allclose([float(each) for each in numbers], [now, later, price], atol=0.11)
+        assert numbers[2] == f"{price:.2f}"
+        prices.append(f"{price:.2f}")
+    says(f"and the price rises to {prices[1]} m")
+    says(f"{prices[2]} m for 0.01, and {prices[3]} m for 0.0001, next to nothing")
+    says("A car that changes by 1 m/s in each second asks for $q$ = 1")  # q = a²
 
 
 def test_errors_that_last_deceive_the_test_on_ones_own_recording():
@@ -807,32 +869,42 @@ def test_the_time_step_counted_in_steps_and_in_seconds():
         seconds.append(f"{later:.2f}")
         assert f"steps of {dt:g} s: {later:.2f} m" in printed_by("dt")
     adds(f"one step ahead: {one_step[0]}, {one_step[1]} and {one_step[2]} m")
-    says(f"raise the typical error five seconds ahead from {seconds[0]} to {seconds[2]} m")
-    now = [sigma_by_hand("cv", 0, dt, 0) for dt in (0.5, 2.0)]
-    says(f"The present error grows by half, from {now[0]:.2f} to {now[1]:.2f} m")
-    assert now[1] / now[0] == pytest.approx(1.5, abs=0.05)
-    says("four times as many measurements, make the error five seconds ahead smaller by a fifth at most")
-    gains = []
-    for key, noise in product(COLUMNS, (0, 1)):
-        often, seldom = (sigma_by_hand(key, 5, dt, noise) for dt in (0.5, 2.0))
-        gains.append(1 - often / seldom)
-    assert min(gains) > 0.06
-    assert 0.17 < max(gains) <= 0.2
-    says("With one that is wrong by 3 m or 10 m it is a fifth to a third, which may be worth it")
-    worse = []
-    for r, key, noise in product((9.0, 100.0), COLUMNS, (0, 1)):
-        often, seldom = (article.settled_sigma(table1.columns(dt=dt, r=r)[key], [5], noise)[0] for dt in (0.5, 2.0))
-        worse.append(1 - often / seldom)
-    assert (round(min(worse), 2), round(max(worse), 2)) == (0.18, 0.35)
+
+
+def test_what_shorter_steps_and_better_sensors_save():
+    saved, exact = {}, {}
+    for r, (name, noise) in product((0.1, 9.0, 100.0), {"exact motion": 0, "pushed as Q says": 1}.items()):
+        errors = [article.settled_sigma(table1.columns(dt=dt, r=r)["cv"], [5], noise)[0] for dt in (2.0, 1.0, 0.5)]
+        saved[r, noise], exact[r, noise] = 100 * (1 - errors[2] / errors[0]), errors[1]
+        metres = ", ".join(f"{each:.2f}" for each in errors)
+        line = f"sensor wrong by {np.sqrt(r):.2g} m, {name}: {metres} m, saves {saved[r, noise]:.0f} %"
+        assert line in printed_by("steps")
+    good, worse = ([each for (r, _), each in saved.items() if (r == 0.1) == is_good] for is_good in (True, False))
+    says(f"make the error five seconds ahead {max(good):.0f} % smaller at most")
+    says("With a sensor that is wrong by 3 m or 10 m it is a quarter to a third, which may be worth it")
+    says(
+        f"save {min(good):.0f} to {max(good):.0f} % with the good sensor, and a quarter to a third with the worse ones"
+    )
+    assert (round(min(worse)), round(max(worse))) == (24, 35)
+    often, seldom = (article.settled_sigma(table1.columns(dt=dt, q=0.001)["cv"], [5])[0] for dt in (0.5, 2.0))
+    says(f"in exact motion {100 * (1 - often / seldom):.0f} % for $q$ = 0.001 and the good sensor")
+    one, other = exact[0.1, 0], exact[100.0, 0]
+    says(
+        "One that is thirty times worse, 10 m instead of 0.32 m, makes the prediction at steps of 1 s seven times worse"
+    )
+    says(f"in exact motion: {other:.2f} m instead of {one:.2f} m")
+    assert other / one == pytest.approx(7, abs=0.1)
+    assert np.sqrt(100 / 0.1) == pytest.approx(30, rel=0.1)
 
 
 def test_in_percent_the_time_step_matters_and_the_velocity_does_not():
     percent = [100 * article.without_noise(table1.columns(dt=dt)["cv"])[0] for dt in (0.5, 1.0, 2.0)]
-    half, one, two = (f"{each:.4f}" for each in percent)
-    says(f"10,000 steps of 0.5, 1 and 2 s leave {half}, {one} and {two} percent without noise")
+    says(
+        f"10,000 steps of 0.5 s leave {percent[0]:.4f} percent without noise, and as many of 2 s leave {percent[2]:.4f}"
+    )
     as_long = [100 * article.without_noise(table1.columns(dt=dt)["cv"], round(STEPS / dt))[0] for dt in (0.5, 1.0, 2.0)]
-    half, one, two = (f"{each:.4f}" for each in as_long)
-    says(f"Where they last as long, less: {half}, {one} and {two}")
+    says("Runs that last equally long differ less, and the paper may have meant these")
+    says(f"these: {as_long[0]:.4f} and {as_long[2]:.4f}")
 
 
 def test_two_half_steps_make_one():

@@ -256,7 +256,7 @@ def draw_start(steps=25):
     plots.label_line(varying, f"the gain varies first: settles at {rms['kalman'][-1]:.2f} m", at=5, xytext=(0, -26))
     ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(table1.R)), (0, 5), textcoords="offset points", ha="right",
                 color=measured.get_color())  # fmt: skip
-    ax.set_ylabel("typical error (m)")
+    ax.set_ylabel("typical error at 20 m/s (m)")
     largest = rms["steady"].max()
     plots.label_line(frozen, f"frozen at once, as in the paper: up to {largest:.0f} m off", at=3, xytext=(10, 4))
     plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {largest:.0f} m off")
