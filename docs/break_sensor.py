@@ -72,8 +72,9 @@ SCENES = {
 # What is seen. The figure fills the same sentences with the numbers that it computes.
 SENTENCES = {
     "whole": "Every fix is there. After the start Kalman’s gain is the constant gain, and the three lines are one.",
-    "gap": "After {missing} Kalman goes {jump} of the way to the next fix instead of {rest}, and is {kalman} m off. "
-    "The constant gain stays at {rest}: {constant} m. Over many walks: typically {sigma} and {sigma_constant} m.",
+    "gap": "After {missing} Kalman trusts the next fix to {jump} instead of {rest}, and is {kalman} m off. "
+    "The constant gain stays at {rest}: {constant} m. Over many simulated walks: typically {sigma} and "
+    "{sigma_constant} m.",
     "open": "After the last fix all three filters can only predict: the band opens to ± {band} m.",
     "outlier": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "
     "Kalman’s own test, NIS, sees it ({nis}, where 1 is usual), but a filter refuses it only if it has a gate.",

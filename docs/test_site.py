@@ -250,7 +250,7 @@ def test_a_link_that_says_how_many_opens_as_many_values(visit):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_first_screen_says_what_it_is_for_whom_and_where_the_doors_are(visit, width):
     page = visit("index.html", width)
-    assert page.locator("h1").inner_text().startswith("Four papers on tracking a position, checked")
+    assert page.locator("h1").inner_text().startswith("We checked four papers on tracking a position")
     about = page.locator("p.about").inner_text()
     assert "Python package" in about
     assert "reproduced" in about

@@ -164,11 +164,12 @@ class Verdicts(list[Verdict]):
         return Tally(claims, values, causes)
 
     def checked(self) -> dict[str, int]:
-        """Return how many items there are, could be checked, hold, hold in part and fail, by short names."""
+        """Return how many items there are, were checked, could not be, hold, hold in part and fail, by short names."""
         given = Counter(each.verdict for each in self)
         hold, fail = given[REPRODUCED] + given[WITHIN_BAND], given[DIFFERS] + given[ERRATUM]
-        checked = len(self) - given[CANNOT_BE_CHECKED]
-        return {"all": len(self), "checked": checked, "hold": hold, "part": given[IN_PART], "fail": fail}
+        lost = given[CANNOT_BE_CHECKED]
+        counts = {"all": len(self), "checked": len(self) - lost, "lost": lost}
+        return counts | {"hold": hold, "part": given[IN_PART], "fail": fail}
 
     def summary(self) -> str:
         """Return the counts in one line."""
