@@ -47,7 +47,7 @@ def settled():
         (r"silence turn (0\.23) m into 10\.5 m", "run", r"states σ (0\.23)4 m"),
         (r"last measurement it is known to (10\.5) m", "parts", r"so σ = (10\.5) m"),
         (r"the (10\.5) metres are a statement", "parts", r"so σ = (10\.5) m"),
-        (r"first position has a σ of (4\.98) m, and", "missed", r"(?m)^30 +0\.32 +(4\.98)$"),
+        (r"first position has a σ of (4\.98) m\.", "missed", r"(?m)^30 +0\.32 +(4\.98)$"),
         (r"that varies, σ is (0\.32) m at once", "missed", r"(?m)^30 +(0\.32) +4\.98$"),
         (r"with the frozen gain σ is (0\.28) m after it", "missed", r"(?m)^1 +0\.27 +(0\.28)$"),
         (r"with the best gain (0\.27) m", "missed", r"(?m)^1 +(0\.27) +0\.28$"),
@@ -491,8 +491,8 @@ def test_the_frozen_filter_overshoots_from_a_wrong_start(taught):
 
 def test_the_frozen_filter_takes_the_jump_after_a_silence_for_a_speed(settled):
     """Its sigma falls and rises again. By the recursion of the covariance, without the module's formula."""
-    says("the frozen filter takes its jump back for a speed")
-    says("and nine seconds of swinging follow")
+    says("It takes the jump back to the phone for a speed, and runs past it.")
+    says("After a silence the frozen filter swings for nine seconds.")
     says("0.32 m at once, the error of one measurement")
     assert round(np.sqrt(0.1), 2) == 0.32
     P, K = settled
@@ -506,6 +506,10 @@ def test_the_frozen_filter_takes_the_jump_after_a_silence_for_a_speed(settled):
     assert sigmas[2] < sigmas[4]
     assert min(sigmas[:9]) > 1.2 * np.sqrt(settled[0][0, 0])
     assert sigmas[9] < 1.05 * np.sqrt(settled[0][0, 0])
+    varies, frozen = (line.get_ydata() for line in article.draw_swing().axes[0].lines)
+    np.testing.assert_allclose(frozen[:10], sigmas, rtol=1e-9)
+    assert f"{varies[0]:.2f}" == "0.32"
+    assert max(varies) == varies[0]
 
 
 def test_the_best_gain_after_a_gap_is_that_of_the_predicted_P(taught, settled):
