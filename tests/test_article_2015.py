@@ -113,8 +113,8 @@ def test_one_second_of_the_filter_comes_out_by_hand(settled):
     np.testing.assert_array_equal(P.round(4), [[0.0546, 0.0213], [0.0213, 0.0206]])
     says(r"$0.01\,GG^T=\begin{bmatrix}0.0025&0.005\\0.005&0.01\end{bmatrix}$")
     np.testing.assert_allclose(article.AXIS.Q, [[0.0025, 0.005], [0.005, 0.01]])
-    says(r"$$FPF^T + Q = \begin{bmatrix} 0.1178 & 0.0419 \\ 0.0419 & 0.0206 \end{bmatrix} + Q")
-    says(r"+ Q = \begin{bmatrix} 0.1203 & 0.0469 \\ 0.0469 & 0.0306 \end{bmatrix}$$")
+    says(r"$$FPF^T = \begin{bmatrix} 0.1178 & 0.0419 \\ 0.0419 & 0.0206 \end{bmatrix}$$")
+    says(r"$$FPF^T + Q = \begin{bmatrix} 0.1203 & 0.0469 \\ 0.0469 & 0.0306 \end{bmatrix}$$")
     moved, with_changes = [[0.1178, 0.0419], [0.0419, 0.0206]], [[0.1203, 0.0469], [0.0469, 0.0306]]
     np.testing.assert_array_equal((F @ P.round(4) @ F.T).round(4), moved)  # as the reader does it, from four digits
     np.testing.assert_array_equal((moved + article.AXIS.Q).round(4), with_changes)
