@@ -255,6 +255,19 @@ def silent_in_company(changes, true_changes=None, errors=None, seconds=30):
     return float(np.sqrt(P[4, 4])), float(np.sqrt(true[4, 4]))
 
 
+def after_silence(missed, steps):
+    """Return sigma of the position (steps,) after so many missed fixes: with the gain from P, and the settled gain.
+
+    >>> best, constant = after_silence(30, steps=5)
+    >>> print(best.round(2), constant.round(2))
+    [0.32 0.26 0.26 0.25 0.25] [4.98 1.45 0.56 1.29 1.36]
+    """
+    P = SteadyStateFilter.from_kalman(AXIS).P
+    for _ in range(missed):
+        P = AXIS.F @ P @ AXIS.F.T + AXIS.Q
+    return sigma_of_both(P, steps)
+
+
 def first_after(missed):
     """Return sigma of the position at the first fix after so many missed ones: (gain from P, the settled gain).
 
@@ -262,12 +275,26 @@ def first_after(missed):
     >>> print(f"{best:.2f} {constant:.2f}")
     0.31 1.25
     """
-    steady = SteadyStateFilter.from_kalman(AXIS)
-    P = steady.P
-    for _ in range(missed):
-        P = AXIS.F @ P @ AXIS.F.T + AXIS.Q
-    best, constant = sigma_of_both(P, 1)
+    best, constant = after_silence(missed, steps=1)
     return float(best[0]), float(constant[0])
+
+
+def draw_swing(missed=30, steps=15):
+    """Return a figure of sigma of the position after so many missed fixes: with the gain that varies, and frozen."""
+    k = np.arange(1, steps + 1)
+    best, constant = after_silence(missed, steps)
+    plots.use_style()
+    fig, ax = plots.panels([["sigma"]], height=2.6)
+    (varies,) = ax["sigma"].plot(k, best, "o-", color=KALMAN, markersize=4)
+    (frozen,) = ax["sigma"].plot(k, constant, "o-", color=STEADY, markersize=4)
+    plots.label_line(varies, "its gain varies", at=11, xytext=(0, 6))
+    plots.label_line(frozen, "its gain is frozen", at=5, xytext=(4, 5))
+    ax["sigma"].set_ylim(0, 5.4)
+    ax["sigma"].set_xticks([1, 5, 10, 15])
+    ax["sigma"].set_ylabel("σ of the position (m)")
+    plots.finish(ax["sigma"], f"second after {missed} s without measurements", "")
+    fig.suptitle("After a silence the frozen filter swings", x=0.02, ha="left", weight="bold")
+    return fig
 
 
 def sigma_if_errors_last(c, steps=1000):
