@@ -428,7 +428,9 @@ def other_half(cases, filtered):
                 filter, tracks = recorded.with_lasting(case.step, r, sigma, tau), recorded.windows(errors)
                 independent = recorded.white(case.step, np.nanvar(own))
                 found["white"].append(100 * recorded.judged(independent, tracks).within)
-                tuned = recorded.fit_tracker(case.step, own).filter
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # that half a day at a constant velocity has no q
+                    tuned = recorded.fit_tracker(case.step, own).filter
                 found["tuned"].append(100 * recorded.judged(tuned, tracks).within)
                 found["aware"].append(100 * recorded.judged(filter, tracks).within)
                 floor = np.sqrt(max(np.nanmean(np.square(own)) - r, 0))
