@@ -488,7 +488,7 @@ def test_the_first_screen_says_what_the_recordings_do(cases, cells):
     gained, more = found["smoothing, of one fix"], found["the mean, of the smoothed fix"]
     assert f"Smoothing, with the phases of two frequencies, took {gained[0]:.0f} to {gained[1]:.0f} % off" in first
     (less,) = re.findall(r"error of aware, against white: (.*)", printed(cells[1]))
-    assert f"It gets no better ({less}), but it says how far off it is" in first
+    assert f"It gets no better ({less} against a filter that takes errors for independent), but it says" in first
     assert f"The error of *aware* differs from that of *white* by {less}" in prose(cells[0])
     assert f"took another {more[0]:.0f} to {more[1]:.0f} %" in first
 
@@ -513,7 +513,7 @@ def test_the_first_screen_says_how_constants_from_elsewhere_do(cells):
     said += f", and in {other} % ({worst} at worst) by another station's."
     assert said in first
     white = [int(median) for median, *_ in shares["white"]]
-    assert f"A filter that takes errors for independent: {min(white)} to {max(white)} %." in first
+    assert f"Those of the other filter: {min(white)} to {max(white)} %." in first
 
 
 def test_a_filter_states_by_two_to_seven_times_too_little_and_passes_its_test(cells):
