@@ -451,17 +451,15 @@ def test_every_number_of_the_article_is_printed_by_its_cells(cases, cells):
     """Those with decimals; whole percents stand in the tests below.
 
     0.95 and 0.73 stand in the tests of the mean at rest, 0.9 in that of the mean of a day, 0.3 and 1.6 in that of the
-    fits. 2.55 and 1.55 are what two frequencies make of the ranges; 1.4 and 0.1 stand in the test of the rule for q; 1.9
-    and 0.23 are of a mean whose old fixes fade; 105.9 and its parts stand in the test of the gain; 2.0 and 2.1, 3.7 and
-    4.9, 0.94 and 1.03 in those of the biases, 0.28 in that of the mean of a day, 1.05 in that of the slip.
+    fits. 2.55 and 1.55 are what two frequencies make of the ranges; 1.4 and 0.1 stand in the test of the rule for q;
+    1.9 and 0.23 are of a mean whose old fixes fade; 105.9 and its parts stand in the test of the gain; 2.0 and 2.1,
+    3.7 and 4.9, 0.94 and 1.03 in those of the biases, 0.28 in that of the mean of a day, 1.05 in that of the slip.
     """
     faded = np.sqrt(0.1 / (2 - 0.1))  # each fix counts a tenth: the variance of such a mean is g / (2 - g)
     computed = f"{recorded.AMPLIFIED:.2f} {recorded.AMPLIFIED - 1:.2f} {faded:.2f}"
     computed += " 1.4 0.1 1.9 105.9 4.7 1.2 2.0 2.1 3.7 4.9 0.94 1.03 0.28 0.95 0.73 0.9 0.3 1.6 1.05"
     line = article.spread([recorded.newest_ratio(case.errors, 100) for case in cases.values()])
-    said = (
-        f"{printed(cells[0])} {computed} {line} {left_of_the_noise(cases)} {over_stated(cells)}"
-    )
+    said = f"{printed(cells[0])} {computed} {line} {left_of_the_noise(cases)} {over_stated(cells)}"
     for cell in cells[0]:
         if cell["cell_type"] == "markdown":
             for number in re.findall(r"(?<![\d.])\d+\.\d+(?![\d.])", source(cell)):
@@ -548,7 +546,8 @@ def test_noise_that_lasts_makes_a_walker_s_filter_no_better_than_one_fix(cells):
     # The standard error of an rms over M walks is 1 / sqrt(2 M) of it: 1.1 %.
     assert np.sqrt(np.mean(off**2)) == pytest.approx(article.walker(10.0, N=200).made, rel=0.04)
     assert article.walker(10.0).made > np.sqrt(4.7 + 1.1**2) == pytest.approx(article.walker(10.0).fix)
-    assert "Where it lasts ten seconds, the same filter is no better than one fix and does not say so" in prose(cells[0])
+    said = "Where it lasts ten seconds, the same filter is no better than one fix and does not say so"
+    assert said in prose(cells[0])
 
 
 SMOOTHED_LINE = r"smoothed over 100 s: one fix ± ([\d.]+) m, filter states ± ([\d.]+) m and makes ([\d.]+) m"
@@ -663,8 +662,8 @@ def test_the_mean_of_the_day_is_that_of_the_header(cases, cells):
     sizes = {name: np.abs(case.offset) for name, case in cases.items()}
     heights = [sizes[f"Belem, {kind}"][2] for kind in reversed(recorded.KINDS)]
     largest = max(np.max(size[:2]) for size in sizes.values())
-    said_of_them = "the largest here: {:.1f} m horizontally, and in Belem's height {:.1f} m with two frequencies and {:.1f} m"
-    assert said_of_them.format(largest, *heights) in said
+    in_height = "and in Belem's height {:.1f} m with two frequencies and {:.1f} m with one".format(*heights)
+    assert f"the largest here: {largest:.1f} m horizontally, {in_height}" in said
     assert "add 1 m on each axis, and 3 m in height with one frequency near the equator" in said
     assert (round(largest), *map(round, heights)) == (1, 1, 3)
     assert max(size[2] for name, size in sizes.items() if not name.startswith("Belem")) < heights[0]
@@ -738,8 +737,8 @@ def test_the_prose_says_what_the_fits_say(cases, cells):
     equator = list(cases).index("Belem, one frequency")
     low, high = (float(f"{each(fitted[:, :2]):.1f}") for each in (np.min, np.max))
     up = np.delete(fitted[:, 2], equator)
-    of_height = f"{up.min():.1g} to {up.max():.1f} m in height"
-    assert f"σ was {low:g} to {high:g} m horizontally, {of_height}, and {fitted[equator, 2]:.0f} m in the height" in said
+    of_height = f"{up.min():.1g} to {up.max():.1f} m in height, and {fitted[equator, 2]:.0f} m in the height of one"
+    assert f"σ was {low:g} to {high:g} m horizontally, {of_height} frequency at the equator" in said
     others = np.delete(tau.ravel(), tau.argmin())
     few = f"{tau.min():.0f} minutes on one axis, and "
     assert f"τ is known badly: {few}{article.spread(others, '{:.0f}')} on the others" in said
@@ -759,9 +758,10 @@ def test_the_newest_point_tells_the_cases_apart(cases, cells):
     left = {row[0]: float(row[2]) for row in article.memories(cases)}
     took = {row[0]: 100 * (1 - float(row[3]) / float(row[1])) for row in article.remedies(cases)}
     second, third = ([took[name] for name in took if (left[name] >= 0.9) is lasts] for lasts in (True, False))
-    assert "Where the newest point leaves 0.9 or more there is little to gain: 4 and 5 % in two of our" in prose(cells[0])
+    said = prose(cells[0])
+    assert "Where the newest point leaves 0.9 or more there is little to gain: 4 and 5 % in two of our cases" in said
     assert sorted(f"{each:.0f}" for each in second) == ["4", "5"]
-    assert "The other four gained 17 to 50 %" in prose(cells[0])
+    assert "The other four gained 17 to 50 %" in said
     assert (len(third), article.spread(third, "{:.0f}")) == (4, "17 to 50")
 
 
@@ -877,7 +877,7 @@ def test_the_example_of_the_gain_is_what_it_says(cells):
     P, H, r = np.diag([10.0**2, 1.1**2]), np.array([[1.0, 1.0]]), 4.7
     K = P @ H.T / (H @ P @ H.T + r)
     assert f"{(H @ P @ H.T + r).item():.1f}" == "105.9"
-    assert "and so begins with {:.0f} m".format(np.hypot(10, 30 * 1.0)) in said  # 30 s at a speed of 1 m/s
+    assert f"and so begins with {np.hypot(10, 30 * 1.0):.0f} m" in said  # 30 s at a speed of 1 m/s
     assert "it moves by {:.0f} % of the surprise, and $e$ by {:.0f} %".format(*100 * K[:, 0]) in said
 
 

@@ -417,8 +417,8 @@ def exchanged(cases, filtered):
 def other_half(cases, filtered):
     """Judge filters on each half of a day by constants of the other half: the percent within 2σ of all axes.
 
-    Returns {"white", "tuned", "aware", "aware, with its floor"}. With the floor a filter states at least what lasts in the half
-    that gave the constants.
+    Returns {"white", "tuned", "aware", "aware, with its floor"}. With the floor a filter states at least what lasts in
+    the half that gave the constants.
     """
     found = {name: [] for name in (*FILTERS, "aware, with its floor")}
     for name, case in cases.items():
