@@ -103,13 +103,13 @@ def draw_recorded(cases):
             ax["parts"].fill_between(LENGTHS, ratios.min(axis=0), ratios.max(axis=0), color=colour, alpha=0.6, lw=1)
     for panel in ax.values():
         panel.plot(LENGTHS, [line_sigma(n, n) for n in LENGTHS], "k:")
+        panel.text(25, 0.09, "if independent")
         panel.set_ylim(0, 1.25)
     at = 0.0
     for ratio, station in sorted(ends):
         at = max(ratio, at + 0.08)  # at the end of its curve; where two end close together, above the other
         ax["whole"].text(103, at, station, va="center")
     ax["whole"].set(xlim=(-3, 145), xticks=(0, 50, 100))
-    ax["parts"].text(25, 0.09, "if independent")
     ax["parts"].text(30, 1.14, "lasting error", color=colours["lasting"])
     ax["parts"].text(55, 0.42, "noise")
     plots.finish(ax["whole"], "fixes n fitted", "error (one fix = 1)")
@@ -133,10 +133,10 @@ def draw_stated(filtered):
         for i, (word, colour) in enumerate(FILTERS.items()):
             made, stated = (in_space(getattr(each, word), what) for what in ("error", "stated"))
             y = -j - 0.27 * i
-            panel.plot([stated, made], [y, y], "-", color=colour, lw=2)
+            panel.plot([stated, made], [y, y], "-", color=colour, lw=2, label=word if j == 0 else None)
             panel.plot(stated, y, "o", color=colour, mfc="white", ms=11)
             panel.plot(made, y, "o", color=colour, ms=5)
-            text = f"{made / stated:.1f} x" + (f" ({word})" if j == 0 else "")
+            text = f"{made / stated:.1f} x"
             panel.annotate(text, (max(made, stated), y), (10, -4), textcoords="offset points", color=colour)
             right = max(right, made, stated)
         ticks.append(
@@ -146,6 +146,7 @@ def draw_stated(filtered):
     panel.set_xlim(0, 1.18 * right)
     minutes = recorded.WINDOW * next(iter(filtered.values())).step / 60
     plots.finish(panel, "○ stated, ● made; beside: made over stated", f"error in space (m) after {minutes:.0f} minutes")
+    plots.legend_below(panel, len(FILTERS))
     return fig
 
 
@@ -301,18 +302,15 @@ def at_rest(cases, filtered):
     return AtRest(*map(np.array, (ratios, own, others)))
 
 
-def judgements(cases, filtered, chain):
-    """Return a row for each filter: how often the truth was within 2σ (%), by its own constants and by another's.
+def judgements(cases, filtered):
+    """Return a row for each filter: how often the truth was within 2σ (%), by constants of three origins.
 
-    The last row is the `smoothed_and_aware` chain. Each share is the median over all axes of all cases, and from where
-    to where it goes; other constants are those of each other station, for ranges of the same kind.
+    They are fitted to the same day, to the other half of the day, and to each other station, for ranges of the same
+    kind. Each share is the median over all axes of all cases, and from where to where it goes.
     """
-    others, rows = exchanged(cases, filtered), []
-    for word in FILTERS:
-        own = [100 * axis.within for each in filtered.values() for axis in getattr(each, word)]
-        rows.append([word, median_of(own), median_of(others[word]) if others else "-"])
-    own, other = chain.within()
-    return [*rows, ["smoothed, then aware", median_of(own), median_of(other) if other else "-"]]
+    same = {word: [100 * axis.within for each in filtered.values() for axis in getattr(each, word)] for word in FILTERS}
+    columns = same, other_half(cases, filtered), exchanged(cases, filtered)
+    return [[word, *(median_of(each[word]) if word in each else "-" for each in columns)] for word in FILTERS]
 
 
 class Chain(NamedTuple):
@@ -419,10 +417,10 @@ def exchanged(cases, filtered):
 def other_half(cases, filtered):
     """Judge filters on each half of a day by constants of the other half: the percent within 2σ of all axes.
 
-    Returns {"white", "aware", "aware, with its floor"}. With the floor a filter states at least what lasts in the half
-    that gave the constants.
+    Returns {"white", "tuned", "aware", "aware, with its floor"}. With the floor a filter states at least what lasts in
+    the half that gave the constants.
     """
-    found = {"white": [], "aware": [], "aware, with its floor": []}
+    found = {name: [] for name in (*FILTERS, "aware, with its floor")}
     for name, case in cases.items():
         halves = np.array_split(case.errors, 2)
         for j, constants in enumerate(filtered[name].fit.halves):
@@ -430,6 +428,10 @@ def other_half(cases, filtered):
                 filter, tracks = recorded.with_lasting(case.step, r, sigma, tau), recorded.windows(errors)
                 independent = recorded.white(case.step, np.nanvar(own))
                 found["white"].append(100 * recorded.judged(independent, tracks).within)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # that half a day at a constant velocity has no q
+                    tuned = recorded.fit_tracker(case.step, own).filter
+                found["tuned"].append(100 * recorded.judged(tuned, tracks).within)
                 found["aware"].append(100 * recorded.judged(filter, tracks).within)
                 floor = np.sqrt(max(np.nanmean(np.square(own)) - r, 0))
                 found["aware, with its floor"].append(100 * within_floor(filter, tracks, floor))
