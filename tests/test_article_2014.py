@@ -138,7 +138,8 @@ def test_the_usual_test_hardly_sees_the_delay():
     late, right, of_late, of_right = (each[2] for each in found)
     assert {f"{float(each):.0f}" for each in (late, right)} <= {"9", "10"}
     assert max(float(of_late), float(of_right)) == 1.4  # of 30 times Q: not far above 1
-    says(f"NIS is 277 there, {float(late):.0f} in the second row, and at most {of_right} in the third.")
+    says(f"NIS is 277 there, {float(late):.0f} to {float(right):.0f} in the second row, and")
+    says(f"and at most {of_right} in the third.")
     assert found[2][0] == "-0.07"
     says(f"| the same, filters with 30 times Q | {found[2][0]} m | {found[2][1]} | {found[3][1]} |")
     says("(Not 1, because each position already holds a part of the newest change of velocity.)")
@@ -247,12 +248,14 @@ def test_a_far_origin_is_subtracted_first(taught):
     (near,) = re.findall(r"within ([\d.]+) mm of the Kalman filter", printed_by("one-call"))
     assert float(near) < 100 * np.sqrt(settled(NOW)[2][0, 0])
     says("`in_pieces` starts at 0, give or take 10 m: subtract the first measurement that is not missing")
+    says("you write out the matrices; subtract the first measurement that is not missing, add it back")
     assert code_of("pieces").count("100 * np.eye(n)") == 1
     _, z = article_2014.walk()
     moved = taught["in_pieces"](z - z[0], 30, NOW)[:, 0] + z[0]
     far_away = taught["in_pieces"](z + 5e6 - (z[0] + 5e6), 30, NOW)[:, 0] + z[0]
     np.testing.assert_allclose(far_away, moved, rtol=0, atol=1e-6)
-    assert abs(taught["in_pieces"](z + 5e6, 30, NOW)[5, 0] - 5e6 - moved[5]) > 1000
+    for far_off in (taught["in_pieces"](z + 5e6, 30, NOW), taught["in_numbers"](z + 5e6)):
+        assert abs(far_off[5, 0] - 5e6 - moved[5]) > 1000
 
 
 def test_the_speed_of_the_simulated_track(taught):
@@ -261,7 +264,7 @@ def test_the_speed_of_the_simulated_track(taught):
     assert wanders in code_of("recording")
     says(f"Take 10,000 rows of a vehicle this time ({wanders}), of which a twentieth is missing.")
     says("(The vehicle sets out at walking pace.")
-    assert np.abs(speed[:20] - PACE).max() < 0.5
+    assert np.abs(speed[:20] - PACE).max() < 0.6
     assert np.isnan(taught["recording"]).mean() == pytest.approx(1 / 20, abs=0.005)
 
 
@@ -537,6 +540,9 @@ def test_inside_a_long_gap_only_P_warns(taught):
     }
     says("With 60 rows missing, from row 3,000 on")
     says(f"`begun_early` is {off['begun_early']:.0f} m off inside the gap")
+    of_variances = dict(taught)
+    exec(code_of("early").replace("found.append(x[:, :, 0])", "found.append(P[:, :, 0])"), of_variances)
+    assert np.sqrt(of_variances["begun_early"](z, 80, NOW)[3059, 0]) > off["begun_early"]  # had you looked at it
     x, P = np.zeros((2, 1)), 100 * np.eye(2)
     for z_k, r_k in zip(*taught["with_variances"](z[:3060]), strict=True):
         x, P = taught["step"](x, P, z_k, NOW, r_k)
