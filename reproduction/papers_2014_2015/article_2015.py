@@ -291,7 +291,7 @@ def draw_swing(missed=30, steps=15):
     plots.label_line(frozen, "its gain is frozen", at=5, xytext=(4, 5))
     ax["sigma"].set_ylim(0, 5.4)
     ax["sigma"].set_xticks([1, 5, 10, 15])
-    ax["sigma"].set_ylabel("σ of the position (m)")
+    ax["sigma"].set_ylabel("σ of the true error (m)")
     plots.finish(ax["sigma"], f"second after {missed} s without measurements", "")
     fig.suptitle("After a silence the frozen filter swings", x=0.02, ha="left", weight="bold")
     return fig
