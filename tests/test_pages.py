@@ -143,7 +143,7 @@ def test_the_home_page_says_how_many_could_be_checked_and_how_they_came_out(give
         sum(each.verdict in some for each in given) for some in (HOLDS, ("holds in part",), ("differs", "erratum"))
     ]
     said = re.search(
-        r"Of (\d+) numbers.* (\d+) hold, (\d+) hold in part, and (\d+) do not: (\d+) of those in one table.*"
+        r"of (\d+) numbers.* (\d+) hold, (\d+) hold in part, and (\d+) do not, (\d+) of these in one table.*"
         r" (\d+) more",
         about,
     )
