@@ -309,7 +309,7 @@ def draw_ahead():
     ax.set_xlim(-0.2, SECONDS + 1.9)  # room for the labels
     ax.set_xticks(range(SECONDS + 1))
     ax.set_ylabel("typical error (m)")
-    plots.finish(ax, "seconds ahead", "Five seconds ahead, most of the error comes from the pushes")
+    plots.finish(ax, "seconds ahead", "Five seconds ahead, the pushes make most of the error")
     ax.get_legend().remove()
     return fig
 
