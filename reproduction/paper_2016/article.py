@@ -306,10 +306,10 @@ def draw_ahead():
         (line,) = ax.plot(seconds, settled_sigma(column, seconds, noise), style, color=colour, label=name)
         plots.label_line(line, f"{name}:\n{line.get_ydata()[-1]:.2f} m", at=SECONDS, xytext=(6, -9))
     ax.set_ylim(0, 1.25)
-    ax.set_xlim(-0.2, SECONDS + 1.9)  # room for the labels
+    ax.set_xlim(-0.2, SECONDS + 2.3)  # room for the labels
     ax.set_xticks(range(SECONDS + 1))
     ax.set_ylabel("typical error (m)")
-    plots.finish(ax, "seconds ahead", "Five seconds ahead, the pushes make most of the error")
+    plots.finish(ax, "seconds ahead", "Five seconds ahead, the pushes double the error")
     ax.get_legend().remove()
     return fig
 
