@@ -250,7 +250,7 @@ def draw_start(steps=25):
     ax.set_yticks([0.1, 0.3, 1, 3, 10], ["0.1", "0.3", "1", "3", "10"])
     ax.minorticks_off()
     zero = rms["steady"][:10].argmin()
-    crossing = "its mean error passes\nthrough zero"
+    crossing = f"at step {k[zero]} its mean error\npasses through zero"
     ax.annotate(crossing, (k[zero], rms["steady"][zero]), (2, 52), textcoords="offset points", color=frozen.get_color(),
                 arrowprops={"arrowstyle": "-", "color": "0.6", "relpos": (0, 0)})  # fmt: skip
     plots.label_line(varying, f"the gain varies first: settles at {rms['kalman'][-1]:.2f} m", at=5, xytext=(0, -26))
@@ -292,6 +292,25 @@ def draw_sum(single=10):
     ax.set_ylim(0, 52)
     ax.set_ylabel("error / position (%)")
     plots.finish(ax, "step", f"The first ten of {STEPS:,} steps make nearly all of the average")
+    return fig
+
+
+def draw_ahead():
+    """Return a figure of σ of the predicted position at constant velocity, by seconds ahead: exact and pushed."""
+    fig, axes = plots.panels([["sigma"]], height=2.8)
+    ax = axes["sigma"]
+    colour = plots.COLOUR_OF["steady"]
+    column = table1.columns()["cv"]
+    seconds = np.arange(0, SECONDS + 0.25, 0.5)
+    for name, noise, style in (("pushed as Q says", 1, "-"), ("exact motion", 0, "--")):
+        (line,) = ax.plot(seconds, settled_sigma(column, seconds, noise), style, color=colour, label=name)
+        plots.label_line(line, f"{name}:\n{line.get_ydata()[-1]:.2f} m", at=SECONDS, xytext=(6, -9))
+    ax.set_ylim(0, 1.25)
+    ax.set_xlim(-0.2, SECONDS + 2.3)  # room for the labels
+    ax.set_xticks(range(SECONDS + 1))
+    ax.set_ylabel("typical error (m)")
+    plots.finish(ax, "seconds ahead", "Five seconds ahead, the pushes double the error")
+    ax.get_legend().remove()
     return fig
 
 
