@@ -25,7 +25,7 @@ from .algebra import LinearMap, whitened
 
 
 def corrected(x, P, z, seen, variance, i):
-    """Return x (n, c, M) and P (n, n, M) after measurements z (c, M) of component i of the state, and more.
+    """Return x (n, c, M), P (n, n, M) and the innovations at unit variance, after measurements z (c, M) of component i.
 
     seen (M,) tells where there is one, and its variance v is a number or (M,). It is the textbook's update with eᵢᵀ for
     H. With row i of P as p and S = pᵢ + v, the gain is p / S, and the new row i is p - pᵢ p / S = p v / S: that last

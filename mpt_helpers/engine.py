@@ -53,7 +53,7 @@ def estimates(estimator, epochs, x, covariances):
     if shared is None:
         return _by_columns(estimator, epochs, x, covariances)
     run_shared(shared.products, estimator.model.x0[:, None], epochs.z, x)
-    if covariances:  # no track has a gap here: those that have went by columns above
+    if covariances:  # no track has a gap here: those with gaps were sent to columns above
         return _finite(np.array([step.P for step in shared.steps])[..., None])
     # Without covariances some may. A gap is NaN, which spreads to all that follows: tracks whose last state is NaN had
     # one, and run again as columns.
@@ -88,18 +88,18 @@ def _by_columns(estimator, epochs, x, covariances):
     (N, n, M), layout = x.shape, epochs.layout
     P = np.empty((N, n, n, layout.count_of_columns(M))) if covariances else None
     for part in tiles(M, TILE if layout.one_column else TILE_OF_COVARIANCES):
-        advance, *rows_and_start = start_on_columns(estimator, layout.rows(epochs.of(part)))
+        advance, rows, x0, P0 = start_on_columns(estimator, layout.rows(epochs.of(part)))
         # Views of x and P, which `through` writes to.
         written = layout.as_columns(x[..., part]), None if P is None else layout.of_tracks(P, part)
-        last, least = through(partial(in_sequence, advance), *rows_and_start, *written)
-        if least < 0:
+        P_last, least_variance = through(partial(in_sequence, advance), rows, x0, P0, *written)
+        if least_variance < 0:
             # The variance of a state that is known exactly comes out as the rounding of zero, on either side of it.
-            careful = partial(_keeping_what_is_known, estimator.model.motion, advance)
-            last, least = through(partial(in_sequence, careful), *rows_and_start, *written)
-        if least < 0:
+            keeping_zeros = partial(_keeping_what_is_known, estimator.model.motion, advance)
+            P_last, least_variance = through(partial(in_sequence, keeping_zeros), rows, x0, P0, *written)
+        if least_variance < 0:
             need = "measurements that are not far more precise than P0 or than what is known after a gap"
             checks.refuse("z", need, "a variance below zero, by rounding")
-        _finite(last)
+        _finite(P_last)
     return P
 
 
@@ -132,7 +132,8 @@ def start_on_columns(estimator, rows):
 def on_own_columns(estimator, z):
     """Return OnColumns of the measurements z (N, m, M), with a column for each track, as a gate needs it.
 
-    Tracks that share a column share a covariance, so that a row could only be refused in all of them.
+    Tracks that share a column share a covariance, so that a row could only be refused in all of them. `as_tracks` of
+    the filter makes such a z of one track too.
     """
     return start_on_columns(estimator, Layout(one_column=False).rows(estimator.epochs_of(z)))
 
@@ -150,8 +151,10 @@ def _keeping_what_is_known(motion, advance, row, x, P):
 def in_sequence(advance, rows, x, P, takes=None):
     """Yield x(k/k), P(k/k) and the innovations of one row after the other, from x(0/0) (d, c, M) and P(0/0) (d, d, M).
 
-    The innovations (m, c, M) are at unit covariance. takes(row, innovations) is a gate: it says in which columns the
-    Row is taken, (M,) or one truth value for all. Where it is not, it counts as missing. Without a gate all are taken.
+    The innovations (m, c, M) are at unit covariance. takes(row, innovations) is a gate, called once for each Row, in
+    order: it says in which columns the Row is taken, (M,) or one truth value for all. A Row that is not taken in a
+    column counts as missing there: x and P are those without it, and the innovations are still those that were seen.
+    Without a gate all are taken.
 
     Here is one, which refuses what lies further off than 25 variances; only the second track has such a row:
 
@@ -167,7 +170,8 @@ def in_sequence(advance, rows, x, P, takes=None):
     [3. 3.] [ 0.  14.5]
     [4. 4.] [0. 0.]
 
-    Raises ValueError for a gate where tracks share a column, TypeError where there are no innovations.
+    Raises ValueError for a gate where tracks share a column, and for one that says something of another shape;
+    TypeError where there are no innovations.
     """
     if takes is not None and rows.z.shape[2] > 1:
         checks.refuse("takes", "a column for each track (on_own_columns)", f"{rows.z.shape[2]} tracks in one")
@@ -177,7 +181,11 @@ def in_sequence(advance, rows, x, P, takes=None):
             if not len(innovations):
                 got = "one whose P is not that of the best estimate (optimal = False)"
                 checks.refuse("takes", "a filter with innovations", got, TypeError)
-            refused = np.logical_not(takes(row, innovations))
+            taken = np.asarray(takes(row, innovations))
+            if taken.dtype == object or taken.shape not in ((), P.shape[2:]):
+                need = f"a gate that returns one truth value, or one for each of the {P.shape[2]} columns"
+                checks.refuse("takes", need, f"{taken.dtype} of shape {taken.shape}")
+            refused = np.logical_not(taken)
             if refused.any():
                 x_next, P_next, _ = advance(row.without(refused), x, P)
         x, P = x_next, P_next

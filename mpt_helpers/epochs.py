@@ -4,8 +4,8 @@ The conditions of an epoch are which measurements are there, how long the step b
 A filter makes `Epochs` of what it is given; what runs it afterwards knows nothing else of times and variances.
 
 Tracks lie in columns. Where all tracks share their conditions they share their covariances too, and lie in one column;
-otherwise each is a column of its own. `Epochs.layout` decides that, and nobody else; all arrays are laid out by the
-`Layout`. Here the second of two tracks misses its second measurement, so that each track is a column:
+otherwise each is a column of its own. `Epochs.layout` decides that; only a gate asks for columns of their own in any
+case. All arrays are laid out by the `Layout`. Here the second of two tracks misses its second measurement, so that each track is a column:
 
 >>> z = np.array([[1.0, 5.0], [2.0, np.nan], [3.0, 7.0]])[:, None]  # (N, m, M): 3 epochs, 1 measurement, 2 tracks
 >>> epochs = Epochs(z)

@@ -23,6 +23,7 @@ from .columns import kalman_on_columns
 from .epochs import Epochs, Rows
 from .equations import lainiotis_matrices, lainiotis_step, unit_measurements
 from .model import LinearModel
+from .motion import MISSED_ELSEWHERE, missed_by_halves
 from .recursive import RecursiveFilter
 from .steps import Step
 
@@ -162,7 +163,18 @@ class KalmanFilter(RecursiveFilter):
         t = self.t.reshape(len(self.t), -1)
         lengths = lengths_of(t, self.model.dt)
         self._require_steps_that_doubles_hold(lengths.max())
+        if self.model.powers is None:  # powers of a length lose no digits
+            self._warn_of_lost_digits(lengths)
         return lengths
+
+    def _warn_of_lost_digits(self, lengths):
+        """Warn where F and Q of the shortest or the longest step are not those of two half steps, to three digits."""
+        steps = lengths[lengths > 0]
+        for length in {steps.min(), steps.max()} if steps.size else ():
+            missed = max(missed_by_halves(self.model.motion, length))
+            if missed > MISSED_ELSEWHERE:
+                of = f"over {length * self.model.dt:.3g} s the motion's F and Q are not those of two half steps"
+                checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
 
     def _require_steps_that_doubles_hold(self, longest):
         """Raise a ValueError where the process noise of the longest step alone is too large beside R for doubles.

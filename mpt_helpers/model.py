@@ -75,6 +75,9 @@ class LinearModel(Immutable):
     ):
         if motion is not None and F is None and Q is None:
             F, Q = checked(motion)
+            for name, value in (("dt", dt), ("powers", powers)):
+                if value is not None:
+                    checks.refuse(name, "to be left out beside a motion, which has its own", f"{value}", TypeError)
             dt, powers = motion.dt, powers_of(motion)
         elif F is None or Q is None:
             lacking, other = ("F", "Q") if F is None else ("Q", "F")

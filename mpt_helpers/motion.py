@@ -34,7 +34,8 @@ array([[ 1.  ,  0.71],
        [ 3.01,  0.63],
        [19.99,  0.12]])
 
-Two steps of half a length must be one of the whole: a motion for which that does not hold is refused. One that holds
+Two steps of half a length must be one of the whole: a motion for which that does not hold over its dt is refused, and
+a filter warns where it does not hold over its shortest or longest step. One that holds
 arrays is `class Mine(Immutable, Motion)` with `@dataclass(frozen=True, eq=False)`, as those below: then models that
 have it can be compared and hashed. Mind the range of `over`: Van Loan's matrix exponential for Q overflows over gaps of
 many time constants, where P∞ - F P∞ Fᵀ, with the covariance P∞ at rest of a motion that has one, does not.
@@ -56,8 +57,9 @@ from .checks import Array
 from .immutable import Immutable
 
 # By how much two half steps of a motion may miss one whole step, relative to its size: a Q from a formula that
-# subtracts large numbers loses digits on short steps, and six of them should be left.
-MISSED = 1e-6
+# subtracts large numbers loses digits on short steps, and six of them should be left. Over other steps than the
+# motion's own dt three suffice without a warning.
+MISSED, MISSED_ELSEWHERE = 1e-6, 1e-3
 # The same for powers of the length, whose steps are a few products.
 MISSED_BY_POWERS = 1e-12
 
@@ -398,13 +400,25 @@ def checked(motion: Motion) -> tuple[Array, Array]:
     for each, many in zip((F, Q), of_many, strict=True):
         if each.shape != (n, n) or np.shape(many) != (3, n, n):
             checks.refuse("motion", need, f"shapes {each.shape} and, of 3 lengths, {np.shape(many)}")
-    (F_0, half, _), (Q_0, noise, _) = of_many
+    (F_0, *_), (Q_0, *_) = of_many
     if not np.array_equal(F_0, np.eye(n)) or Q_0.any():
         checks.refuse("motion", "F = I and Q = 0 over a step of length zero", "others")
-    sizes = _two_steps(np.abs(half), np.abs(noise))
-    for name, whole, twice, size in zip("FQ", (F, Q), _two_steps(half, noise), sizes, strict=True):
-        missed = np.abs(twice - whole)
-        if not (missed <= MISSED * size).all():
-            got = f"a {name} that they miss by {np.nanmax(missed):.3g}"
+    for name, missed in zip("FQ", missed_by_halves(motion, 1.0), strict=True):
+        if not missed <= MISSED:
+            got = f"a {name} that they miss by {missed:.2g} of its size"
             checks.refuse("motion", "two steps of half a length to be one of the whole", got)
     return F, Q
+
+
+def missed_by_halves(motion: Motion, length: float) -> tuple[float, float]:
+    """Return by how much two steps of half a length miss one of the whole: F and Q, as the largest part of an entry.
+
+    It is infinite where `over` gives no finite numbers.
+    """
+    (half, whole), (noise, of_whole) = motion.over(np.array([length / 2, length]))
+    sizes = _two_steps(np.abs(half), np.abs(noise))
+    parts = []
+    for one, two, size in zip((whole, of_whole), _two_steps(half, noise), sizes, strict=True):
+        missed = np.abs(two - one) / np.where(size > 0, size, np.finfo(float).tiny)
+        parts.append(float(missed.max()) if np.isfinite(missed).all() else np.inf)
+    return parts[0], parts[1]

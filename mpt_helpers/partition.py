@@ -11,8 +11,8 @@ for many steps as well as for one. So a long track is cut into pieces that run s
 Instead of N steps one after the other there are two runs of K rows, side by side, and N / K starts. `through` does all
 of it; what follows it are how a track is cut, where its pieces start, and whether they fit together.
 
-How a filter goes through rows is handed in: in_sequence(rows, x, P) yields x(k/k), P(k/k) and the innovations at unit
-covariance of one row after the other, from x(0/0) and P(0/0). It is `engine.in_sequence` for one filter.
+How a filter goes through rows is handed in: run_rows(rows, x, P) yields x(k/k), P(k/k) and the innovations at unit
+covariance of one row after the other, from x(0/0) and P(0/0). It is `engine.in_sequence` with a filter's `advance`.
 """
 
 import math
@@ -33,12 +33,12 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # Where pieces do not fit together, all of them run again from where the ones before ended, so many times in all. Then
 # the track is not cut.
 MOST_PASSES = 3
-# Variances along the axes of correlations that are smaller than this count as this: P rounds to some 1e-14, which is no
-# disagreement.
+# The floor of the eigenvalues of a correlation matrix, whose squares are some 1e-14: below it differences are rounding,
+# and no disagreement.
 NARROWEST = 1e-7
 
 
-def through(in_sequence, rows, x0, P0, x, P):
+def through(run_rows, rows, x0, P0, x, P):
     """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
 
     rows can be cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `epochs.Rows`. They are cut into
@@ -48,48 +48,48 @@ def through(in_sequence, rows, x0, P0, x, P):
     N, _, c, M = x.shape
     K = rows_per_piece(N, c * M)
     if K < N:
-        found = _in_pieces(in_sequence, rows, K, x0, P0, x, P)
+        found = _in_pieces(run_rows, rows, K, x0, P0, x, P)
         if found is not None:
             return found
-    _, last, least = _written(in_sequence, rows, x0, P0, x, P)
-    return last, least
+    _, P_last, least_variance = _written(run_rows, rows, x0, P0, x, P)
+    return P_last, least_variance
 
 
-def _in_pieces(in_sequence, rows, K, x0, P0, x, P):
+def _in_pieces(run_rows, rows, K, x0, P0, x, P):
     """Do what `through` does, in pieces of K rows. Returns None where the pieces do not fit together."""
     N, n, _, M = x.shape
     pieces = rows.mapped(partial(cut, K=K))
     try:
-        x_start, P_start = starts(in_sequence, pieces, count_of_pieces(N, K), x0, P0)
+        x_start, P_start = starts(run_rows, pieces, count_of_pieces(N, K), x0, P0)
     except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
         return None
     x_pieces = np.empty((K, n, *x_start.shape[1:]))
     P_pieces = None if P is None else np.empty((K, n, n, P_start.shape[2]))
     for _ in range(MOST_PASSES):
-        x_last, P_last, least = _written(in_sequence, pieces, x_start, P_start, x_pieces, P_pieces)
+        x_last, P_last, least_variance = _written(run_rows, pieces, x_start, P_start, x_pieces, P_pieces)
         x_next, P_next = next_starts(x0, x_last), next_starts(P0, P_last)
-        if least >= 0 and agree(x_start, P_start, x_next, P_next):
+        if least_variance >= 0 and agree(x_start, P_start, x_next, P_next):
             x[...] = uncut(x_pieces, N, M)
             if P is not None:
                 P[...] = uncut(P_pieces, N, M)
-            return P_last, least
+            return P_last, least_variance
         x_start, P_start = x_next, P_next
     return None
 
 
-def _written(in_sequence, rows, x0, P0, x, P):
+def _written(run_rows, rows, x0, P0, x, P):
     """Write the states to x and the covariances to P unless it is None.
 
     Returns the last of both, of all d states, and the least variance of all.
     """
     n = x.shape[1]
-    least = np.inf
-    for k, (x_k, P_k, _) in enumerate(in_sequence(rows, x0, P0)):
+    least_variance = np.inf
+    for k, (x_k, P_k, _) in enumerate(run_rows(rows, x0, P0)):
         x[k] = x_k[:n]
-        least = min(least, np.einsum("jj...->j...", P_k[:n, :n]).min())
+        least_variance = min(least_variance, np.einsum("jj...->j...", P_k[:n, :n]).min())
         if P is not None:
             P[k] = P_k[:n, :n]
-    return x_k, P_k, least
+    return x_k, P_k, least_variance
 
 
 def rows_per_piece(N, tracks):
@@ -145,7 +145,7 @@ def next_starts(start, last):
     return np.concatenate([start, last[..., :-M]], axis=-1)
 
 
-def starts(in_sequence, pieces, count, x0, P0):
+def starts(run_rows, pieces, count, x0, P0):
     """Return the start of each piece: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
 
     pieces are rows that were cut into `count` pieces, C.
@@ -165,9 +165,9 @@ def starts(in_sequence, pieces, count, x0, P0):
     exact = np.zeros((n, c + n, count * M)), np.zeros((n, n, count * M))
     exact[0][:, c:] = np.eye(n)[..., None]
     innovations = []
-    for after in in_sequence(pieces.with_tracks_of_zeros(n), *exact):
-        innovations.append(after[2])
-    x_last, P_last, _ = after
+    for x_P_and_innovations in run_rows(pieces.with_tracks_of_zeros(n), *exact):
+        innovations.append(x_P_and_innovations[2])
+    x_last, P_last, _ = x_P_and_innovations
     x, P_piece, e = (_as_matrices(each, M) for each in (x_last, P_last, np.concatenate(innovations)))
     x_piece, T = x[..., :c], x[..., c:]
     L, y = _compressed(-e[..., c:], e[..., :c])

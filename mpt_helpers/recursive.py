@@ -44,7 +44,7 @@ from .model import LinearModel
 from .smoothing import smoothed
 from .steps import SharedSteps, Step
 
-# Numbers in the covariances of a tile of tracks whose innovations are computed together: 32 MB.
+# Numbers in the covariances of a tile of tracks whose innovations, or way back, are computed together: 32 MB.
 MOST_NUMBERS = 4_000_000
 
 

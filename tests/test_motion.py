@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -399,3 +400,36 @@ def test_powers_of_ones_own_are_no_powers_of_the_length():
     assert replace(model, x0=[1, 2]).motion == Powerful(0.5, 3.0)
     assert mpt.stack(model, model).powers is None
     np.testing.assert_array_equal(model.Q, mpt.constant_velocity(0.5, 3.0, 1.0).Q)
+
+
+@dataclass(frozen=True)
+class Textbook(Motion):
+    """The velocity that is forgotten within tau, by a closed form that subtracts large numbers."""
+
+    dt: float
+    tau: float = 20.0
+
+    def over(self, length):
+        T = np.asarray(length) * self.dt
+        a = np.exp(-T / self.tau)
+        Q_ss = self.tau**2 * (T - 2 * self.tau * (1 - a) + self.tau / 2 * (1 - a**2))
+        Q_sv = self.tau**2 / 2 * (1 - 2 * a + a**2)
+        return matrices([[1, self.tau * (1 - a)], [0, a]]), matrices([[Q_ss, Q_sv], [Q_sv, self.tau / 2 * (1 - a**2)]])
+
+
+def test_a_motion_that_loses_its_digits_over_short_steps_is_warned_of():
+    """Over a second it is right to ten digits, and over a tenth of a millisecond its Q is rounding."""
+    model = mpt.LinearModel(motion=Textbook(1.0), H=[[1, 0]], R=[[1e-6]], P0=np.eye(2))
+    z = np.zeros((5, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mpt.KalmanFilter(model, t=[0.0, 1.0, 2.5, 9.0, 100.0]).filter(z)
+    with pytest.warns(UserWarning, match=r"t: over 0.0001 s the motion's F and Q are not those of two half steps, by"):
+        mpt.KalmanFilter(model, t=[0.0, 1.0, 1.0001, 2.0, 3.0]).filter(z)
+
+
+def test_a_motion_has_a_dt_and_powers_of_its_own():
+    with pytest.raises(TypeError, match=r"dt: needs to be left out beside a motion, which has its own, got 2\.0"):
+        mpt.LinearModel(motion=Forgetful(dt=1.0, tau=TAU, q=0.04), H=[[1, 0]], R=[[0.5]], dt=2.0)
+    with pytest.raises(TypeError, match="powers: needs to be left out"):
+        mpt.LinearModel(motion=Forgetful(dt=1.0, tau=TAU, q=0.04), H=[[1, 0]], R=[[0.5]], powers=[1, 0])

@@ -79,3 +79,10 @@ def test_a_gate_may_say_yes_and_no_in_any_way(yes, no):
     np.testing.assert_allclose(run[-1][0].ravel(), kf.filter(np.full((3, 1), np.nan))[-1], rtol=1e-12)
     run = list(in_sequence(*on_own_columns(kf, np.ones((3, 1, 1))), takes=lambda row, e: yes))
     np.testing.assert_allclose(run[-1][0].ravel(), kf.filter(np.ones((3, 1)))[-1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("says", [None, [True, False], np.ones((1, 1, 3), bool)], ids=["nothing", "two", "a matrix"])
+def test_a_gate_that_says_something_else_is_refused_by_name(says):
+    run = in_sequence(*on_own_columns(mpt.KalmanFilter(AXIS), np.ones((3, 1, 3))), takes=lambda row, e: says)
+    with pytest.raises(ValueError, match="takes: needs a gate that returns one truth value, or one for each of the 3"):
+        next(run)
