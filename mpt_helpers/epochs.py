@@ -5,7 +5,8 @@ A filter makes `Epochs` of what it is given; what runs it afterwards knows nothi
 
 Tracks lie in columns. Where all tracks share their conditions they share their covariances too, and lie in one column;
 otherwise each is a column of its own. `Epochs.layout` decides that; only a gate asks for columns of their own in any
-case. All arrays are laid out by the `Layout`. Here the second of two tracks misses its second measurement, so that each track is a column:
+case. All arrays are laid out by the `Layout`. Here the second of two tracks misses its second measurement, so that each
+track is a column:
 
 >>> z = np.array([[1.0, 5.0], [2.0, np.nan], [3.0, 7.0]])[:, None]  # (N, m, M): 3 epochs, 1 measurement, 2 tracks
 >>> epochs = Epochs(z)
