@@ -72,7 +72,7 @@ SCENES = {
 # What is seen. The figure fills the same sentences with the numbers that it computes.
 SENTENCES = {
     "whole": "Every fix is there. After the start Kalman’s gain is the constant gain, and the three lines are one.",
-    "gap": "After {missing} Kalman trusts the next fix to {jump} instead of {rest}, and is {kalman} m off. "
+    "gap": "After {missing} Kalman gives the next fix {jump} of the weight, not {rest}, and is {kalman} m off. "
     "The constant gain stays at {rest}: {constant} m. Over many simulated walks: typically {sigma} and "
     "{sigma_constant} m.",
     "open": "After the last fix all three filters can only predict: the band opens to ± {band} m.",

@@ -253,7 +253,7 @@ def test_the_first_screen_says_what_it_is_for_whom_and_where_the_doors_are(visit
     assert page.locator("h1").inner_text().startswith("We checked four papers on tracking a position")
     about = page.locator("p.about").inner_text()
     assert "Python package" in about
-    assert "reproduced" in about
+    assert "reproduction" in about
     for reader in ("students", "recorded track", "readers of the papers"):
         assert reader in page.locator("p.for").inner_text()
     assert page.locator(".bd-article .sd-btn").count() == 1

@@ -83,7 +83,10 @@ def made(tmp_path):
         if installed:
             (tmp_path / ".venv" / ".ok").touch()
         arguments = ["make", command, f"PY={python}", f"PYTHON={python}"]
-        run = subprocess.run(arguments, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        # Within `make test` this is a make of its own, which tells of no folder and no level.
+        alone = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
+        said = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        run = subprocess.run(arguments, cwd=tmp_path, env=alone, **said)
         lines = run.stdout.splitlines()
         calls = [line.removeprefix("called: ") for line in lines if line.startswith("called: ")]
         return run.returncode, calls, [line for line in lines if not line.startswith("make: ***")][-1]
