@@ -553,7 +553,7 @@ class Cleaned:
 
     @property
     def unusual(self) -> list[str]:
-        """What is unusual for a recorded track, in words: it may be in other units, or have too few digits."""
+        """The unusual things about a recorded track, in words: it may be in other units, or have too few digits."""
         return report.unusual(self)
 
     def report(self) -> str:

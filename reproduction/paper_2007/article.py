@@ -258,7 +258,7 @@ def changed(filtered, word, other):
 
 
 class AtRest(NamedTuple):
-    """What the mean of a window states over what it makes (axes,), and how often (%) the truth was within 2σ.
+    """The stated error of a mean at rest over the one it makes (axes,), and how often (%) the truth was within 2σ.
 
     own has one share for each axis, by its own station's constants; others has those by the constants of others.
     """
