@@ -192,7 +192,7 @@ def draw_late():
     ax["error"].annotate(
         "grey: ± 2 of the σ that the paper's filter states", (k[-1], -0.6), ha="right", va="top", color="0.3"
     )
-    (good,) = ax["error"].plot(k[found], (states[:, 0] - right)[found], "--", lw=1, color=COLOUR_OF["kalman"])
+    (good,) = ax["error"].plot(k[found], (states[:, 0] - right)[found], "--", lw=1, color="0.35")
     plots.label_line(line, "of the paper's filter", at=k[-1], xytext=(0, 16), ha="right")
     plots.label_line(good, "of the right filter", at=10, xytext=(0, 17))
     ax["error"].set_ylim(-1.3, 2.9)
