@@ -20,6 +20,8 @@ from mpt_helpers.files import write_whole
 from reproduction.ledger.tables import Table
 
 ROOT = Path(__file__).parents[2]
+TABLE = ROOT / "tests" / "mutants.md"
+HEAD = "# What was broken, and which test saw it first\n"
 LEAST = 0.95  # of the mutants must be caught
 NOT_RUN = "not run"  # what the table says of a mutant that was not tried since the code changed
 
@@ -89,23 +91,22 @@ def first_failure(project, tests):
 
 
 def table(caught):
-    """Return the summary and the table of README.md."""
+    """Return the summary and the table of mutants.md."""
     rows = []
-    for i, (mutant, test) in enumerate(caught, 1):
+    for mutant, test in caught:
         seen = test if test == NOT_RUN else f"`{test}`" if test else "**no test**"
-        rows.append((i, mutant.what, f"`{mutant.file}`", seen))
+        rows.append((mutant.what, f"`{mutant.file}`", seen))
     tried = [test for _, test in caught if test != NOT_RUN]
     summary = f"{sum(test is not None for test in tried)} of {len(tried)} are seen."
     if len(tried) < len(caught):
         summary += f" {len(caught) - len(tried)} were not run since the code changed."
-    return f"{summary}\n\n{Table(('', 'what is broken', 'where', 'seen first by'), rows).markdown()}\n"
+    return f"{summary}\n\n{Table(('what is broken', 'where', 'seen first by'), rows).markdown()}\n"
 
 
 def stored():
-    """Return what the table of README.md says each mutant was seen by: {(what, file): the text of that cell}."""
-    rows = (ROOT / "tests" / "README.md").read_text(encoding="utf-8").partition("<!-- mutants -->")[2].splitlines()
-    cells = [row.strip("| ").split(" | ") for row in rows if row.startswith("| ") and row[2].isdigit()]
-    return {(what, file.strip("`")): seen for _, what, file, seen in cells}
+    """Return what mutants.md says each mutant was seen by: {(what, file): the text of that cell}."""
+    rows = [line.strip("| ").split(" | ") for line in TABLE.read_text(encoding="utf-8").splitlines() if "| `" in line]
+    return {(what, file.strip("`")): seen for what, file, seen in rows}
 
 
 def as_stored(mutant, table):
@@ -115,10 +116,8 @@ def as_stored(mutant, table):
 
 
 def write_table(caught):
-    """Write the table of (mutant, what it was caught by) into README.md."""
-    readme = ROOT / "tests" / "README.md"
-    head = readme.read_text(encoding="utf-8").partition("<!-- mutants -->")[0]
-    write_whole(readme, f"{head}<!-- mutants -->\n{table(caught)}".encode())
+    """Write the table of (mutant, what it was caught by) into mutants.md."""
+    write_whole(TABLE, f"{HEAD}\n{table(caught)}".encode())
 
 
 def main():
