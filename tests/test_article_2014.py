@@ -142,8 +142,6 @@ def test_the_usual_test_hardly_sees_the_delay():
     says("You give it the test that filters are usually given, over a minute of the walk, and it passes.")
     (chance,) = re.findall(r"chance to see it: ([\d.]+)% in 60 steps", printed_by("late-test"))
     assert float(chance) < 6  # of a right filter it is 5 %
-    of_turns = [float(each) for each in re.findall(r"1 Q, .*mean NIS ([\d.]+)", printed_by("nis-turns"))]
-    says(f"It need not be 1: that of the walker who turns is {min(of_turns):.0f} to {max(of_turns):.0f}.")
     adds("Its NIS is a little below 1 because z(k) holds already a part of")
     assert "Its NIS is" in ARTICLE.evidence.split("### 3. ")[1].split("### 4. ")[0]
 
@@ -214,20 +212,23 @@ def test_the_table_of_walkers_is_that_of_the_evidence():
     says("On 2,000 simulated walks of each kind, 200 seconds at 1.5 m/s, this gave on average")
     rows = [re.split(r" {2,}", line) for line in printed_by("lateness").splitlines()[1:]]
     by_kind = {kind: [row for row in rows if row[0] == kind] for kind in article_2014.WALKERS}
-    del by_kind["stops every 30 s, for 30 s"]  # stands in the evidence only
+    error = by_kind["turns back every 20 s"][1][3]
+    says(f"One who turns back every 20 s does not: there the right filter errs by {error} m.")
+    for kind in ("stops every 30 s, for 30 s", "turns back every 20 s"):  # stand in the evidence, with this Q
+        del by_kind[kind]
     for kind, (late, right) in by_kind.items():
         gap = late[2].replace("-0.00", "0.00")
         of_late, of_right = (row[4].split()[0] for row in (late, right))
         says(f"| {kind} | {gap} m | {of_late} | {of_right} |")
-    error = by_kind["turns back every 20 s"][1][3]
-    says(f"One who turns back every 20 s does not: there the right filter errs by {error} m.")
+    of_30 = re.findall(r"30 Q, H = .*: gap (\S+) m, (\S+) s late, mean NIS ([\d.]+)", printed_by("nis-turns"))
+    (gap, of_late, _), (_, of_right, _) = of_30
+    says(f"| turns back every 20 s, filters with 30 Q | {gap} m | {of_late} | {of_right} |")
+    assert all(float(nis) < 4 for _, _, nis in of_30)  # the condition that the article gives
 
 
 def test_the_condition_of_the_fit_tells_who_moves():
-    right = np.sqrt(settled(NOW)[2][1, 1])
-    assert np.sqrt(settled(NEXT)[2][1, 1]) < right  # the condition of the late filter is the milder one
     says("a σ for the velocity, the root of the last entry of P.")
-    says(f"must be at least three times as large; {3 * right:.2f} m/s is enough for both")
+    says("The reported velocities (the root of their mean square) must be at least three times as large.")
     for line in printed_by("lateness").splitlines()[1:]:
         assert (float(line.split()[-1]) > 3) == (not line.startswith("never moves")), line
     for line in printed_by("lateness-slow").splitlines()[1:]:
@@ -240,16 +241,22 @@ def test_the_condition_of_the_fit_tells_who_moves():
 def test_a_stiff_filter_looks_late_too():
     """The fit alone cannot tell; NIS does."""
     thirty, one, two_fifths, hundredth, _ = (line.split() for line in printed_by("lateness-stiff").splitlines()[1:])
-    says(f"At {hundredth[4]} the right H looks {hundredth[2]} seconds late. So enlarge Q first (Part II, section 3).")
+    assert float(hundredth[2]) > 0.3
     assert float(hundredth[3]) > 3  # the velocities look real
     assert float(thirty[2]) <= float(one[2]) <= float(two_fifths[2]) < 0.1
     assert [thirty[0], two_fifths[0]] == ["30", "0.4"]
     assert 15 < float(two_fifths[4]) < 20
 
 
-def test_while_nis_is_below_20_the_fit_is_good_to_a_tenth_of_a_second():
-    """Three walkers, both H, and filters of 1 to 1/10,000 of Q: wherever NIS is below 20."""
-    says("While NIS was below 20, the fit was off by less than 0.1 s in all that we tried.")
+def test_while_nis_is_below_4_the_fit_is_good_to_a_seventh_of_a_second():
+    """Walkers who go straight, turn, stop and walk in circles; both H; filters of 1/10,000 to 30 times Q."""
+    says("While NIS was below 4, the fit was off by less than 0.15 s in all that we tried.")
+    (worst,) = re.findall(r"NIS below 4: the fit is off by at most ([\d.]+) s", printed_by("lateness-circles"))
+    assert float(worst) < 0.15
+    (late, nis) = re.findall(r"right H, Q: ([\d.]+) s late, mean NIS (\d+)", printed_by("lateness-circles"))[0]
+    says(
+        f"At {nis}, for somebody who walks in small circles, the right filter looks {late} s late. So enlarge Q first;"
+    )
     met = 0
     for kind in ("goes straight on", "turns back every 20 s", "stops every 30 s, for 30 s"):
         track = article_2014.walks(kind, 200, 200, np.random.default_rng(14))
@@ -258,9 +265,9 @@ def test_while_nis_is_below_20_the_fit_is_good_to_a_tenth_of_a_second():
                 model = mpt.LinearModel(F=article_2014.AXIS.F, H=H, Q=factor * article_2014.AXIS.Q, R=[[0.1]])
                 found = article_2014.lateness(model, *track)
                 moves = found["velocity"].min() > 3 * np.sqrt(mpt.SteadyStateFilter.from_kalman(model).P[1, 1])
-                if found["nis"] < 20 and moves:
+                if found["nis"] < 4 and moves:
                     met += 1
-                    assert abs(found["late"].mean() - right) < 0.1, (kind, factor, H)
+                    assert abs(found["late"].mean() - right) < 0.15, (kind, factor, H)
     assert met > 20
 
 
@@ -481,7 +488,7 @@ def test_the_times_of_the_article_are_the_measured_ones(line, against):
 
 def test_what_the_article_says_of_times_is_measured():
     says("let each piece pretend to know its start, and mend it afterwards: 10 times as fast, and exact.")
-    says("for recordings with gaps and more than two unknowns, in numpy; for others something simpler is faster still.")
+    says("Do so if the recording has gaps, and more than two unknowns; otherwise something simpler is faster still.")
     says("`scipy.signal.lfilter` | thousands |")
     assert 2000 < measured("lfilter") < 20_000
     for faster in ("C", "lfilter"):
@@ -621,7 +628,7 @@ def test_pieces_gain_less_with_more_unknowns(taught):
     Each measured ratio lies within 2.5 times of what is said: 1.7 times for the machine, as elsewhere, and 1.5 for what
     numpy's products of stacks cost in its various builds.
     """
-    sizes = r"about (\d+) times as fast as the loop with 4 unknowns, (\d+) with 6, and (\d+) with 12: a call has more"
+    sizes = r"about (\d+) times as fast as the loop with 4 unknowns, (\d+) with 6, and (\d+) with 12\. They save calls"
     said = re.search(sizes, ARTICLE.text)
     ratios = []
     for axes, times in zip((2, 3, 6), map(float, said.groups()), strict=True):
@@ -733,7 +740,6 @@ def test_from_which_step_on_fir_pays():
     total = burden.total(burden.fir(4, 2, M))
     equal = next(L for L, cost in several.items() if cost >= total)
     adds(f"where M is {M}, from every {equal}th.")
-    says("(A seventh filter, for whoever wants a result only now and then, is in Part II, section 6.)")
     assert printed_by("fir-count").splitlines()[-1].split()[-1] == str(equal)
 
 
@@ -749,7 +755,7 @@ def test_a_fir_filter_that_subtracts_the_oldest_measurement_leaves_out_little():
 
 
 def test_the_constant_gain_may_be_used_after_20_rows():
-    says("drop the rows in which the gain was not yet constant, here 20")
+    says("leave out the first rows, here 20, in which the gain was not yet constant")
     adds("drop so many rows that it has shrunk to a thousandth or less")
     rho, rows = re.findall(r"1 Q: ρ = ([\d.]+), a thousandth is left after (\d+) rows", printed_by("lfilter"))[0]
     assert float(rho) ** int(rows) < 1e-3 < float(rho) ** (int(rows) - 2)
