@@ -373,7 +373,7 @@ def test_the_operations_are_taken_apart_as_the_article_says():
     assert burden.total(burden.kalman_columns(2, 1, axes=1)) == small
     says("Multiplying two n × n matrices takes about $2n^3$ operations, so")
     assert burden.product(6, 6, 6) == 2 * 6**3 - 6**2
-    says("a product of the big filter costs 27 times a small one. Three small ones cost 3, a ninth.")
+    says("a product of the big filter costs 27 times a small one. Three small ones cost 3, which is a ninth.")
     assert (6 / 2) ** 3 == 27 == 3 * 9
 
 
