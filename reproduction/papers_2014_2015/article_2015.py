@@ -279,20 +279,51 @@ def first_after(missed):
     return float(best[0]), float(constant[0])
 
 
-def draw_swing(missed=30, steps=15):
-    """Return a figure of sigma of the position after so many missed fixes: with the gain that varies, and frozen."""
-    k = np.arange(1, steps + 1)
-    best, constant = after_silence(missed, steps)
+def measured_again(missed=30, shown=15, phones=30):
+    """Return errors of an estimated height after a silence (1 + shown,): with the gain from P, and the settled gain.
+
+    Of all simulated phones it is the one whose error is nearest to one sigma at the end of the silence, which is
+    the first row. Both filters begin at the known start, and in the silence both only predict.
+
+    >>> varies, frozen = measured_again()
+    >>> print(varies[:5].round(1), frozen[:5].round(1))
+    [-10.5  -0.8  -0.1   0.3   0.2] [-10.5  -5.3  -1.4   0.7   1.4]
+    """
+    settle = 30
+    silent = slice(settle, settle + missed)
+    states, measured = simulate(AXIS, settle + missed + shown, np.random.default_rng(2015), tracks=phones)
+    measured[silent] = np.nan
+    varies = KalmanFilter(AXIS).filter(measured)
+    frozen, x = varies.copy(), varies[silent.stop - 1]
+    steady = SteadyStateFilter.from_kalman(AXIS)
+    for k in range(silent.stop, len(measured)):
+        x = steady.A @ x + steady.B @ measured[k]
+        frozen[k] = x
+    errors = [(x - states)[silent.stop - 1 :, 0] for x in (varies, frozen)]
+    usual = np.argmin(np.abs(np.abs(errors[0][0]) - sigma_after(missed)))
+    return errors[0][:, usual], errors[1][:, usual]
+
+
+def draw_swing(missed=30, shown=15):
+    """Return a figure of one phone's estimated height after a silence: with the gain that varies, and frozen."""
+    k = np.arange(shown + 1)
+    errors = measured_again(missed, shown)
     plots.use_style()
-    fig, ax = plots.panels([["sigma"]], height=2.6)
-    (varies,) = ax["sigma"].plot(k, best, "o-", color=KALMAN, markersize=4)
-    (frozen,) = ax["sigma"].plot(k, constant, "o-", color=STEADY, markersize=4)
-    plots.label_line(varies, "its gain varies", at=11, xytext=(0, 6))
-    plots.label_line(frozen, "its gain is frozen", at=5, xytext=(4, 5))
-    ax["sigma"].set_ylim(0, 5.4)
-    ax["sigma"].set_xticks([1, 5, 10, 15])
-    ax["sigma"].set_ylabel("σ of the true error (m)")
-    plots.finish(ax["sigma"], f"second after {missed} s without measurements", "")
+    fig, ax = plots.panels([["error"]], height=2.8)
+    ax["error"].axhline(0, color="0.4", lw=1.0)
+    varies, frozen = (
+        ax["error"].plot(k, each, "o-", color=color, markersize=4)[0]
+        for each, color in zip(errors, (KALMAN, STEADY), strict=True)
+    )
+    past = int(np.argmax(errors[1]))
+    plots.label_line(varies, "its gain varies", at=1, xytext=(-24, 24))
+    plots.label_line(frozen, "its gain is frozen", at=1, xytext=(8, -8))
+    plots.label_line(frozen, f"{errors[1][past]:.1f} m past the phone", at=past, xytext=(14, 8))
+    ax["error"].annotate("0: where the phone is", (shown, -0.6), ha="right", va="top", color="0.3")
+    ax["error"].set_ylim(-11.5, 4)
+    ax["error"].set_xticks([0, 5, 10, 15])
+    ax["error"].set_ylabel("error of the height (m)")
+    plots.finish(ax["error"], f"second after {missed} s without measurements", "")
     fig.suptitle("After a silence the frozen filter swings", x=0.02, ha="left", weight="bold")
     return fig
 
