@@ -101,7 +101,9 @@ def test_the_numbers_of_the_scene():
     assert 8.5 < PACE / sigma < 9
     says("Given present positions it is 1.5 m behind at walking pace, nine times the error that it states")
     says(f"Its σ settles at {np.sqrt(settled(NOW)[2][0, 0]):.2f} m")
-    says(f"The 0.94 and the {np.sqrt(settled(NOW)[2][0, 0]):.2f} m are exact for a walker who obeys the model")
+    says(
+        f"The 0.94 and the {np.sqrt(settled(NOW)[2][0, 0]):.2f} m are exact for this Q and r, and a walker who obeys the model"
+    )
 
 
 def test_the_walk_of_the_picture_has_the_speed_that_is_said():
@@ -214,16 +216,11 @@ def test_the_table_of_walkers_is_that_of_the_evidence():
     by_kind = {kind: [row for row in rows if row[0] == kind] for kind in article_2014.WALKERS}
     error = by_kind["turns back every 20 s"][1][3]
     says(f"One who turns back every 20 s does not: there the right filter errs by {error} m.")
-    for kind in ("stops every 30 s, for 30 s", "turns back every 20 s"):  # stand in the evidence, with this Q
-        del by_kind[kind]
+    del by_kind["stops every 30 s, for 30 s"]  # stands in the evidence only
     for kind, (late, right) in by_kind.items():
         gap = late[2].replace("-0.00", "0.00")
         of_late, of_right = (row[4].split()[0] for row in (late, right))
         says(f"| {kind} | {gap} m | {of_late} | {of_right} |")
-    of_30 = re.findall(r"30 Q, H = .*: gap (\S+) m, (\S+) s late, mean NIS ([\d.]+)", printed_by("nis-turns"))
-    (gap, of_late, _), (_, of_right, _) = of_30
-    says(f"| turns back every 20 s, filters with 30 Q | {gap} m | {of_late} | {of_right} |")
-    assert all(float(nis) < 4 for _, _, nis in of_30)  # the condition that the article gives
 
 
 def test_the_condition_of_the_fit_tells_who_moves():
@@ -241,34 +238,44 @@ def test_the_condition_of_the_fit_tells_who_moves():
 def test_a_stiff_filter_looks_late_too():
     """The fit alone cannot tell; NIS does."""
     thirty, one, two_fifths, hundredth, _ = (line.split() for line in printed_by("lateness-stiff").splitlines()[1:])
-    assert float(hundredth[2]) > 0.3
+    says(f"With a hundredth of our Q the right filter looks {hundredth[2]} seconds late for the walker who turns back.")
     assert float(hundredth[3]) > 3  # the velocities look real
     assert float(thirty[2]) <= float(one[2]) <= float(two_fifths[2]) < 0.1
     assert [thirty[0], two_fifths[0]] == ["30", "0.4"]
     assert 15 < float(two_fifths[4]) < 20
 
 
-def test_while_nis_is_below_4_the_fit_is_good_to_a_seventh_of_a_second():
-    """Walkers who go straight, turn, stop and walk in circles; both H; filters of 1/10,000 to 30 times Q."""
-    says("While NIS was below 4, the fit was off by less than 0.15 s in all that we tried.")
-    (worst,) = re.findall(r"NIS below 4: the fit is off by at most ([\d.]+) s", printed_by("lateness-circles"))
-    assert float(worst) < 0.15
-    (late, nis) = re.findall(r"right H, Q: ([\d.]+) s late, mean NIS (\d+)", printed_by("lateness-circles"))[0]
-    says(
-        f"At {nis}, for somebody who walks in small circles, the right filter looks {late} s late. So enlarge Q first;"
-    )
-    met = 0
+def test_with_both_conditions_met_the_verdict_of_the_fit_is_right():
+    """Walkers who go straight, turn, stop and walk in circles; both H; Q and r right and wrong."""
+    says("If the answer moves by more than Δt/10, enlarge Q first.")
+    says("With both conditions met the verdict was right in all that we tried at one measurement a second")
+    printed = printed_by("lateness-circles")
+    stays, worst = re.search(r"the answer stays: (\d+) tracks, off by at most ([\d.]+) s", printed).groups()
+    assert int(stays) > 500
+    assert float(worst) < 0.5  # beyond Δt/2 the verdict would be wrong
+    moves, nis_small = re.search(r"off by up to ([\d.]+) s; ([\d.]+) s at a NIS below 4", printed).groups()
+    assert min(float(moves), float(nis_small)) > 1  # the second condition is needed, and NIS cannot replace it
+    rng, judged = np.random.default_rng(3), 0
     for kind in ("goes straight on", "turns back every 20 s", "stops every 30 s, for 30 s"):
-        track = article_2014.walks(kind, 200, 200, np.random.default_rng(14))
-        for factor in (30, 1, 0.4, 0.1, 0.03, 0.01, 1e-3, 1e-4):
-            for H, right in ((NOW, 0), (NEXT, 1)):
-                model = mpt.LinearModel(F=article_2014.AXIS.F, H=H, Q=factor * article_2014.AXIS.Q, R=[[0.1]])
-                found = article_2014.lateness(model, *track)
-                moves = found["velocity"].min() > 3 * np.sqrt(mpt.SteadyStateFilter.from_kalman(model).P[1, 1])
-                if found["nis"] < 4 and moves:
-                    met += 1
-                    assert abs(found["late"].mean() - right) < 0.15, (kind, factor, H)
-    assert met > 20
+        for pace in (0.5, 1.5, 6.0):
+            positions, _ = article_2014.walks(kind, 300, 1, rng)
+            positions = positions * pace / PACE
+            z = positions[:, None] + rng.normal(0, np.sqrt(0.1), (300, 20))
+            for factor in (1e-4, 1e-2, 1, 10):
+                for r in (0.1, 1.0, 10.0):
+                    for H, right in ((NOW, 0), (NEXT, 1)):
+                        models = [
+                            mpt.LinearModel(F=article_2014.AXIS.F, H=H, Q=more * factor * article_2014.AXIS.Q, R=[[r]])
+                            for more in (1, 10, 100)
+                        ]
+                        fits = [article_2014.lateness(model, positions, z) for model in models]
+                        sigma = np.sqrt(mpt.SteadyStateFilter.from_kalman(models[0]).P[1, 1])
+                        met = fits[0]["velocity"] > 3 * sigma
+                        for other in fits[1:]:
+                            met &= np.abs(other["late"] - fits[0]["late"]) < 0.1
+                        judged += met.sum()
+                        assert (np.abs(fits[0]["late"] - right)[met] < 0.5).all(), (kind, pace, factor, r, H)
+    assert judged > 1000
 
 
 def test_a_far_origin_is_subtracted_first(taught):
@@ -334,7 +341,7 @@ def test_part_two_has_what_part_one_refers_to():
     assert "When to take it." in section
     assert "If NIS is high only in turns" in ARTICLE.evidence.split("### 3. ")[1].split("### 4. ")[0]
     assert "def in_numbers" in code_of("in-numbers")
-    says("(Part II, section 6, has the code of these.)")
+    says("Part II, section 6, has the code of the loop in Python's numbers, and of `lfilter`.)")
     for id in ("lfilter-text", "numbers-text", "in-numbers"):
         assert source(ARTICLE.cell(id)) in "\n".join(source(cell) for cell in section_cells(6))
     says("Three exercises at the end of Part II say how far off you are.")
@@ -442,7 +449,7 @@ def test_the_best_length_of_a_piece():
     assert steps[80] < 1.01 * steps[best]  # the length that the article takes
     assert "in_pieces(recording, 80, NOW)" in code_of("same")
     assert "begun_early(recording, 80, NOW, early)" in code_of("early-tried")
-    says("The loop now takes 120 steps instead of 10,000, each of them for all 125 pieces.")
+    says("It takes 120 steps instead of 10,000")
     assert (80 + 40, 10_000 // 80) == (120, 125)
 
 
@@ -475,10 +482,10 @@ def measured(against):
 @pytest.mark.parametrize(
     ("line", "against"),
     [
-        (r"`in_pieces` \| ([\d,]+) \|", "in pieces"),
-        (r"`KalmanFilter\(model\).filter\(z\)` \| ([\d,]+) \|", "this package"),
-        (r"plain loop in Python numbers \| ([\d,]+) \|", "Python numbers"),
-        (r"the same loop in C \| ([\d,]+) \|", "C"),
+        (r"\| ([\d,]+) \| pieces that pretend", "in pieces"),
+        (r"\| ([\d,]+) \| our package", "this package"),
+        (r"\| ([\d,]+) \| the plain loop in Python's own numbers", "Python numbers"),
+        (r"\| ([\d,]+) \| the same loop in C", "C"),
     ],
 )
 def test_the_times_of_the_article_are_the_measured_ones(line, against):
@@ -487,9 +494,9 @@ def test_the_times_of_the_article_are_the_measured_ones(line, against):
 
 
 def test_what_the_article_says_of_times_is_measured():
-    says("let each piece pretend to know its start, and mend it afterwards: 10 times as fast, and exact.")
-    says("Do so if the recording has gaps, and more than two unknowns; otherwise something simpler is faster still.")
-    says("`scipy.signal.lfilter` | thousands |")
+    says("Let each piece pretend to know its start, and mend it afterwards: that is exact, and 10 times as fast here.")
+    says("(For some recordings there is something simpler and faster: the table at the end.)")
+    says("| thousands | constant gain, `scipy.signal.lfilter` |")
     assert 2000 < measured("lfilter") < 20_000
     for faster in ("C", "lfilter"):
         assert measured(faster) / measured("in pieces") > 60
@@ -503,9 +510,9 @@ def test_what_the_article_says_of_times_is_measured():
     )
     assert 1 / ROUGHLY < four["ratio"] / float(said) < ROUGHLY
     says(f"others may differ by {ROUGHLY} times")
-    says("A plain loop in numpy filters 10,000 rows in a fraction of a second.")
+    says("| 1 | the plain loop in numpy | less than some thousand rows |")
     (plain,) = (row for row in RESULTS["rows"] if row["against"].endswith("plain loop of numpy"))
-    assert 50 < plain["against_ms"] < 500
+    assert plain["against_ms"] * 3000 / 10_000 < 200  # ms: 3,000 rows take a blink
 
 
 def test_pieces_that_begin_early_are_some_two_times_as_fast_as_the_runner(taught):
@@ -515,15 +522,16 @@ def test_pieces_that_begin_early_are_some_two_times_as_fast_as_the_runner(taught
     """
     z = taught["recording"]
     times = best_times({way: partial(taught[way], z, 80, NOW) for way in ("in_pieces", "begun_early")}, 25)
-    (said,) = re.findall(r"`begun_early` \| (\d+) \|", ARTICLE.text)
-    says(f"Let each piece begin 40 rows early: in numpy, that is {said} times as fast.")
+    (said,) = re.findall(r"\| (\d+) \| pieces begun early", ARTICLE.text)
+    says(f"then let each piece begin 40 rows early, and it is {said} times.")
+    says("it is twice as fast as the relay")
     assert 1 / 2.5 < measured("in pieces") * times["in_pieces"] / times["begun_early"] / float(said) < 2.5
 
 
 def test_pieces_that_begin_early_forget_their_start(taught):
     says("forty are exact to a thousandth of a millimetre")
     says("So let each piece begin 40 rows early")
-    says("Twenty rows would do here")
+    says("Twenty rows would do here, and")
     off = {
         early: np.abs(taught["begun_early"](taught["recording"], 80, NOW, early) - taught["plain"])
         for early in (20, 40)
@@ -543,46 +551,44 @@ def test_where_pieces_that_begin_early_fail(taught):
     assert 0.5 < off / sigma < 0.6
     tunnel = taught["recording"].copy()
     tunnel[4919:4970] = np.nan  # piece 62 begins at row 4960, and its early rows at 4920
-    assert np.abs(taught["begun_early"](tunnel, 80, NOW) - taught["one_by_one"](tunnel, NOW))[4960:4970, 0].min() > 1000
+    with pytest.raises(AssertionError, match="too few measurements before it: take in_pieces"):
+        taught["begun_early"](tunnel, 80, NOW)
     np.testing.assert_allclose(
         taught["in_pieces"](tunnel, 80, NOW), taught["one_by_one"](tunnel, NOW), rtol=0, atol=1e-8
     )
 
 
-def test_most_of_the_early_rows_may_be_missing_at_random_but_not_all(taught):
-    """The rms over many pieces of their largest error, without 35 of the 40 rows before them."""
-    adds("Without 35 of the 40, at random, a piece is a centimetre off.")
-    off = []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        first = 80 * rng.integers(5, 120)
-        rows = np.arange(first - 40, first)
-        z = taught["recording"][: first + 80].copy()
-        z[rows] = taught["complete"][rows]
-        z[rng.permutation(rows)[:35]] = np.nan
-        early, exact = (taught[way](z, 80, NOW)[first:, 0] for way in ("begun_early", "in_pieces"))
-        off.append(np.abs(early - exact).max())
-    assert 0.005 < np.sqrt(np.mean(np.square(off))) < 0.02
+@pytest.mark.parametrize("length", [25, 45, 60, 75, 90, 150])
+def test_pieces_that_begin_early_are_right_across_a_gap_or_refuse_it(taught, length):
+    """Wherever the gap begins: within 5 cm of the loop, which is a fifth of σ, in each row of the recording."""
+    refused = 0
+    for first in range(2000, 2080, 5):
+        z = taught["recording"][:3000].copy()
+        z[first : first + length] = np.nan
+        try:
+            x = taught["begun_early"](z, 80, NOW)
+        except AssertionError:
+            refused += 1
+            continue
+        assert np.abs(x - taught["one_by_one"](z, NOW))[40:, 0].max() < 0.05
+    assert (refused == 16) == (length >= 90)
+    assert refused or length < 45
 
 
-def test_inside_a_long_gap_only_P_warns(taught):
-    z = taught["recording"].copy()
-    z[3000:3060] = np.nan
-    off = {
-        way: np.abs(estimates[3000:3060, 0] - taught["walked"][3000:3060]).max()
-        for way, estimates in {
-            "begun_early": taught["begun_early"](z, 80, NOW),
-            "plain": taught["one_by_one"](z, NOW),
-        }.items()
-    }
-    adds(f"with 60 rows missing, from row 3,000 on, `begun_early` is {off['begun_early']:.0f} m off,")
-    of_variances = dict(taught)
-    exec(code_of("early").replace("found.append(x[:, :, 0])", "found.append(P[:, :, 0])"), of_variances)
-    assert np.sqrt(of_variances["begun_early"](z, 80, NOW)[3059, 0]) > off["begun_early"]  # had you looked at it
-    x, P = np.zeros((2, 1)), 100 * np.eye(2)
-    for z_k, r_k in zip(*taught["with_variances"](z[:3060]), strict=True):
-        x, P = taught["step"](x, P, z_k, NOW, r_k)
-    adds(f"the plain loop {off['plain']:.0f} m, and its σ says {np.sqrt(P[0, 0]):.0f} m.")
+def test_a_step_takes_a_stack_of_recordings_and_of_models(taught):
+    says("A hundred recordings, or a hundred values of Q to be tried, need no pieces either")
+    z = np.stack([taught["complete"][:40], taught["complete"][40:80]])
+    factors = np.array([1.0, 30.0]).reshape(2, 1, 1)
+    stack = taught | {"Q": None}
+    exec(code_of("kalman-step"), stack)
+    stack["Q"] = factors * taught["Q"]
+    x, P = np.zeros((2, 2, 1)), np.tile(100 * np.eye(2), (2, 1, 1))
+    for z_k in z.T:
+        x, P = stack["step"](x, P, z_k.reshape(2, 1, 1), NOW)
+    for i, factor in enumerate(factors.ravel()):
+        model = mpt.LinearModel(F=taught["F"], H=NOW, Q=factor * taught["Q"], R=[[0.1]], P0=100 * np.eye(2))
+        expected = mpt.KalmanFilter(model).filter(z[i][:, None])[-1]
+        np.testing.assert_allclose(x[i, :, 0], expected, rtol=1e-9)
 
 
 def test_the_loop_in_plain_numbers_is_the_loop(taught):
@@ -594,7 +600,7 @@ def test_the_loop_in_plain_numbers_takes_the_time_of_the_table(taught):
     """To a factor of 2: the benchmark's loop is written a little differently, and it was 47 times elsewhere."""
     z = taught["recording"][:1000]
     times = best_times({"loop": partial(taught["one_by_one"], z, NOW), "numbers": partial(taught["in_numbers"], z)}, 25)
-    (said,) = re.findall(r"plain loop in Python numbers \| (\d+) \|", ARTICLE.text)
+    (said,) = re.findall(r"\| (\d+) \| the plain loop in Python's own numbers", ARTICLE.text)
     assert 1 / 2 < times["loop"] / times["numbers"] / float(said) < 2
 
 
@@ -628,7 +634,7 @@ def test_pieces_gain_less_with_more_unknowns(taught):
     Each measured ratio lies within 2.5 times of what is said: 1.7 times for the machine, as elsewhere, and 1.5 for what
     numpy's products of stacks cost in its various builds.
     """
-    sizes = r"about (\d+) times as fast as the loop with 4 unknowns, (\d+) with 6, and (\d+) with 12\. They save calls"
+    sizes = r"about (\d+) times as fast as the loop with 4 unknowns, (\d+) with 6, and (\d+) with 12\."
     said = re.search(sizes, ARTICLE.text)
     ratios = []
     for axes, times in zip((2, 3, 6), map(float, said.groups()), strict=True):
@@ -691,9 +697,11 @@ def test_a_pretended_piece_overshoots():
 
 def test_one_piece_ends_where_the_loop_does():
     lines = printed_by("one-piece").splitlines()
-    pretended, end, loop = (re.search(r"[\d.]+(?= m)", line)[0] for line in lines[2:])
+    pretended, left, end, loop = (float(re.search(r"(-?[\d.]+) m", line.split("start ")[-1])[1]) for line in lines[2:])
     assert end == loop
-    assert abs(float(pretended) - float(loop)) > 1
+    assert abs(pretended - loop) > 1
+    says("After five rows little was left of a metre more at the start")
+    assert abs(left) < 0.2
     before, after = (float(re.search(r"give or take ([\d.]+)", line)[1]) for line in lines[:2])
     assert after < before
 
@@ -774,7 +782,10 @@ def test_what_is_printed_wrong_is_what_the_verdicts_say():
     legible = [each for each in stored_verdicts(ARTICLE.path) if each.id.startswith("table4.") and each.printed != "?"]
     totals = [each for each in wrong if each.id.startswith("table3.")]
     assert len(totals) == 2
-    says("Some operation counts (Part II, sections 5 and 6). They change no advice given here.")
+    says(
+        "Some operation counts, and most of Table 4 with them (Part II, sections 5 and 6). "
+        "They change no advice given here."
+    )
     found = re.findall(r"\w+ [AB]: \[(\d+)\]; Table 3 prints \d+, counted (\d+)", printed_by("table4-origin"))
     assert found == [("1191", "1207"), ("118", "96"), ("640", "336"), ("98", "48")]
     assert len(ratios) > len(legible) / 2
