@@ -324,8 +324,8 @@ def draw_ahead():
 def braking(key, q):
     """Return what a filter says of a car that brakes after a minute at 20 m/s, by 2 m/s², measured without error.
 
-    The filter's gain varied first and is frozen. Rows are the seconds from the brake's first to the standstill, 0 ... 10;
-    columns are the position now, estimated, and that of `SECONDS` later, predicted: metres from where the car brakes.
+    The filter's gain varied first and is frozen. Rows are the seconds since the brake was touched, 0 ... 10. Columns
+    are the position now, estimated, and that of `SECONDS` later, predicted: metres from where the car brakes.
 
     >>> braking("cv", 0.01)[5].round(1)  # the car is at 75 m, and will stand at 100 m
     array([ 78.9, 151.5])
