@@ -215,10 +215,12 @@ def test_the_first_two_steps_by_hand():
 
 def test_the_gains_may_be_stored_in_a_list(taught):
     """The two lines of the small computer, with eight stored gains, against the whole filter."""
-    says("They are sixteen numbers in a list, and the small computer never needs $P$")
+    says("They are sixteen numbers in a list, and room for them is all that the better start costs")
     z = np.random.default_rng(8).normal(0, 30, 40)
     stored = taught["gains"][:8]
     assert stored.size == 16
+    _, rows = article.cost_table()
+    assert rows[1][:2] == ["estimate, its gain frozen (`frozen_step`)", 7]  # which takes any gain: also a stored one
     x = np.zeros((2, 1))
     right, _, _ = taught["track"](z, taught["F"], taught["Q"], table1.R, taught["unknown"], 8)
     for k, z_k in enumerate(z):
@@ -617,8 +619,8 @@ def test_the_metres_of_the_article_are_those_of_loops():
         line = f"{seconds} s ahead: typical error {typical:.2f} m, in 95 % of all cases below {1.96 * typical:.1f} m"
         assert line in printed_by("metres")
     two = f"{norm.ppf(0.975) * pushed:.1f}"
-    says(f"its position five seconds ahead is off by less than {two} m in 95 % of all cases")
-    says(f"A driver who must brake should reckon with twice as much: {two} m")
+    says(f"the position predicted for five seconds ahead is off by less than {two} m in 95 % of all cases")
+    says(f"A driver who relies on it should reckon with twice as much: {two} m")
     says("A typical error is exceeded about one time in three")
     assert 2 * norm.cdf(-1) == pytest.approx(1 / 3, abs=0.02)
     says(f"Of the square of the {pushed:.2f} m, some {pushed**2:.1f} m², the pushes still to come make a third")
@@ -887,7 +889,7 @@ def test_what_the_article_says_of_the_braking_car(braked):
     surprise = -(t[-1] ** 2) - (x[-2, 0] + x[-2, 1])
     assert -surprise == pytest.approx(2 / velocity)
     assert x[-1, 0] > -(t[-1] ** 2)  # it stays ahead of the car
-    says("It learns so slowly that five seconds after the brake it is no better than blue")
+    says("It learns so slowly that five seconds after the brake it is hardly better than blue")
     assert yellow[5, 1] == pytest.approx(blue[5, 1], abs=5)
     assert np.abs(yellow[:, 0] - road).max() > np.abs(blue[:, 0] - road).max()
     calm = [article.settled_sigma(table1.columns(q=q)[key], [5])[0] for key, q in BRAKED]
