@@ -16,6 +16,7 @@ from . import readings, table1
 STEPS = 10_000  # of the averages of Table 1, read as percent
 TIME_STEPS = (0.5, 1.0, 2.0)  # seconds
 SECONDS = 5  # ahead, at most
+STANDS = 10  # seconds after it began to brake, the car stands
 LONGEST_START = 500  # steps; every gain here has settled by then
 UNKNOWN = 1e4  # the variance of a start of which nothing is known
 
@@ -181,22 +182,28 @@ def predictor_step(x, B, z, dt, N):
 
 
 def cost_of_a_step():
-    """Return header and rows of the table of operations per step, counted as the paper counts: all that matrices take.
+    """Return header and rows of the table of operations per step at constant velocity, counted in two ways.
 
-    A prediction is the first row of F^N times the estimate.
+    The paper counts all that matrices take, and a prediction is then the first row of F^N times the estimate. Written
+    out, products with 0 and 1 are left out, and positions one second after the other are reached by adding v Δt.
 
     >>> header, rows = cost_of_a_step()
     >>> [row[1:] for row in rows]
-    [[69, 185], [10, 21], [3, 5], [10, 21]]
+    [[69, 22], [10, 7], [15, 6], [50, 45]]
     """
-    sizes = [model.n for model in (column.steady.model for column in table1.columns().values())]
-    counted = {
-        "estimate, the gain varies (Kalman filter)": [burden.total(burden.kalman(n, 1)) for n in sizes],
-        "estimate, the gain is frozen": [burden.total(burden.steady_state(n, 1)) for n in sizes],
-        "each prediction made from the estimate": [burden.product(1, n, 1) for n in sizes],
-        "each prediction by a filter of its own": [burden.total(burden.prediction(n, 1)) for n in sizes],
-    }
-    return ["operations a step", *table1.NAMES.values()], [[name, *each] for name, each in counted.items()]
+    n = table1.columns()["cv"].steady.model.n
+    varying, frozen, _, predictor, five = (row[1] for row in cost_table()[1])
+    rows = [
+        ["estimate, while the gain varies", burden.total(burden.kalman(n, 1)), varying],
+        ["estimate, once it is frozen", burden.total(burden.steady_state(n, 1)), frozen],
+        ["five positions ahead, from the estimate", SECONDS * burden.product(1, n, 1), five - frozen],
+        [
+            "the same five, by the predictors of the paper",
+            SECONDS * burden.total(burden.prediction(n, 1)),
+            SECONDS * predictor,
+        ],
+    ]
+    return ["operations a step", "all products", "none with 0 or 1"], rows
 
 
 def cost_table():
@@ -310,6 +317,65 @@ def draw_ahead():
     ax.set_xticks(range(SECONDS + 1))
     ax.set_ylabel("typical error (m)")
     plots.finish(ax, "seconds ahead", "Five seconds ahead, the pushes double the error")
+    ax.get_legend().remove()
+    return fig
+
+
+def braking(key, q):
+    """Return what a filter says of a car that brakes after a minute at 20 m/s, by 2 m/s², measured without error.
+
+    The filter's gain varied first and is frozen. Rows are the seconds since the brake was touched, 0 ... 10. Columns
+    are the position now, estimated, and that of `SECONDS` later, predicted: metres from where the car brakes.
+
+    >>> braking("cv", 0.01)[5].round(1)  # the car is at 75 m, and will stand at 100 m
+    array([ 78.9, 151.5])
+    """
+    model = table1.MODELS[key](table1.DT, q, table1.R)
+    t = np.arange(-60, STANDS + 1)
+    steps = FrozenLater(model, steps_to_freeze(model)).coefficients(len(t))
+    x, said = np.zeros(model.n), []
+    ahead = np.linalg.matrix_power(model.F, SECONDS)[0]
+    for A, B, z in zip(steps.A, steps.B, road_of(t) - road_of(-60), strict=True):
+        x = A @ x + B[:, 0] * z
+        said.append([x[0], ahead @ x])
+    return np.array(said)[t >= 0] + road_of(-60)
+
+
+def road_of(t):
+    """Return where the braking car is, metres from where it brakes, t seconds after that, up to the standstill.
+
+    >>> road_of(np.array([-1, 0, 5, 10]))
+    array([-20.,   0.,  75., 100.])
+    """
+    return 20.0 * t - np.maximum(t, 0) ** 2
+
+
+def draw_braking():
+    """Return a figure of the road of a braking car, and of what filters said of it five seconds before."""
+    fig, axes = plots.panels([["road"]], height=3.8)
+    ax = axes["road"]
+    t = np.arange(STANDS + 1)
+    shown = {
+        ("cv", 0.01): ("velocity, q = 0.01", plots.COLOUR_OF["kalman"], "-", 2),
+        ("ca", 0.0001): ("acceleration, q = 0.0001", plots.COLOURS[5], "--", -24),
+        ("ca", 0.01): ("acceleration, q = 0.01", plots.COLOURS[2], "-", -3),
+    }
+    for (key, q), (name, colour, style, aside) in shown.items():
+        said = braking(key, q)[: STANDS + 1 - SECONDS, 1]
+        before = road_of(t[:SECONDS] - SECONDS) + 20.0 * SECONDS  # said before the brake: a steady car goes on
+        (line,) = ax.plot(t, [*before, *said], style, color=colour, label=name)
+        plots.label_line(line, f"{name}:\n{said[-1]:.0f} m", at=STANDS, xytext=(6, aside))
+    (road,) = ax.plot(t, road_of(t), color=plots.COLOUR_OF["truth"], lw=2.4, label="the road")
+    plots.label_line(road, f"the car: {road_of(STANDS):.0f} m", at=STANDS, xytext=(6, -14))
+    reached = road_of(np.array([SECONDS]))[0]
+    ax.plot([SECONDS] * 2, [reached, 20 * SECONDS], color="0.5", lw=1)
+    ax.annotate(f"{20 * SECONDS - reached:.0f} m: nobody\ncan foresee it", (SECONDS, reached), (6, -28),
+                textcoords="offset points", color="0.35")  # fmt: skip
+    ax.set_xlim(0, STANDS + 7.5)  # room for the labels
+    ax.set_xticks(range(0, STANDS + 1, 2))
+    ax.set_ylim(0, 175)
+    ax.set_ylabel("metres since the brake")
+    plots.finish(ax, "seconds since the brake", "Five seconds ahead, one filter sees the standstill")
     ax.get_legend().remove()
     return fig
 
