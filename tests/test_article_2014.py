@@ -101,9 +101,8 @@ def test_the_numbers_of_the_scene():
     assert 8.5 < PACE / sigma < 9
     says("Given present positions it is 1.5 m behind at walking pace, nine times the error that it states")
     says(f"Its σ settles at {np.sqrt(settled(NOW)[2][0, 0]):.2f} m")
-    says(
-        f"The 0.94 and the {np.sqrt(settled(NOW)[2][0, 0]):.2f} m are exact for this Q and r, and a walker who obeys the model"
-    )
+    right = np.sqrt(settled(NOW)[2][0, 0])
+    says(f"The 0.94 and the {right:.2f} m are exact for this Q and r, and a walker who obeys the model")
 
 
 def test_the_walk_of_the_picture_has_the_speed_that_is_said():
