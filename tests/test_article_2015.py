@@ -59,7 +59,7 @@ def settled():
         (r"4\.4 m instead of (10\.5) m", "silent-links", r"(?m)^nothing linked +(10\.5) +10\.5$"),
         (r"and still states (4\.4) m", "silent-links", r"(?m)^linked changes, 0\.9, height .* (4\.4) +20\.3$"),
         (r"is wrong by (20) m and still", "silent-links", r"(?m)^linked changes, 0\.9, height .* 4\.4 +(20)\.3$"),
-        (r"σ that is more than (11) % larger", "linked", r"(?m)^0\.9 +1 : 1 : 1 +7 % +14 % +10 % +(11) %$"),
+        (r"a position has a σ that is (10) % larger", "linked", r"(?m)^0\.9 +1 : 1 : 1 +7 % +14 % +(10) % +11 %$"),
         (r"the share (0\.546) of the way", "freeze", r"with the gains (0\.546) and"),
         (r"model A\) \| (1660) \| 1 \|", "table3", r"KF A +1660 +(1660)"),
         (r"model B\) \| (207) \| 2 \|", "table3", r"KF B +207 +(207)"),
@@ -102,7 +102,7 @@ def test_one_second_of_the_filter_comes_out_by_hand(settled):
     np.testing.assert_array_equal((F @ P @ F.T).round(4), moved)
     predicted = F @ P @ F.T + article.AXIS.Q
     np.testing.assert_array_equal(predicted.round(4), with_changes)
-    says("Moving on turns the covariance, but for rounding, into")
+    says("The new error of the position is the old one, plus a second of the velocity's. So, but for rounding,")
     by_hand = (F @ P.round(4) @ F.T).round(4)
     np.testing.assert_array_equal((moved - by_hand).round(4), [[1e-4, 0], [0, 0]])
     says("The position's variance has more than doubled. Most of what came, 2 · 0.0213, is there because the two")
@@ -127,7 +127,7 @@ def test_one_second_of_the_filter_comes_out_by_hand(settled):
     says("`P @ H.T` holds the numerators of the two gains, and `H @ P @ H.T + r` is their denominator")
     np.testing.assert_allclose(predicted @ article.AXIS.H.T, predicted[:, [0]])
     np.testing.assert_allclose(predicted[:, [0]] / (predicted[0, 0] + 0.1), K, rtol=1e-9)
-    says("the 0.0546 that the measurement left is 0.1 times the gain, 0.546")
+    says("what the measurement left is 0.1204 · 0.1 / 0.2204, and the gain is 0.1204 / 0.2204.")
     assert round(0.1 * 0.546, 4) == 0.0546
     np.testing.assert_allclose(P[:, [0]] / 0.1, K, rtol=1e-9)
 
@@ -140,7 +140,11 @@ def test_a_filter_frozen_from_the_first_second_begins_hundreds_of_metres_off(set
     _, K = settled
     assert round(1000 * (1 - K[0, 0])) == 454 == round(1000 * (1 - 0.546))
     says("it is 1,000,000 / (1,000,000 + 0.1), and takes you there")
-    says("The frozen filter is as good as that only from the 25th second on.")
+    says("in the fifth second it is 138 m past you. From the 25th second on the two are equally good.")
+    off = np.array([[1000.0], [0.0]])
+    for _ in range(5):
+        off = (np.eye(2) - K @ article.AXIS.H) @ F @ off
+    assert round(off[0, 0]) == -138
     P = frozen = np.diag([1e6, 4.0])
     left, sigmas, ratios = np.eye(2) - K @ article.AXIS.H, [], []
     for _ in range(60):
@@ -182,7 +186,7 @@ def test_the_filter_that_is_taught_is_that_of_the_package(taught):
     model = mpt.stack(*[article.AXIS] * 3)
     _, z = mpt.simulate(model, 50, rng)
     X, P = np.zeros((2, 3)), np.zeros((2, 2))
-    says("The estimates of `step` and of the big filter differ by less than 1e-12.")
+    says("The estimates of `step` and of the big filter are the same, but for rounding.")
     big = mpt.KalmanFilter(model).estimates(z)
     for z_k, x_big, P_big in zip(z, big.x, big.P, strict=True):
         X, P = taught["step"](X, P, z_k)
@@ -192,7 +196,7 @@ def test_the_filter_that_is_taught_is_that_of_the_package(taught):
 
 @pytest.mark.parametrize("shape", [(3,), (3, 1, 1)])
 def test_the_filter_with_gaps_serves_axes_with_noises_of_their_own(taught, shape):
-    says("| gaps, or a noise for each axis | `step_with_gaps`.")
+    says("If measurements are missing, or each axis has a noise of its own: take `step_with_gaps`")
     says("So does one with a noise of its own")
     rng = np.random.default_rng(4)
     variances = np.array([0.1, 0.2, 0.9])
@@ -211,9 +215,9 @@ def test_the_filter_with_gaps_serves_axes_with_noises_of_their_own(taught, shape
 
 def test_the_split_does_not_need_that_all_axes_are_measured_but_sharing_does(taught):
     """The split with gaps is held above; here the P of a silent axis, that is another one and grows without rest."""
-    says("belongs to the last two. You may keep an axis apart that is not measured at all.")
+    says("| 207 | 2 | nothing links the axes: no entry between two of them in $F$, in $Q$, in $H$,")
     says("the same first $P$, and are measured at the same seconds")
-    says("the gain has settled, and from then on no measurement is missed")
+    says("the gain has settled, and from then on no measurement is missed and nothing in the model changes")
     X, P = np.zeros((3, 2, 1)), np.stack([np.eye(2)] * 3)
     for _ in range(200):
         before = P
@@ -225,7 +229,7 @@ def test_the_split_does_not_need_that_all_axes_are_measured_but_sharing_does(tau
 
 
 def test_a_missed_measurement_stays_in_its_column_of_the_shared_filter(taught):
-    says("A single NaN in `z` would spoil its column for ever")
+    says("(In `step` a single NaN would spoil its column for ever.)")
     X, P = taught["step"](np.zeros((2, 3)), np.eye(2), np.array([1.0, np.nan, 1.0]))
     X, _ = taught["step"](X, P, np.ones(3))
     np.testing.assert_array_equal(np.isnan(X), [[False, True, False]] * 2)
@@ -311,7 +315,7 @@ def test_the_parts_of_the_lost_metres_are_those_of_the_recursion(settled):
     sources = [sum(parts[:3]), parts[3], sum(parts)]
     assert re.findall(r"(?m)^ *([\d.]+) m²", printed_by("parts")) == [f"{each:.1f}" for each in sources]
     assert re.findall(r"σ = +([\d.]+) m", printed_by("parts")) == [f"{np.sqrt(each):.1f}" for each in sources]
-    says("The variances add up, not the metres. And the second source is the larger one.")
+    says("The variances add up, not the metres. Here the second source is the larger one.")
     assert parts[3] > sum(parts[:3])
     says("mostly that of the velocity: its σ of 0.144 m/s makes 4.3 m in thirty seconds")
     assert round(np.sqrt(P[1, 1]), 3) == 0.144
@@ -371,9 +375,9 @@ def test_the_operations_are_taken_apart_as_the_article_says():
     assert (small, 2 * small - two, two - small) == (69, 53, 16)
     assert burden.total(burden.kalman_columns(2, 1, axes=3)) == 53 + 3 * 16 == 101
     assert burden.total(burden.kalman_columns(2, 1, axes=1)) == small
-    says("Multiplying two n × n matrices takes about $2n^3$ operations, so")
+    says("a product of two n × n matrices takes about $2n^3$ operations, so")
     assert burden.product(6, 6, 6) == 2 * 6**3 - 6**2
-    says("a product of the big filter costs 27 times a small one. Three small ones cost 3, which is a ninth.")
+    says("one of the big filter costs 27 small ones, where three are needed.")
     assert (6 / 2) ** 3 == 27 == 3 * 9
 
 
@@ -426,8 +430,8 @@ def test_lainiotis_is_cheaper_where_nearly_all_states_are_measured():
 
 def test_a_call_takes_nearly_as_long_for_large_matrices_as_for_small_ones():
     """With a constant gain a step is the same calls; three small filters make three times as many."""
-    says("The second row has an eighth of the operations and takes twice the time.")
-    says("a call of numpy costs more than what it computes, and three filters make three times as many calls")
+    says("Three small filters have an eighth of the operations and take twice the time,")
+    says("because for one phone a call of numpy costs more than what it computes")
     adds("three times as many calls, each only a little faster")
     large, small = (CLOCK[f"constant gain: {name}"]["one"] for name in ("one filter of six states", "axes as columns"))
     assert large == pytest.approx(small, rel=WORDS)
@@ -436,7 +440,7 @@ def test_a_call_takes_nearly_as_long_for_large_matrices_as_for_small_ones():
 
 def test_the_columns_are_the_fastest_and_three_filters_the_slowest():
     """Of the gains that vary; and the frozen filter is faster still, in operations as on the clock."""
-    says("So in numpy let the axes share the calls, as `step` does.")
+    says("So in numpy let the axes share the calls, as `step` and `step_with_gaps` do.")
     constant, varies = (
         [name for name in CLOCK if ("constant gain" in name) == is_constant] for is_constant in (True, False)
     )
@@ -600,12 +604,13 @@ def test_the_phone_that_is_drawn_after_its_silence_has_a_usual_error_and_is_over
     zero, varies, frozen = (line.get_ydata() for line in article.draw_swing().axes[0].lines)
     assert set(zero) == {0}
     assert varies[0] == frozen[0]
-    assert abs(varies[0]) == pytest.approx(article.sigma_after(30), rel=0.02)
+    assert abs(varies[0]) == pytest.approx(article.sigma_after(30), rel=0.1)  # usual: to a tenth
     assert frozen[1] / frozen[0] == pytest.approx(0.5, abs=0.1)
     assert max(frozen) > 1  # past the phone, where the other filter stays within its own sigma, of 0.32 m
-    assert max(np.abs(varies[2:9])) < 0.32
+    assert abs(varies[1]) == pytest.approx(0.32, rel=0.1)
+    assert max(np.abs(varies[2:7])) < 0.32
     assert np.abs(frozen - varies)[9:].max() < 0.2  # nine seconds later both are the same filter
-    states, z = mpt.simulate(article.AXIS, 75, np.random.default_rng(2015), tracks=30)
+    states, z = mpt.simulate(article.AXIS, 75, np.random.default_rng(2015), tracks=300)
     z[30:60] = np.nan
     estimates = mpt.KalmanFilter(article.AXIS).filter(z)
     errors = (estimates - states)[59:, 0]
@@ -667,7 +672,7 @@ def test_the_stacked_axes_go_back_into_columns(taught):
 
 def test_errors_that_last_are_worse_than_a_measurement():
     """Simulated: another way than the module's recursion."""
-    says("If nine tenths of each error stay for the next second, our filter still states 0.234 m")
+    says("and its variance is still 0.1 m², our filter still states 0.234 m")
     rng = np.random.default_rng(6)
     steady = mpt.SteadyStateFilter.from_kalman(article.AXIS)
     truth, x, late = np.zeros((2, 400)), np.zeros((2, 400)), np.sqrt(0.1) * rng.standard_normal(400)
@@ -713,7 +718,7 @@ def test_the_Q_of_an_uneven_pace_adds_up_and_is_nearly_the_papers(taught):
 
 def test_step_takes_the_F_and_Q_of_an_uneven_pace(taught):
     """What the cell prints is what `step` makes of the same F and Q, and step_with_gaps too."""
-    says("| measurements at uneven times | `step` or `step_with_gaps`, with an `F` and a `Q` for each step, as in")
+    says("Part II, below, has the last two ready made, and seconds of uneven length.")
     motion = dict(taught)
     exec(code_of("uneven").partition("\nP = ")[0], motion)
     P, sigmas, steps = article.covariance()[:2, :2], [], (0.4, 1.0, 2.6)
@@ -758,7 +763,7 @@ def test_a_noisy_sensor_needs_more_than_twenty_seconds_to_forget_its_start(taugh
 
 @pytest.mark.parametrize("q", [1e-4, 1e-3, 0.01, 0.1, 1.0])
 def test_with_another_Q_the_walk_lasts_twice_as_long_as_the_gain_moves(taught, q):
-    says("until its gain has stopped and then as long again: it must be less than 1 cm late")
+    says("Once its gain has stopped, and as long again, it must be less than 1 cm off.")
     for sigma in (np.sqrt(0.1), 1.0, 3.0, 5.0, 10.0, 20.0):
         late, gains = lateness(taught, sigma, [1.0, 0.0], seconds=600, Q=q * G @ G.T)
         assert np.abs(late[2 * article.rests(gains) - 1 :]).max() < 0.01
@@ -796,7 +801,7 @@ def test_axes_kept_apart_state_a_true_sigma_when_their_errors_go_together():
 
 def test_axes_kept_apart_lose_what_the_article_says_if_their_changes_go_together():
     """By the three lines of the article, with six states; alone an axis keeps its own sigma."""
-    says("kept apart, no axis has a σ that is more than 11 % larger")
+    says("kept apart, a position has a σ that is 10 % larger")
     eye, pushed = np.eye(3), 0.9 + 0.1 * np.eye(3)
     F6, H6, Q6 = (
         np.kron(first, second) for first, second in ((eye, F), (eye, article.AXIS.H), (pushed, article.AXIS.Q))

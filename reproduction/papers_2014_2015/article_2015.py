@@ -279,15 +279,16 @@ def first_after(missed):
     return float(best[0]), float(constant[0])
 
 
-def measured_again(missed=30, shown=15, phones=30):
+def measured_again(missed=30, shown=15, phones=300):
     """Return errors of an estimated height after a silence (1 + shown,): with the gain from P, and the settled gain.
 
-    Of all simulated phones it is the one whose error is nearest to one sigma at the end of the silence, which is
-    the first row. Both filters begin at the known start, and in the silence both only predict.
+    Of all simulated phones it is the one whose error is nearest to one sigma of what the filter states, at the end of
+    the silence, which is the first row, and at the first measurement after it. Both filters begin at the known start,
+    and in the silence both only predict.
 
     >>> varies, frozen = measured_again()
     >>> print(varies[:5].round(1), frozen[:5].round(1))
-    [-10.5  -0.8  -0.1   0.3   0.2] [-10.5  -5.3  -1.4   0.7   1.4]
+    [-11.   -0.3  -0.2  -0.2  -0.2] [-11.   -5.3  -1.7   0.3   1.1]
     """
     settle = 30
     silent = slice(settle, settle + missed)
@@ -300,7 +301,8 @@ def measured_again(missed=30, shown=15, phones=30):
         x = steady.A @ x + steady.B @ measured[k]
         frozen[k] = x
     errors = [(x - states)[silent.stop - 1 :, 0] for x in (varies, frozen)]
-    usual = np.argmin(np.abs(np.abs(errors[0][0]) - sigma_after(missed)))
+    stated = np.array([sigma_after(missed), first_after(missed)[0]])
+    usual = np.argmin(np.sum((np.abs(errors[0][:2]) / stated[:, None] - 1) ** 2, axis=0))
     return errors[0][:, usual], errors[1][:, usual]
 
 
