@@ -443,7 +443,9 @@ def carried(cases, filtered):
 
 def same_day(cases, filtered):
     """Judge filters by constants of the same day: the percent within 2σ of all axes, as `other_half` has it."""
-    found = {word: [100 * axis.within for each in filtered.values() for axis in getattr(each, word)] for word in FILTERS}
+    found = {
+        word: [100 * axis.within for each in filtered.values() for axis in getattr(each, word)] for word in FILTERS
+    }
     found["aware, with its floor"] = [
         100 * within_floor(filter, recorded.windows(errors), floor)
         for name, each in filtered.items()
