@@ -447,14 +447,15 @@ def test_every_number_of_the_article_is_printed_by_its_cells(cells):
     """Those with decimals; whole percents stand in the tests below.
 
     2.55 and 1.55 are what two frequencies make of the ranges; 1.4 and 0.1 stand in the test of the rule for q; 1.9 and
-    0.23 are of a mean whose old fixes fade; 0.3 stands in the test of the fits, 0.05, 0.78, 0.82, 0.91, 1.42 and 1.56
-    in those of the formula, 6.0 in that of the gain, 1.3, 1.4, 2.0 and 2.1 in that of the biases, 1.05 in that of the
-    slip, 0.4, 1.2 and 3.3 in that of the mean of the day, 1.5 in that of the last line, and 1.28, 2.43 and 2.53 in
-    those of the walker. 4.7 is the r of the fit, rounded, in the test of what the fits say.
+    0.23 are of a mean whose old fixes fade; 0.3 stands in the test of the fits, 4.7 too, rounded; 0.05, 0.16, 0.78,
+    0.82, 0.91, 0.989, 1.42, 1.56 and 98.9 in those of the formula, 6.0 in that of the plain filter; 1.3, 1.4, 2.0 and
+    2.1 in that of the biases, 1.05 in that of the slip; 0.4, 1.2 and 3.3 in that of the mean of the day, 1.5 in that of
+    the last line; 1.28, 2.43 and 2.53 in those of the walker.
     """
     faded = np.sqrt(0.1 / (2 - 0.1))  # each fix counts a tenth: the variance of such a mean is g / (2 - g)
     computed = f"{recorded.AMPLIFIED:.2f} {recorded.AMPLIFIED - 1:.2f} {faded:.2f}"
     computed += " 1.4 0.1 1.9 0.3 0.05 0.78 0.82 0.91 1.42 1.56 6.0 1.3 2.0 2.1 1.05 0.4 1.2 3.3 1.5 1.28 2.43 2.53 4.7"
+    computed += " 0.989 98.9 0.16"
     said = f"{printed(cells[0])} {computed}"
     for cell in cells[0]:
         if cell["cell_type"] == "markdown":
@@ -519,6 +520,10 @@ def test_the_formula_is_computed_by_hand(cells):
     assert f"1.1²/1.56 = {wave:.2f} m². The noise leaves 4.7/100 = {noise:.2f} m²." in said
     assert f"Together that is {wave + noise:.2f} m², and its root is {np.sqrt(wave + noise):.2f} m" in said
     assert f"of the {wave + noise:.2f} m² the noise is {noise:.2f}" in said
+    a = np.exp(-30 / 2700)
+    assert f"$a$ is {a:.3f}. So from fix to fix $e$ keeps {100 * a:.1f} % and gains some" in said
+    assert f"some {1.1 * np.sqrt(1 - a**2):.2f} m that is new" in said
+    assert "Keep the three numbers: 4.7 m², 1.1 m and 45 minutes" in said
     assert f"After a time τ, {100 * np.exp(-1):.0f} % of it is left on average" in said
 
 
@@ -592,6 +597,7 @@ def test_a_filter_states_by_two_to_seven_times_too_little_and_passes_its_test(ce
     """Each station's own constants, in space: of *tuned*, whose surprises are as large as it expects."""
     said = prose(cells[0])
     assert "can be wrong by several times what it states" in said
+    assert "Without it ours were two to seven times too sure" in said
     assert "*White* and *tuned* make 2 to 7 times what they state" in said
     pattern = r"white ([\d.]+) to ([\d.]+), tuned ([\d.]+) to ([\d.]+), aware ([\d.]+ to [\d.]+)"
     (alone,) = re.findall(f"made over stated in space: {pattern}", over_stated(cells))
@@ -755,7 +761,8 @@ def test_the_mean_of_the_day_is_that_of_the_header(cases, cells):
 
 def test_filters_that_were_fitted_with_the_biases_left_in_passed_their_test(days, cells):
     (least, most) = re.findall(r"biases left in: NIS of tuned and aware ([\d.]+) to ([\d.]+)", printed(cells[1]))[0]
-    assert "We had fitted filters to the three days, and every innovation was clean" in prose(cells[0])
+    assert "every innovation was clean: as large as the filters said, within a few percent" in prose(cells[0])
+    assert 0.95 < np.sqrt(float(least)) < np.sqrt(float(most)) < 1.05  # a few percent of their size
     assert "They pass the test of their innovations on all axes" in prose(cells[1])
     raw = {"ESBC": recorded.case("ESBC", recorded.without_biases(days["ESBC"]), recorded.KINDS[1])}
     raw = article.filtered(raw)["ESBC"]
@@ -1045,7 +1052,7 @@ def test_the_first_screen_says_what_the_biases_did(days, cases, cells):
     assert "Yet about a metre and a half in each position was wrong" in said
     assert 1.4 < wrong.min() < wrong.max() < 1.65
     raw, corrected = left_in[list(days).index("NYA1")], cases[f"NYA1, {kind}"].lasting
-    assert "The largest swings were ours" in said
+    assert "The largest swings were our own fault" in said
     assert np.nanmax(np.abs(raw[:, 2])) > 6 > 5 > np.nanmax(np.abs(corrected[:, 2]))
 
 
