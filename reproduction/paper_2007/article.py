@@ -150,11 +150,6 @@ def draw_stated(filtered):
     return fig
 
 
-def parts(cases):
-    """Return a row for each case: one fix, its noise, its lasting error, in metres."""
-    return [[name, *map(metres, (case.errors, case.noise, case.lasting))] for name, case in cases.items()]
-
-
 def metres(errors):
     """Return the size of errors (N, 3) as a text, "-" where there are none."""
     return "-" if errors is None else f"{recorded.size(errors):.2f}"
@@ -189,18 +184,26 @@ def gains(cases):
     }
 
 
-def how_far(cases):
-    """Return a row for each case: its 95 % error (m) horizontally and up, one fix and smoothed, and the day's mean (m).
+def how_far(cases, left_in=None):
+    """Return a row for each case: its 95 % error (m) horizontally and up, one fix and smoothed.
 
-    The errors count from the position in the files' headers, so that the constant of the day is in them.
+    The errors count from the position in the files' headers, so that the constant of the day is in them. left_in are
+    some of the cases with the code biases left in, {name: Case}: each has a row before its own.
     """
     rows = []
     for name, case in cases.items():
-        texts = []
-        for errors in (case.errors, case.smooth):
-            texts += ["-", "-"] if errors is None else [f"{each:.1f}" for each in of_95(errors + case.offset)]
-        rows.append([name, *texts, f"{np.linalg.norm(case.offset):.1f}"])
+        if left_in and name in left_in:
+            rows.append([f"{case.station}, two, biases left in", *within_95(left_in[name])])
+        rows.append([name, *within_95(case)])
     return rows
+
+
+def within_95(case):
+    """Return the 95 % errors (m) of a case as four texts: one fix, horizontally and up, and the same smoothed."""
+    texts = []
+    for errors in (case.errors, case.smooth):
+        texts += ["-", "-"] if errors is None else [f"{each:.1f}" for each in of_95(errors + case.offset)]
+    return texts
 
 
 def of_95(errors):
@@ -300,17 +303,6 @@ def at_rest(cases, filtered):
             else:
                 others.extend(within)
     return AtRest(*map(np.array, (ratios, own, others)))
-
-
-def judgements(cases, filtered):
-    """Return a row for each filter: how often the truth was within 2σ (%), by constants of three origins.
-
-    They are fitted to the same day, to the other half of the day, and to each other station, for ranges of the same
-    kind. Each share is the median over all axes of all cases, and from where to where it goes.
-    """
-    same = {word: [100 * axis.within for each in filtered.values() for axis in getattr(each, word)] for word in FILTERS}
-    columns = same, other_half(cases, filtered), exchanged(cases, filtered)
-    return [[word, *(median_of(each[word]) if word in each else "-" for each in columns)] for word in FILTERS]
 
 
 class Chain(NamedTuple):
@@ -439,10 +431,27 @@ def other_half(cases, filtered):
 
 
 def carried(cases, filtered):
-    """Return a row for each filter: percent within 2σ by constants of the other half of the day, of another station."""
-    both = other_half(cases, filtered), exchanged(cases, filtered)
+    """Return a row for each filter: how often the truth was within 2σ (%), by constants of three origins.
+
+    They are fitted to the same day, to the other half of the day, and to each other station, for ranges of the same
+    kind. Each share is the median over all axes of all cases, and from where to where it goes.
+    """
+    columns = same_day(cases, filtered), other_half(cases, filtered), exchanged(cases, filtered)
     names = [*FILTERS, "aware, with its floor"]
-    return [[name, *(median_of(each[name]) if name in each else "-" for each in both)] for name in names]
+    return [[name, *(median_of(each[name]) if name in each else "-" for each in columns)] for name in names]
+
+
+def same_day(cases, filtered):
+    """Judge filters by constants of the same day: the percent within 2σ of all axes, as `other_half` has it."""
+    found = {
+        word: [100 * axis.within for each in filtered.values() for axis in getattr(each, word)] for word in FILTERS
+    }
+    found["aware, with its floor"] = [
+        100 * within_floor(filter, recorded.windows(errors), floor)
+        for name, each in filtered.items()
+        for filter, errors, floor in zip(each.filters["aware"], cases[name].errors.T, each.fit.floor, strict=True)
+    ]
+    return found
 
 
 def within_floor(filter, tracks, floor):
