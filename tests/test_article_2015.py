@@ -215,6 +215,7 @@ def test_the_filter_with_gaps_serves_axes_with_noises_of_their_own(taught, shape
 
 def test_the_split_does_not_need_that_all_axes_are_measured_but_sharing_does(taught):
     """The split with gaps is held above; here the P of a silent axis, that is another one and grows without rest."""
+    says("(The paper asks that all three axes be measured. The split alone does not need it; the sharing does.)")
     says("| 207 | 2 | nothing links the axes: no entry between two of them in $F$, in $Q$, in $H$,")
     says("the same first $P$, and are measured at the same seconds")
     says("the gain has settled, and from then on no measurement is missed and nothing in the model changes")
