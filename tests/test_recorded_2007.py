@@ -601,8 +601,6 @@ def test_the_article_says_how_often_the_bounds_held(cells):
         f"On the median axis it did so in {white} % for *white*, {tuned} % for *tuned* and {aware} % for *aware*"
         in said
     )
-    _, worst, _ = shares["aware"][2]
-    assert f"and *aware* held its bounds in {worst} % of the fixes on the worst axis" in said
     assert int(shares["aware"][1][1]) < 60  # of the other half of the day: it stands in Part II's table
     assert "Constants from elsewhere are right on the median axis and not on the worst" in prose(cells[1])
 
@@ -620,8 +618,7 @@ def test_a_filter_states_by_two_to_seven_times_too_little_and_passes_its_test(ce
     assert f"{max(highs):.0f}" == "7"
     ((*_, aware),) = re.findall(f"the constant error added: {pattern}", over_stated(cells))
     most = aware.split()[-1]
-    held = 100 * erf(2 / float(most) / np.sqrt(2))
-    assert f"with it, *aware* made up to {most} times what it states, and then its 95 % are about {held:.0f} %" in said
+    assert f"with it, *aware* made up to {most} times what it states." in said
 
 
 def test_noise_that_lasts_makes_a_walker_s_filter_no_better_than_one_fix(cells):
@@ -642,7 +639,7 @@ def test_noise_that_lasts_makes_a_walker_s_filter_no_better_than_one_fix(cells):
     # The standard error of an rms over M walks is 1 / sqrt(2 M) of it: 1.1 %.
     assert np.sqrt(np.mean(off**2)) == pytest.approx(article.walker(10.0, N=200).made, rel=0.04)
     assert article.walker(10.0).made > np.sqrt(4.7 + 1.1**2) == pytest.approx(article.walker(10.0).fix)
-    said = f"Where the noise lasts ten, the same filter is no better than one fix, and still states {stated} m."
+    said = f"where the noise lasts ten, the same filter is no better than one fix, and still states {stated} m."
     assert said in prose(cells[0])
 
 
@@ -682,7 +679,7 @@ def test_a_fit_to_smoothed_fixes_takes_what_is_left_of_the_noise_for_lasting(cel
     assert fix == stated == made
     said = prose(cells[0])
     assert f"takes the fix itself from 2.43 m to {fix} m" in said
-    assert "what smoothing leaves of the noise lasts as long as you smooth, so it counts as lasting error" in said
+    assert "and for that it needs the $r$, σ and τ of smoothed fixes (Part II has them)" in said
     assert f"fitted = 1e-4, {fix}, 600.0" in "".join(map(source, cells[1]))
 
 
@@ -709,9 +706,7 @@ def test_a_fix_each_thirty_seconds_is_enough_for_the_fit(cells):
 
 
 def test_one_day_knows_sigma_to_about_a_third(cells, filtered):
-    assert "One day knows σ of your wall to about a third, and of the median axis to a factor of two only" in prose(
-        cells[0]
-    )
+    assert "One day knows σ of the median axis to a factor of two only" in prose(cells[0])
     above = [each.fit.known["sigma"][:, 1] / each.fit.sigma for each in filtered.values()]
     assert np.median(above) == pytest.approx(2, abs=0.05)
     span = re.findall(r"sigma ([\d.]+) m, at 95 % between ([\d.]+) and ([\d.]+)", printed(cells[0]))
@@ -735,14 +730,15 @@ def test_the_formula_of_the_mean_elsewhere_and_over_four_hours(cases, filtered, 
         for source in filtered
         if source != name and cases[source].kind == case.kind
     ]
-    assert "With those of another station the formula of the mean was up to three times too sure" in prose(cells[0])
+    assert "Fitted to another station, the formula of the mean was up to three times too sure." in prose(cells[0])
     assert np.max(others) == pytest.approx(3, abs=0.2)
     long = np.array([made_over_stated(case, filtered[name].fit, 480) for name, case in cases.items()])
     most, second = np.sort(long.ravel())[[-1, -2]]
-    taus = np.array([filtered[name].fit.tau for name in cases])
-    said = f"the means of {long.size - 1} axes were at most {100 * (second - 1):.0f} % worse than it says; those of one"
-    assert f"{said}, with a τ of {taus.ravel()[long.argmax()] / 60:.0f} minutes, were twice as bad" in prose(cells[0])
+    tau = np.array([filtered[name].fit.tau for name in cases]).ravel()[long.argmax()]
+    said = f"Over four hours the means of one axis of {long.size} were twice as far off as the formula says; its τ of"
+    assert f"{said} {tau / 60:.0f} minutes was too short" in prose(cells[0])
     assert most == pytest.approx(2, abs=0.1)
+    assert second < 1.25
 
 
 def test_at_rest_the_variance_of_white_with_that_of_what_lasts_is_honest(cases, filtered, cells):
