@@ -60,6 +60,9 @@ from .immutable import Immutable
 # subtracts large numbers loses digits on short steps, and six of them should be left. Over other steps than the
 # motion's own dt three suffice without a warning.
 MISSED, MISSED_ELSEWHERE = 1e-6, 1e-3
+# Rounding leaves some 1e-16 of the largest entry of F where a zero should be. Against a billionth of that entry it
+# stays below the millionth. (Of Q nothing is left out: over short steps an entry may rightly be 1e-18 of the largest.)
+LEAST_OF_F = 1e-9
 # The same for powers of the length, whose steps are a few products.
 MISSED_BY_POWERS = 1e-12
 
@@ -413,10 +416,12 @@ def checked(motion: Motion) -> tuple[Array, Array]:
 def missed_by_halves(motion: Motion, length: float) -> tuple[float, float]:
     """Return by how much two steps of half a length miss one of the whole: F and Q, as the largest part of an entry.
 
-    It is infinite where `over` gives no finite numbers.
+    It is infinite where `over` gives no finite numbers. An entry of F that should be zero may be rounding, as from
+    `scipy.linalg.expm`: F counts relative to `LEAST_OF_F` of its largest entry at least.
     """
     (half, whole), (noise, of_whole) = motion.over(np.array([length / 2, length]))
-    sizes = _two_steps(np.abs(half), np.abs(noise))
+    of_F, of_Q = _two_steps(np.abs(half), np.abs(noise))
+    sizes = np.maximum(of_F, LEAST_OF_F * of_F.max()), of_Q
     parts = []
     for one, two, size in zip((whole, of_whole), _two_steps(half, noise), sizes, strict=True):
         missed = np.abs(two - one) / np.where(size > 0, size, np.finfo(float).tiny)
