@@ -119,7 +119,7 @@ def test_a_motion_of_ones_own_takes_steps_of_any_length(make, precise, own):
 
 @dataclass(frozen=True)
 class Rounded(Singer):
-    """A motion whose F has rounding where a zero should be, over steps longer than one dt, as an exponential leaves it."""
+    """A motion whose F has rounding where a zero should be, over steps of at least one dt, as an exponential leaves."""
 
     left: float = 2e-16
 
