@@ -262,10 +262,7 @@ def after_silence(missed, steps):
     >>> print(best.round(2), constant.round(2))
     [0.32 0.26 0.26 0.25 0.25] [4.98 1.45 0.56 1.29 1.36]
     """
-    P = SteadyStateFilter.from_kalman(AXIS).P
-    for _ in range(missed):
-        P = AXIS.F @ P @ AXIS.F.T + AXIS.Q
-    return sigma_of_both(P, steps)
+    return sigma_of_both(covariance_after(missed), steps)
 
 
 def first_after(missed):
@@ -369,11 +366,17 @@ def sigma_predicted_once_more():
     return float(np.sqrt(P[0, 0]))
 
 
+def covariance_after(seconds):
+    """Return P of a settled axis after so many seconds without a measurement, (2, 2)."""
+    P = SteadyStateFilter.from_kalman(AXIS).P
+    for _ in range(seconds):
+        P = AXIS.F @ P @ AXIS.F.T + AXIS.Q
+    return P
+
+
 def sigma_after(seconds):
     """Return sigma of the position of a settled axis after so many seconds without a measurement, in metres."""
-    missing = np.zeros((60 + seconds, 1))  # sixty steps settle the filter; P does not depend on what is measured
-    missing[60:] = np.nan
-    return float(np.sqrt(KalmanFilter(AXIS).covariances(missing)[-1, 0, 0]))
+    return float(np.sqrt(covariance_after(seconds)[0, 0]))
 
 
 def answer_silence(seconds, limit=1.0):
