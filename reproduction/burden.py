@@ -208,3 +208,32 @@ def formula_holds(formula, operations, letters="nm"):
         if value(formula, **dict(zip(letters, sizes, strict=True))) != total(operations(*sizes)):
             return False
     return True
+
+
+def formula(operations, right="", letters="nm", over=1):
+    """Return a function for `Paper.table`: of a printed formula, whether it is the sum of these operations.
+
+    Where the operations are to be divided by a number, it is `over`; a formula may have several sides. right is the
+    formula that it should be, where it is another; it is held against the operations too.
+
+    >>> formula(fir, "2nmM - n", "nmM")("2n² + 2nm - n + (M - 1)n")
+    (False, '2nmM - n', 'not the sum of the operations, for all n, m, M = 1 ... 8')
+    """
+
+    def is_sum(text):
+        sides = [side.strip() for side in text.split("=")]
+        for sizes in itertools.product(range(1, 9), repeat=len(letters)):
+            wanted = Fraction(total(operations(*sizes)), over)
+            if any(value(side, **dict(zip(letters, sizes, strict=True))) != wanted for side in sides):
+                return False
+        return True
+
+    if right and not is_sum(right):
+        checks.refuse("right", "a formula that is the sum of the operations", repr(right))
+
+    def compared(printed):
+        holds = is_sum(printed)
+        how = f"{'' if holds else 'not '}the sum of the operations, for all {', '.join(letters)} = 1 ... 8"
+        return holds, printed if holds else right, how
+
+    return compared

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 NOTEBOOKS, FIGURES, LEDGER = Path("notebooks"), Path("figures"), Path("reproduction") / "ledger"
+LESSONS = NOTEBOOKS / "lessons"
 
 
 class CommandError(Exception):
@@ -12,10 +13,13 @@ class CommandError(Exception):
 
 
 def project() -> Path:
-    """Return the project's root, seen from there or from its notebooks/. Raises FileNotFoundError elsewhere."""
+    """Return the project's root, seen from there, from its notebooks/ or from notebooks/lessons/.
+
+    Raises FileNotFoundError elsewhere.
+    """
     here = Path.cwd()
-    root = here.parent if here.name == "notebooks" else here
-    if not any(root.glob("notebooks/*.ipynb")):
+    root = next((each.parent for each in (here, *here.parents[:2]) if each.name == NOTEBOOKS.name), here)
+    if not any(root.glob(f"{NOTEBOOKS}/*.ipynb")):
         raise FileNotFoundError(f"{here}: needs the project's root or its notebooks/, with notebooks in it")
     return root
 
@@ -29,6 +33,10 @@ def chosen(some: list[str], known: list[str]) -> list[str]:
 
 
 def chosen_notebooks(root: Path, some: list[str]) -> dict[str, Path]:
-    """Return {key: path} of the given notebooks of the project, or of all if none is given."""
-    paths = {path.stem: path for path in sorted(root.glob(f"{NOTEBOOKS}/*.ipynb"))}
+    """Return {key: path} of the given notebooks of the project, or of all if none is given.
+
+    The key of a paper's notebook is its name, that of a lesson its name behind "lessons/".
+    """
+    found = [path for folder in (NOTEBOOKS, LESSONS) for path in sorted(root.glob(f"{folder}/*.ipynb"))]
+    paths = {path.relative_to(root / NOTEBOOKS).with_suffix("").as_posix(): path for path in found}
     return {key: paths[key] for key in chosen(some, list(paths))}

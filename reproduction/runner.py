@@ -195,7 +195,7 @@ def _made(root, key, stage):
     """Return the files that a notebook has made, {path from the root: bytes}: figures, itself, its verdicts."""
     executed = stage / NOTEBOOKS / f"{key}.ipynb"
     made = {FIGURES / path.name: path.read_bytes() for path in stage.joinpath(FIGURES).iterdir()}
-    made[NOTEBOOKS / executed.name] = executed.read_bytes()
+    made[NOTEBOOKS / f"{key}.ipynb"] = executed.read_bytes()
     if key in keys() and root.joinpath(LEDGER).is_dir():
         made[LEDGER / f"{key}.json"] = published(key).complete(stored_verdicts(executed)).as_json().encode()
     return made

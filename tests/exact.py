@@ -77,7 +77,7 @@ def pytest_runtest_call(item):
     names = re.findall(r'save_figure\([^"]+, "(\w+)"\)', item.cell.source) if is_cell(item) else []
     for name in names:
         for file in (f"{name}.png", f"{name}.svg"):
-            drawn, committed = Path(os.environ[DRAWN], file), item.path.parents[1] / "figures" / file
+            drawn, committed = Path(os.environ[DRAWN], file), item.config.rootpath / "figures" / file
             assert drawn.read_bytes() == committed.read_bytes(), f"figures/{file} is not what this cell draws"
     return result
 
@@ -86,7 +86,7 @@ def watch():
     """In the kernel: go to the project's root, test each figure that is saved, and save it elsewhere."""
     from reproduction import figures
 
-    os.chdir("..")
+    os.chdir(figures.project())
     save = figures.save_figure
 
     def save_figure(fig, name):

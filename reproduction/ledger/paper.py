@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from itertools import product
 from numbers import Real
@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .shown import Grid, Layout, Row, Shown, beside, contents, mark, name_of_line
+from .tables import gap_text
 from .verdicts import (
     BASES,
     CANNOT_BE_CHECKED,
@@ -31,6 +33,7 @@ from .verdicts import (
     WITHIN_BAND,
     Verdict,
     Verdicts,
+    counted,
 )
 
 FOLDER = Path(__file__).parent
@@ -39,12 +42,24 @@ KINDS = ("number", "formula", "claim", "figure")
 
 @dataclass(frozen=True)
 class Item:
-    """One number, formula, claim or figure that a paper gives as a result: where it stands and what is printed."""
+    """One number, formula, claim or figure that a paper gives as a result: where it stands and what is printed.
+
+    If it fails, `cause` says why and `against` with which items of the paper it is at odds; basis says what a verdict on
+    it rests on. So a notebook gives values only.
+    """
 
     id: str
     where: str
     kind: str
     printed: str
+    cause: str = ""
+    against: tuple = ()
+    basis: str = ""
+
+    @property
+    def decimals(self) -> int:
+        """The number of decimals that the paper prints."""
+        return len(self.printed.partition(".")[2])
 
     @property
     def lost(self) -> bool:
@@ -82,8 +97,11 @@ class Cause:
 class Paper:
     """The items of one paper, the causes of what fails, and the verdicts given so far; made by `published`."""
 
-    def __init__(self, key: str, items: Iterable[Item], causes: Iterable[Cause]):
+    def __init__(self, key: str, items: Iterable[Item], causes: Iterable[Cause], tables=(), rows=()):
         self.key = key
+        self.tables = {table.id: table for table in tables}
+        self.rows = list(rows)
+        self._given, self._said = [], {}
         self.items = {item.id: item for item in items}
         self.causes = {cause.id: cause for cause in causes}
         self._outcomes = {}  # the last verdict on each item, in a word
@@ -132,7 +150,7 @@ class Paper:
         holds: bool | np.bool_ | Mapping[str, bool | np.bool_],
         evidence: str,
         *,
-        basis: str,
+        basis: str = "",
         cause: str | None = None,
         against: Iterable[str] = (),
         reason: str = "",
@@ -180,6 +198,109 @@ class Paper:
         computed = "-" if counted is None else f"{counted:.6g}"
         return self._give(item, computed, CANNOT_BE_CHECKED, "reading", missing, cause)
 
+    def table(
+        self, id: str, computed, *, basis: str = "arithmetic", extra: Mapping[str, Iterable] | None = None
+    ) -> Shown:
+        """Check all cells of a table of the paper, and return it as the paper lays it out, printed beside computed.
+
+        computed maps the items' ids to values, or has them in reading order (of a grid: rows of columns). A value is a
+        number, or a function of the printed formula that returns (whether it holds, what is right, how that was seen).
+        What our copy has lost is counted and not judged. extra has columns of ours, {head: cells}, at the right.
+        """
+        layout = self.tables[id]
+        ids = layout.ids
+        if not isinstance(computed, Mapping):
+            values = list(np.ravel(computed)[_off_diagonal(computed)]) if np.ndim(computed) == 2 else list(computed)
+            computed = dict(zip(ids, values, strict=True))
+        cells = {}
+        for each in ids:
+            item, value = self.items[each], computed[each]
+            if item.lost:
+                decimals = 3
+                given = self.cannot_check(
+                    each, "our copy has lost this cell", cause=item.cause, counted=round(value, 3)
+                )
+                right = f"{value:.{decimals}f}"
+            elif callable(value):
+                holds, right, how = value(item.printed)
+                given = self.claim(each, holds, f"{right}: {how}" if right != item.printed else how, basis=basis)
+            else:
+                given = self.check(each, float(value), basis=basis)
+                right = f"{value:.{item.decimals}f}"
+            cells[f"{{{each}}}"] = beside(given, right, layout.grid)
+        extra = extra or {}
+        head = [ITEM_TEXT(each, self.items) for each in (*layout.head, *extra)]
+        if layout.grid:
+            head = [name_of_line(each, "<br>") for each in head]
+            cells |= {row[0]: name_of_line(row[0]) for row in layout.rows}
+        columns = zip(*extra.values(), strict=True) if extra else [()] * len(layout.rows)
+        rows = [
+            [*(cells.get(cell, cell) for cell in row), *more] for row, more in zip(layout.rows, columns, strict=True)
+        ]
+        said = self._what_is_wrong(layout.title.partition(":")[0], layout.wrong)
+        wrong, lost = (sum(each.verdict in some for each in self._to_report) for some in (FAILS, [CANNOT_BE_CHECKED]))
+        checked = len(ids) - lost
+        count = f"{checked - wrong} of {checked} agree" + (f"; our copy has lost {lost}" if lost else "")
+        caption = f"{layout.title}. {count}." if ids else layout.title
+        return self._show(Grid(head, rows, caption), said)
+
+    def equal(self, gaps: Mapping[str, float], what: str = "", *, below: float = 1e-12, reason: str = "") -> Shown:
+        """Record formulas and claims that hold if a gap is rounding, {id: gap}, and show them in a table."""
+        rows = []
+        for id, gap in gaps.items():
+            shown = f"{what}: largest gap {gap_text(gap)}" if what else f"largest gap {gap_text(gap)}"
+            given = self.claim(id, bool(gap < below), shown, basis=self.items[id].basis or "identity", reason=reason)
+            rows.append([f"{mark(given.verdict)} {given.where}", _short(given), gap_text(gap)])
+        return self._show(Grid(["", "the paper says", "largest gap" + (f" to {what}" if what else "")], rows), [])
+
+    def claims(self, found: Mapping[str, tuple]) -> Shown:
+        """Record claims, {id: (whether it holds, what shows it[, what lies beyond])}, and show them in a table."""
+        rows = []
+        for id, (holds, shown, *beyond) in found.items():
+            given = self.claim(id, holds, shown, basis=self.items[id].basis, beyond=" ".join(beyond))
+            rows.append([f"{mark(given.verdict)} {given.where}", given.printed, shown])
+        return self._show(Grid(["", "the paper says", "what we find"], rows), self._what_is_wrong("above"))
+
+    def lacking(self, missing: Mapping[str, str]) -> Shown:
+        """Record what our copy of the paper has lost, {id: what is missing}, and show it in a table."""
+        rows = []
+        for id, what in missing.items():
+            given = self.cannot_check(id, what, cause=self.items[id].cause or None)
+            rows.append([f"? {given.where}", given.printed, what])
+        return self._show(Grid(["", "what cannot be checked", "why"], rows), [])
+
+    def ledger(self) -> Ledger:
+        """Return all verdicts, to be shown folded at the end; raises ValueError for an item without one."""
+        given = Verdicts(self._given, self.causes_by_paper())
+        order = {id: place for place, id in enumerate(self.items)}
+        given.sort(key=lambda each: order[each.id])
+        return Ledger(self.complete(given), given.causes)
+
+    def contents(self, verdicts: Verdicts) -> str:
+        """Return the table of contents of the paper's notebook in Markdown."""
+        return contents(self.rows, verdicts)
+
+    def cells(self, id: str) -> dict[tuple[int, int], Item]:
+        """Return the items of a grid as {(row, column): item}, counted from 0."""
+        places = {tuple(int(number) - 1 for number in each.split(".")[1:]): each for each in self.tables[id].ids}
+        return {place: self.items[each] for place, each in places.items()}
+
+    def _what_is_wrong(self, place, sentence=""):
+        """Return a sentence for each cause of what fails in a table, or one for all; the second time, where it was said."""
+        said = []
+        causes = Counter(each.cause for each in self._to_report if each.verdict in FAILS)
+        if sentence and causes:
+            return [f"✗ {counted(causes.total(), 'cell')}: {sentence}"]
+        for id, count in causes.items():
+            first = self._said.setdefault(id, place)
+            why = self.causes[id].sentence if first == place else f"the same as in {first}."
+            said.append(f"✗ {counted(count, 'cell')}: {why}")
+        return said
+
+    def _show(self, grid, said):
+        given, self._to_report = self._to_report, []
+        return Shown(given, self.causes_by_paper(), grid, said)
+
     def report(self) -> Verdicts:
         """Return the Verdicts given since the last report; as the last line of a cell, it shows and stores them."""
         if not self._to_report:
@@ -196,7 +317,7 @@ class Paper:
         times = Counter(each.id for each in verdicts)
         named = {each.cause for each in verdicts if each.cause}
         failing = [each.id for each in verdicts if each.verdict in FAILS and not each.cause]
-        printed = {astuple(item) for item in self.items.values()}
+        printed = {printed_of(item) for item in self.items.values()}
         changed = [each.id for each in verdicts if (each.id, each.where, each.kind, each.printed) not in printed]
         wrong = {
             "no verdict on": [id for id in self.items if id not in times],
@@ -228,6 +349,9 @@ class Paper:
 
     def _give(self, item, computed, verdict, basis, reason, cause, against=(), prefix="", beyond=""):
         """Return the Verdict and keep it for the report; what holds has no cause, what fails has its sentence."""
+        basis = basis or item.basis
+        if verdict in FAILS:
+            cause, against = cause or item.cause or None, against or item.against
         if basis not in BASES:
             raise self._error(item.id, f"needs one of the bases {', '.join(BASES)}, got {basis!r}")
         if cause is not None and cause not in self.causes:
@@ -251,13 +375,53 @@ class Paper:
             sides = "; ".join(f"{self.items[id].where}: {self.items[id].printed}" for id in against)
             reason = f"{reason} Against {sides}."
         reason = (prefix + reason).strip()
-        given = Verdict(self.key, *astuple(item), computed, verdict, reason, basis, cause or "", beyond)
+        given = Verdict(self.key, *printed_of(item), computed, verdict, reason, basis, cause or "", beyond)
+        self._given.append(given)
         self._outcomes[item.id] = verdict
         self._to_report.append(given)
         return given
 
     def _error(self, id, problem):
         return ValueError(f"{self.key}, {id!r}: {problem}")
+
+
+class Ledger(Verdicts):
+    """All verdicts on a paper, folded: a notebook shows them at its end, and stores them where they were given."""
+
+    def __repr__(self):
+        return "\n".join(
+            [
+                self.summary(),
+                *(
+                    f"{mark(e.verdict)} {e.id}: {e.cause}"
+                    for e in self
+                    if e.verdict not in HOLDS and e.kind != "number"
+                ),
+            ]
+        )
+
+    def _repr_mimebundle_(self, include=None, exclude=None):
+        bundle = super()._repr_mimebundle_()
+        return {"text/plain": repr(self), "text/html": bundle["text/html"]}
+
+
+def ITEM_TEXT(text, items):
+    """Return a text with what is printed in place of {id}."""
+    return re.sub(r"\{([^{}]+)\}", lambda found: items[found[1]].printed, text)
+
+
+def _off_diagonal(square):
+    return ~np.eye(len(square), dtype=bool).ravel()
+
+
+def _short(given):
+    text = given.printed
+    return text if len(text) <= 60 else text[:59].rsplit(" ", 1)[0] + " ..."
+
+
+def printed_of(item):
+    """Return what a Verdict repeats of an item."""
+    return item.id, item.where, item.kind, item.printed
 
 
 def _is_finite(value):
@@ -277,8 +441,11 @@ def read_paper(key: str, text: str) -> Paper:
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{file}: {error}") from None
     for name, entries in content.items():
-        if name not in ("items", "grids", "causes") or not isinstance(entries, list):
+        if name not in ("items", "grids", "causes", "tables", "contents") or not isinstance(entries, list):
             raise ValueError(f"{file}: needs lists of items, grids and causes, got {name} = {entries!r}")
+    contents_rows = [Row(**row) for row in content.pop("contents", [])]
+    layouts = [Layout(**table) for table in content.pop("tables", [])]
+    layouts += [_grid_layout(grid) for grid in content.get("grids", []) if "title" in grid]
     cells = [cell for grid in content.get("grids", []) for cell in _cells(file, grid)]
     items = [_made(Item, entry, KINDS, file) for entry in content.get("items", []) + cells]
     causes = [_made(Cause, entry, CAUSE_KINDS, file) for entry in content.get("causes", [])]
@@ -289,31 +456,61 @@ def read_paper(key: str, text: str) -> Paper:
         twice = [id for id, times in Counter(each.id for each in made).items() if times > 1]
         if twice:
             raise ValueError(f"{file}: needs each id once, got {', '.join(twice)} again")
-    return Paper(key, items, causes)
+    return Paper(key, items, causes, layouts, contents_rows)
 
 
 def _cells(file, grid):
     """Yield the entries of a grid, as they would stand among the items."""
     need = "id, where with {row} and {column}, columns, and rows with a text for each column"
-    if not isinstance(grid, dict) or sorted(grid) != ["columns", "id", "rows", "where"]:
+    needed = {"columns", "id", "rows", "where"}
+    if not isinstance(grid, dict) or not needed <= set(grid) <= needed | {
+        "title",
+        "names",
+        "cause_of",
+        "lost",
+        "against",
+        "wrong",
+    }:
         raise ValueError(f"{file}, grid {grid!r:.40}: needs {need}")
     try:
         for row, cells in grid["rows"].items():
             for column, printed in zip(grid["columns"], cells, strict=True):
                 if printed != "":
                     place = grid["where"].format(row=row, column=column)
-                    yield {"id": f"{grid['id']}.{row}.{column}", "where": place, "kind": "number", "printed": printed}
+                    why = grid.get("cause_of", {})
+                    cause = grid.get("lost", "") if printed == "?" else why.get(row, why.get(column, ""))
+                    made = {"id": f"{grid['id']}.{row}.{column}", "where": place, "kind": "number", "printed": printed}
+                    yield (
+                        made
+                        | ({"cause": cause} if cause else {})
+                        | ({"against": grid["against"]} if cause and printed != "?" else {})
+                    )
     except (TypeError, LookupError, AttributeError, ValueError) as error:
         raise ValueError(f"{file}, grid {grid!r:.40}: needs {need} ({error})") from None
+
+
+def _grid_layout(grid):
+    """Return the Layout of a grid: its names, if it has some, beside the numbers of rows and columns."""
+    names = grid.get("names", grid["columns"])
+    head = ["", *(f"{number} {name}" for number, name in zip(grid["columns"], names, strict=True))]
+    rows = []
+    for (row, cells), name in zip(grid["rows"].items(), names, strict=True):
+        items = [
+            f"{{{grid['id']}.{row}.{column}}}" if cell else ""
+            for column, cell in zip(grid["columns"], cells, strict=True)
+        ]
+        rows.append([f"{row} {name}", *items])
+    return Layout(grid["id"], grid["title"], head, rows, grid=True, wrong=grid.get("wrong", ""))
 
 
 def _made(make, entry, kinds, file):
     """Return the Item or Cause that an entry describes, or raise."""
     names = [field.name for field in fields(make)]
-    if not isinstance(entry, dict) or sorted(entry) != sorted(names):
-        raise ValueError(f"{file}: needs {', '.join(names)}, got {entry!r}")
+    needed = [field.name for field in fields(make) if field.default is MISSING]
+    if not isinstance(entry, dict) or not set(needed) <= set(entry) <= set(names):
+        raise ValueError(f"{file}: needs {', '.join(needed)}, got {entry!r}")
     for name, value in entry.items():
-        if not isinstance(value, str) or not value:
+        if name != "against" and (not isinstance(value, str) or not value):
             raise ValueError(f"{file}, {entry['id']!r}: needs a text for {name}, got {value!r}")
     if entry["kind"] not in kinds:
         raise ValueError(f"{file}, {entry['id']!r}: needs kind {' or '.join(kinds)}, got {entry['kind']!r}")
