@@ -49,10 +49,8 @@ class _Ahead(Filter):
             x_k[:] = F_N @ x_k
         if not covariances:
             return None
-        P = np.moveaxis(P, 0, 2)  # (n, n, N, M or 1), as a motion takes it
-        for _ in range(self.steps):
-            P = self.model.motion.covariance(P)
-        return np.moveaxis(P, 2, 0)
+        P = predicted_covariance(self.model, np.moveaxis(P, 3, 1), self.steps)  # stacks (N, M or 1, n, n)
+        return np.moveaxis(P, 1, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks as checks
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
+from ..model import ConstantVelocity, axes_of
 
 # Two pieces are joined, without a jump, where the way between them is at most so many times as fast as the fastest
 # twentieth of all steps: between consecutive fixes of a clean track none was.
@@ -293,8 +294,8 @@ def _parts(rows):
 
 def _steps_of(kf, z, seen):
     epochs = kf.epochs_of(z[..., None])
-    lengths = np.ones(len(z)) if epochs.lengths is None else epochs.lengths[:, 0]
-    variances = None if epochs.variances is None else epochs.variances[..., 0]
+    lengths = np.ones(len(z)) if epochs.dt is None else epochs.dt[:, 0] / kf.model.dt
+    variances = None if epochs.r is None else epochs.r[..., 0]
     if _is_a_stack_of_equal_axes(kf.model, variances, seen):
         return _EqualAxes(kf.model, lengths, variances, z)
     return _AnyModel(kf.model, lengths, variances, z, seen)
@@ -337,7 +338,7 @@ class _AnyModel:
             if len(self._steps) > 1000:
                 self._steps.clear()
             model = self._model
-            self._steps[length] = (model.F, model.Q) if length == 1 else model.over(length)
+            self._steps[length] = (model.F, model.Q) if length == 1 else model.over(length * model.dt)
         return self._steps[length]
 
     def _measured(self, k):
@@ -359,7 +360,7 @@ class _AnyModel:
 def _is_a_stack_of_equal_axes(model, variances, seen):
     """Tell whether all axes of a track share one 2x2 covariance: equal axes of position and velocity, seen together."""
     n, m = model.n, model.m
-    if n != 2 * m or model.powers is None or not np.array_equal(model.powers, [1.5, 0.5] * m):
+    if n != 2 * m or not all(isinstance(each, ConstantVelocity) for each in axes_of(model.transition)):
         return False
     axis = slice(0, 2)
     eye = np.eye(m)

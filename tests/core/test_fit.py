@@ -463,7 +463,7 @@ def test_a_search_that_ends_at_its_wall_says_so():
 def test_a_rescaled_filter_states_the_errors_that_it_makes(factor, level):
     true = plane(0.2, 4.0)
     _, z = mpt.simulate(true, 3000, np.random.default_rng(8))
-    kf = mpt.KalmanFilter(replace(true, Q=factor * true.Q))
+    kf = mpt.KalmanFilter(true.with_noise_times(factor))
     found = fitting.rescaled(kf, z, 10, level=level)
     a = metrics.ahead(found, z, 10)
     normal = {0.5: 0.6745, 0.95: 1.96}[level]

@@ -112,8 +112,11 @@ def test_the_new_paper_is_counted_beside_the_others(said):
 
 
 def test_the_projects_tests_of_papers_and_pages_pass_with_the_new_paper(copy):
-    files = [f"tests/test_{name}.py" for name in ("readme", "ledger", "notebooks", "articles")]
-    files.append("tests/test_package.py::test_the_upper_half_keeps_to_its_rooms")
+    files = [
+        f"tests/{name}.py"
+        for name in ("site/test_readme", "papers/test_ledger", "papers/test_notebooks", "papers/test_articles")
+    ]
+    files.append("tests/core/test_package.py::test_the_upper_half_keeps_to_its_rooms")
     said = run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files)
     assert " passed" in said
     assert f"| [{KEY}](notebooks/{KEY}.ipynb) | 1 | 1 | 0 | 0 | 0 | 0 |" in (copy / "README.md").read_text(
@@ -166,7 +169,7 @@ def written(copy, kind):
 
 MOTION = """\
 import sys
-sys.path.insert(0, "tests")
+sys.path.insert(0, "tests/support")
 import numpy as np
 import mpt_helpers as mpt
 from oracles import van_loan
@@ -174,22 +177,22 @@ from mpt_helpers.forgetful import Forgetful
 rng = np.random.default_rng(5)
 t = np.cumsum(rng.exponential(2.0, 300))
 drift = np.array([[0, 1], [0, -1 / 20]])
-for length in (0.01, 3.0, 20.0):
-    made, right = Forgetful(2.0, 20.0, 0.04).over(length), van_loan(drift, [0, 0.04], 2 * length)
+for length in (0.02, 6.0, 40.0):
+    made, right = Forgetful(20.0, 0.04)(length), van_loan(drift, [0, 0.04], length)
     assert all(np.allclose(M, M_right, rtol=1e-6, atol=1e-15) for M, M_right in zip(made, right)), length
-made = lambda q, r: mpt.LinearModel(motion=Forgetful(1.0, 20.0, q), H=[[1, 0]], R=[[r]], P0=np.eye(2))
+made = lambda q, r: mpt.LinearModel(transition=Forgetful(20.0, q), dt=1.0, H=[[1, 0]], R=[[r]], P0=np.eye(2))
 model = made(0.04, 0.5)
 x, z, at = np.zeros(2), np.empty((300, 1)), t[0] - 1
 truth, errors = np.empty((300, 2)), []
 for k in range(300):
-    F, Q = model.motion.over(t[k] - at)
+    F, Q = model.transition(t[k] - at)
     x = F @ x + np.linalg.cholesky(Q + 1e-15 * np.eye(2)) @ rng.standard_normal(2)
     truth[k], z[k], at = x, x[0] + rng.normal(0, np.sqrt(0.5)), t[k]
 z[rng.random(300) < 0.2] = np.nan
 kf = mpt.KalmanFilter(model, t=t)
 x, P, at, plain = np.zeros(2), np.eye(2), t[0] - 1, []
 for k in range(300):
-    F, Q = model.motion.over(t[k] - at)
+    F, Q = model.transition(t[k] - at)
     x, P, at = F @ x, F @ P @ F.T + Q, t[k]
     if np.isfinite(z[k, 0]):
         K = P[:, 0] / (P[0, 0] + 0.5)
@@ -258,5 +261,5 @@ def test_the_three_files_are_as_the_project_wants_its_modules(copy):
     shutil.copy(ROOT / "pyproject.toml", copy)
     run(copy, "-m", "ruff", "check", *files)
     run(copy, "-m", "ruff", "format", "--check", *files)
-    tests = "tests/test_package.py", "tests/test_readme.py::test_the_layout_names_every_part_of_the_package"
+    tests = "tests/core/test_package.py", "tests/site/test_readme.py::test_the_layout_names_every_part_of_the_package"
     assert " passed" in run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files, *tests)
