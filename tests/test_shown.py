@@ -62,7 +62,7 @@ def paper():
 def test_a_table_shows_printed_beside_computed_and_says_what_is_wrong(paper):
     shown = paper.table("both", VALUES, basis="simulation")
     assert repr(shown).splitlines() == [
-        "Table 9: all of them. 2 of 3 agree; 1 cannot be checked.",
+        "Table 9: all of them. 2 of 3 agree; our copy has lost 1.",
         "what             printed | computed",
         "a count          17 | 17",
         "a total          326 | 336 ✗",
