@@ -19,7 +19,7 @@ def gap(one, *others):
     >>> gap((np.zeros(2), np.eye(2)), (np.zeros(2), np.zeros((2, 2))))
     1.0
     """
-    if isinstance(one, tuple):
+    if isinstance(one, (tuple, list)):
         return max(gap(*members) for members in zip(one, *others, strict=True))
     return max(float(np.abs(np.asarray(one) - other).max()) for other in others)
 
@@ -95,7 +95,11 @@ def ratio_of_rows(paper, operations, right, model, step):
         sides = [side.strip() for side in printed.split("=")]
         of_row = all(burden.value(side, M=M) == burden.value(row, M=M) / step for side in sides for M in range(1, 9))
         of_operations, right_side, how = burden.formula(operations, right, "M", step)(printed)
-        return {"as the ratio of the rows of Table 6": of_row, "as that of the operations": of_operations}, right_side, how
+        return (
+            {"as the ratio of the rows of Table 6": of_row, "as that of the operations": of_operations},
+            right_side,
+            how,
+        )
 
     return judged
 

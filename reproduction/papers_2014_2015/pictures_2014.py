@@ -7,7 +7,7 @@ from mpt_helpers.plots import COLOUR_OF
 
 CENTIMETRES = 100  # in a metre
 GREY = "0.87"
-STATE = ["position x", "velocity x", "position y", "velocity y"]  # in the order of the state
+STATE = {"position x": "m", "velocity x": "m/s", "position y": "m", "velocity y": "m/s"}  # in its order
 
 
 def draw_fig1(time_invariant, steady, sigma):
@@ -28,17 +28,17 @@ def draw_fig2(steady, fir, sigma):
 
 
 def _draw(name, lines, sigma, places):
-    """Draw two estimates in four panels, {label: (array, name of its colour)}, and below the second minus the first.
+    """Draw a figure: two estimates, {label: (array, name of its colour)}, and below the second minus the first.
 
     places says for each axis, "x" and "y", at which step its label stands, and how many points from the line.
     """
     layout = [["position x", "position y"], ["velocity x", "velocity y"], ["gap", "gap"]]
     fig, ax = plots.panels(layout, height=1.9)
     k = np.arange(1, 1 + len(next(iter(lines.values()))[0]))
-    for i, name in enumerate(STATE):
+    for i, (part, unit) in enumerate(STATE.items()):
         for (label, (estimates, colour)), style in zip(lines.items(), ("-", "--"), strict=True):
-            ax[name].plot(k, estimates[:, i], style, color=COLOUR_OF[colour], label=label)
-        plots.finish(ax[name], "step k" if "velocity" in name else "", f"{name} ({'m/s' if 'velocity' in name else 'm'})")
+            ax[part].plot(k, estimates[:, i], style, color=COLOUR_OF[colour], label=label)
+        plots.finish(ax[part], "step k" if "velocity" in part else "", f"{part} ({unit})")
     (first, _), (second, colour) = lines.values()
     ax["gap"].axhspan(-sigma / 10 * CENTIMETRES, sigma / 10 * CENTIMETRES, color=GREY, lw=0)
     for axis, column, style in (("x", 0, "-"), ("y", 2, ":")):
