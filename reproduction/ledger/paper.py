@@ -145,11 +145,11 @@ class Paper:
     def table(self, id: str, computed, *, basis: str = "", extra: Mapping[str, Iterable] | None = None) -> Shown:
         """Check all cells of a table of the paper; return it as the paper lays it out, printed beside computed.
 
-        computed maps the items' ids to values, or has the values in reading order (of a grid, the whole array). A value
-        is a number; (number, (low, high)) with the band of simulations; for a formula or a text (whether it holds, as in
-        `claim`, what is right, how that was seen), or a function of the printed text that returns these; or a text
-        that says why it cannot be checked. Cells that our copy has lost are shown and not judged. extra has columns of
-        ours for the right, {head: cells}.
+        computed maps the items' ids to values, or has the values in reading order (of a grid, the whole array).
+        A value is a number; (number, (low, high)) with the band of simulations; for a formula or a text (whether it
+        holds, as in `claim`, what is right, how that was seen), or a function of the printed text that returns these;
+        or a text that says why it cannot be checked. Cells that our copy has lost are shown and not judged. extra has
+        columns of ours for the right, {head: cells}.
         """
         layout = self.layouts[id]
         if not isinstance(computed, Mapping):

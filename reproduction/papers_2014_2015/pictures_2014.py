@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mpt_helpers import plots
-from mpt_helpers.plots import COLOUR_OF
+from reproduction import plots
+from reproduction.plots import COLOUR_OF
 
 CENTIMETRES = 100  # in a metre
 GREY = "0.87"

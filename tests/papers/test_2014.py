@@ -2,7 +2,6 @@
 
 import re
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,20 +173,6 @@ def test_a_ratio_may_be_right_as_that_of_the_table_and_wrong_as_that_of_the_oper
 
 
 # Table 4
-
-
-def items(numbers, decimals=3):
-    """A table of ratios of some numbers, as its items."""
-    places = [(i, j) for i in range(len(numbers)) for j in range(len(numbers)) if i != j]
-    printed = {(i, j): f"{numbers[i] / numbers[j]:.{decimals}f}" for i, j in places}
-    return {place: Item(str(place), "Table", "number", text) for place, text in printed.items()}
-
-
-def test_numbers_are_found_from_their_ratios_and_none_where_none_fits():
-    cells = items([500, 20, 333])
-    assert table4.numbers_behind(cells, {0: 500, 1: 20}) == {2: [333]}
-    cells[2, 0] = replace(cells[2, 0], printed="9.000")
-    assert table4.numbers_behind(cells, {0: 500, 1: 20}) == {2: []}
 
 
 def test_a_join_that_was_made_up_is_found():
