@@ -200,7 +200,7 @@ class Paper:
         if isinstance(value, str):
             given, right = self.cannot_check(item.id, value, cause=item.cause or None), ""
         elif item.lost:
-            given = self.cannot_check(item.id, "our copy has lost this cell", cause=item.cause, counted=float(value))
+            given = self.cannot_check(item.id, "our copy has lost this cell", cause=item.cause, counted=round(float(value), decimals))
             right = f"{value:.{decimals}f}"
         elif isinstance(value, tuple) and isinstance(value[0], (bool, np.bool_, Mapping)):
             holds, right, how = value
