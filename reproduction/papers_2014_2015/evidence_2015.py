@@ -75,7 +75,7 @@ def models(b, G, r, a, G_a):
     x, w = rng.normal(size=(3, 2)), rng.normal(size=(3, 1))
     moved = gap((a.F @ x.ravel() + G_a @ w.ravel()), (x @ b.F.T + w @ G.T).ravel())
     merged, size = rounding(max(moved, gap(a.H @ x.ravel(), (x @ b.H.T).ravel())))
-    return {"measured": (at, seen, beyond), "merge": (merged, f"one step of both, from any state and push: {size}")}
+    return {"measured": (at, seen, beyond), "merge.models": (merged, f"one step of both, from any state and push: {size}")}
 
 
 def exists(axis):
