@@ -22,7 +22,7 @@ def unmeasured(axis, steps):
     """Return sigma of the position of a settled axis after 0 ... steps steps without a measurement, in metres.
 
     >>> unmeasured(mpt.gsm_axis(dt=1.0, q=0.01, r=0.1), 30)[[0, 30]].round(2)
-    array([ 0.17, 10.12])
+    array([ 0.17, 10.09])
     """
     P = mpt.SteadyStateFilter.from_kalman(axis).P
     sigma = [np.sqrt(P[0, 0])]
@@ -75,7 +75,10 @@ def models(b, G, r, a, G_a):
     x, w = rng.normal(size=(3, 2)), rng.normal(size=(3, 1))
     moved = gap((a.F @ x.ravel() + G_a @ w.ravel()), (x @ b.F.T + w @ G.T).ravel())
     merged, size = rounding(max(moved, gap(a.H @ x.ravel(), (x @ b.H.T).ravel())))
-    return {"measured": (at, seen, beyond), "merge.models": (merged, f"one step of both, from any state and push: {size}")}
+    return {
+        "measured": (at, seen, beyond),
+        "merge.models": (merged, f"one step of both, from any state and push: {size}"),
+    }
 
 
 def exists(axis):
