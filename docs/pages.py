@@ -266,10 +266,9 @@ def described_lesson(name, cells):
     return Lesson(name, title(cells), question, next((key for key in linked if key in keys()), ""))
 
 
-def parts_of(key, kind):
-    """Return the tables or figures of a paper, as its contents list them: [(number, anchor on its page)]."""
-    headings = [row.heading for row in published(key).rows]
-    return [(each.removeprefix(f"{kind} "), slug(each)) for each in headings if re.fullmatch(rf"{kind} \d+", each)]
+def parts_of(about, kind):
+    """Return the tables or figures of a paper, [(number, anchor on its page)]."""
+    return [(each.partition(" ")[2], slug(each)) for each in about.numbered if each.startswith(kind)]
 
 
 def draw_sensor(folder):
