@@ -31,8 +31,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 import mpt_helpers as mpt
-from mpt_helpers import plots
-from reproduction import figures
+from reproduction import figures, plots
 from reproduction.ledger import Verdicts, keys, published, stored_verdicts
 from reproduction.ledger.verdicts import (
     BASES,
@@ -414,9 +413,9 @@ def picture(figure, root="", folder="figures"):
 
 # The headings of the page on the filters, with the modules in which what stands below them is defined.
 CHAPTERS = {
-    "Models": ("model",),
+    "Models": ("model", "motion"),
     "Filters": ("kalman", "lainiotis", "steady", "combined", "predictor"),
-    "What a filter is worth": ("metrics", "fit", "study", "riccati", "forecasts"),
+    "What a filter is worth": ("metrics", "fit", "fitting", "bands", "forecasts", "study", "riccati"),
     "A recorded track": ("tracks",),
 }
 
