@@ -5,11 +5,16 @@ from typing import NamedTuple
 import break_sensor
 
 from reproduction import burden
-from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, FAILS, HOLDS, IN_PART
+from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, DIFFERS, ERRATUM, HOLDS, IN_PART
 
 AXES = 2  # operations are those of a track in the plane
 # How items come out, in words, with the verdict that gives the colour.
-WORDS = {"hold": HOLDS, "hold in part": (IN_PART,), "fail": FAILS, "cannot be checked": (CANNOT_BE_CHECKED,)}
+WORDS = {
+    "hold": HOLDS,
+    "hold in part": (IN_PART,),
+    "fail": (DIFFERS, ERRATUM),
+    "cannot be checked": (CANNOT_BE_CHECKED,),
+}
 
 
 class Outcome(NamedTuple):

@@ -158,8 +158,9 @@ def figures_of(key, cells):
         if cell["cell_type"] == "markdown":
             section = [section, *re.findall(r"(?m)^#{1,3} (?:\d+\. )?(.*)", source(cell))][-1]
         for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
-            number = re.fullmatch(rf"{key}_fig(\d+)", name)
-            label = f"Figure {number[1]}" if number else f"Figure `{name}`"
+            paper, own = next((each, name.removeprefix(f"{each}_")) for each in keys() if name.startswith(f"{each}_"))
+            numbered = paper == key and re.fullmatch(r"fig\d+", own) is not None
+            label = f"Figure {own[3:]}" if numbered else f"Figure `{own}`"
             captions = [part for part in prose if label in names_of(part)]
             (shown,) = (out for out in cell["outputs"] if "image/png" in out.get("data", {}))
             alt = shown["metadata"]["image/png"]["alt"]
@@ -171,7 +172,7 @@ def figures_of(key, cells):
                 else ""
             )
             finding = above or only or conclusion(caption) or section
-            drawn.append(Drawn(name, bool(number), label, section, caption, finding, cell["id"], alt, width, height))
+            drawn.append(Drawn(name, numbered, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
 
 
@@ -421,8 +422,8 @@ CHAPTERS = {
 
 
 def interface():
-    """Return [(heading, names)] of what the package exports, in the order of its `__all__`; each name stands once."""
-    left = list(mpt.__all__)
+    """Return [(heading, names)] of the classes and functions that the package exports, in the order of `__all__`."""
+    left = [name for name in mpt.__all__ if not inspect.ismodule(getattr(mpt, name))]
     made = []
     for heading, modules in CHAPTERS.items():
         names = [name for name in left if module_of(name) in modules]
@@ -435,9 +436,7 @@ def interface():
 
 def module_of(name):
     """Return the first part, below mpt_helpers, of the module in which an exported name is defined."""
-    thing = getattr(mpt, name)
-    path = thing.__name__ if inspect.ismodule(thing) else thing.__module__
-    return path.split(".")[1]
+    return getattr(mpt, name).__module__.split(".")[1]
 
 
 def public_modules():
