@@ -2,7 +2,7 @@
 
 import re
 
-from mpt_helpers.files import write_whole
+from mpt_helpers.tracks.files import write_whole
 
 from .ledger import published, shipped_verdicts
 from .ledger.tables import Table
