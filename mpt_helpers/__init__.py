@@ -9,7 +9,7 @@ To see how the filters work, read in this order:
   form;
 - `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead;
 - `riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` finds the parameters of a model by
-  `search`, `study` runs many runs;
+  `search`, `monte_carlo` runs many runs;
 - `_base`: what every filter offers; `_engine`: how a filter runs over tracks.
 
 Papers are cited by their year:
@@ -44,9 +44,9 @@ from .model import (
     simulate,
     stack,
 )
+from .monte_carlo import study
 from .predictor import Predictor, SteadyStatePredictor
 from .steady import FIRFilter, SteadyStateFilter, fir_order
-from .study import study
 
 if TYPE_CHECKING:
     from . import tracks

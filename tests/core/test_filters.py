@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
 import mpt_helpers as mpt
+from mpt_helpers._base import Estimates
 from mpt_helpers._engine import shared as steps
 from mpt_helpers._engine.columns import KalmanColumns
 from mpt_helpers.equations import unit_measurements
@@ -440,7 +441,7 @@ class Smoothed(mpt.KalmanFilter):
 @given(st.integers(0, 2**32 - 1))
 def test_a_joint_filter_smooths_to_the_mean_of_both(seed):
     rng = np.random.default_rng(seed)
-    told = [mpt.recursive.Estimates(rng.standard_normal((5, 2)), rng.standard_normal((5, 2, 2))) for _ in range(2)]
+    told = [Estimates(rng.standard_normal((5, 2)), rng.standard_normal((5, 2, 2))) for _ in range(2)]
     both = [Smoothed(AXIS) for _ in told]
     for each, estimates in zip(both, told, strict=True):
         vars(each)["told"] = estimates

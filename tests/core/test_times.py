@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import mpt_helpers as mpt
+from reproduction.lasting import lasting_error
 
 MODEL = mpt.constant_velocity(1.0, 0.04, 0.5, P0=np.eye(2))
 SECONDS = np.array([0.0, 1.5, 4.0, 64.25])
@@ -98,7 +99,7 @@ def test_a_length_of_time_is_taken_for_what_it_is(i):
     np.testing.assert_array_equal(a.errors, due.errors)
     assert a.seconds == 1.5
     assert mpt.bands.LiveBand(kf, length).seconds == 1.5
-    assert mpt.lasting_error(mpt.gsm_axis(1.5, 0.1, 0.2), 1.0, 60.0, dt=length).n == 3
+    assert lasting_error(mpt.gsm_axis(1.5, 0.1, 0.2), 1.0, 60.0, dt=length).n == 3
 
 
 @pytest.mark.parametrize("kind", ["datetimes", "datetimes of a zone", "datetime64[ms]"])

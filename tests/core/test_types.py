@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 import mpt_helpers as mpt
 from mpt_helpers import metrics, riccati
 from reproduction import plots
+from reproduction.lasting import lasting_error
 
 Array = NDArray[np.float64]
 z = [[0.1], [float("nan")], [2.2]]
@@ -59,7 +60,7 @@ assert_type(metrics.chi_square_band(dof=2, runs=100), tuple[float, float])
 assert_type(riccati.rekf(model), Array)
 errors = metrics.ahead(mpt.KalmanFilter(model, t=[1, 2, 4.5]), z, seconds=1)
 assert_type(metrics.following(errors), Array)
-assert_type(mpt.lasting_error(model, sigma=1.0, tau=3600.0), mpt.LinearModel)
+assert_type(lasting_error(model, sigma=1.0, tau=3600.0), mpt.LinearModel)
 found = mpt.fit(lambda q, r: mpt.constant_velocity(1.0, q, r), z, q=1.0, r=1.0)
 assert_type(found.values, dict[str, float])
 assert_type(found.filter.filter(z), Array)

@@ -9,9 +9,8 @@ import pytest
 from conftest import AXIS
 
 import mpt_helpers as mpt
-from mpt_helpers import fit_lasting, lasting_error
 from reproduction import lasting
-from reproduction.lasting import memory
+from reproduction.lasting import fit_lasting, lasting_error, memory
 
 CV = mpt.constant_velocity(dt=30.0, q=0.0, r=0.04, P0=np.diag([100.0, 1.0]))
 GPS_INS = mpt.gps_ins(30.0, 0.0, (1.0, 1e-4), P0=np.diag([100.0, 1.0, 1.0]))
@@ -186,7 +185,7 @@ def test_a_bad_half_makes_the_floor_and_widens_what_is_known():
 
 @pytest.mark.filterwarnings("ignore:fit_lasting")
 def test_a_long_log_is_thinned(monkeypatch):
-    monkeypatch.setattr(mpt.lasting, "MOST_ROWS", 200)
+    monkeypatch.setattr(lasting, "MOST_ROWS", 200)
     t, z = log_at_rest(5, N=600)
     found, every_third = fit_lasting((t, z)), fit_lasting((t[::3], (z - z.mean() + z[::3].mean())[::3]))
     np.testing.assert_allclose(found.tau, every_third.tau, rtol=1e-3)

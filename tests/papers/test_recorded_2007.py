@@ -17,6 +17,7 @@ from scipy.special import erf
 
 import mpt_helpers as mpt
 from reproduction import figures, ledger
+from reproduction.lasting import fit_lasting, lasting_error
 from reproduction.paper_2007 import article, experiments, positioning, recorded
 from reproduction.paper_2007.positioning import line_sigma
 
@@ -625,7 +626,7 @@ def test_noise_that_lasts_makes_a_walker_s_filter_no_better_than_one_fix(cells):
     """New at each fix, it makes what the filter states; remembered ten seconds, as many walks are off as computed."""
     stated = float(re.findall(r"a fix each 1 s: .*filter ± ([\d.]+)", printed(cells[0]))[0])
     assert article.walker(remembered=1e-3).made == pytest.approx(stated, abs=0.005)
-    model = mpt.lasting_error(
+    model = lasting_error(
         mpt.constant_velocity(dt=1.0, q=0.1, r=4.7, P0=np.diag([100.0, 1.4**2])), sigma=1.1, tau=2700.0
     )
     kf, rng, keeps, M = mpt.KalmanFilter(model), np.random.default_rng(5), np.exp(-1 / 10), 4000
@@ -660,7 +661,7 @@ def fitted_to(logs, every=1):
     """The fit of `fit_lasting` to logs of one fix a second, or to each so many of them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return mpt.fit_lasting(*((np.arange(86400.0)[::every], log[::every]) for log in logs))
+        return fit_lasting(*((np.arange(86400.0)[::every], log[::every]) for log in logs))
 
 
 def test_a_fit_to_smoothed_fixes_takes_what_is_left_of_the_noise_for_lasting(cells):
@@ -922,7 +923,7 @@ def function_of(cells, *needed):
 
 def test_the_filter_of_the_article_is_the_package_s(cells):
     """On a track that moves, whose first fixes are missing."""
-    model = mpt.lasting_error(mpt.constant_velocity(30.0, 1e-3, 4.0, P0=np.diag([100.0, 400.0])), 1.5, 1800.0)
+    model = lasting_error(mpt.constant_velocity(30.0, 1e-3, 4.0, P0=np.diag([100.0, 400.0])), 1.5, 1800.0)
     _, z = mpt.simulate(model, 60, np.random.default_rng(11))
     z[[0, 1, 30]] = np.nan
     z = z[:, 0]

@@ -18,7 +18,7 @@ from conftest import MODELS_2016, ROOT
 from tqdm import tqdm
 
 import mpt_helpers as mpt
-from mpt_helpers.study import BLOCK
+from mpt_helpers.monte_carlo import BLOCK
 
 STEADY = mpt.SteadyStateFilter.from_kalman(MODELS_2016["cv"])
 
