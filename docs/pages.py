@@ -416,7 +416,7 @@ def picture(figure, root="", folder="figures"):
 CHAPTERS = {
     "Models": ("model", "motion"),
     "Filters": ("kalman", "lainiotis", "steady", "combined", "predictor"),
-    "What a filter is worth": ("metrics", "fit", "fitting", "bands", "forecasts", "study", "riccati"),
+    "What a filter is worth": ("metrics", "fit", "fitting", "bands", "forecasts", "study", "monte_carlo", "riccati"),
     "A recorded track": ("tracks",),
 }
 
