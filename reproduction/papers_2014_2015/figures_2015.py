@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mpt_helpers import plots
+from reproduction import plots
 
 KALMAN, STEADY = plots.COLOUR_OF["kalman"], plots.COLOUR_OF["steady"]
 AXES = {"x": 0, "y": 2, "z": 4}  # where the position of an axis stands in the state; its velocity follows

@@ -10,11 +10,11 @@ from conftest import ROOT, cells_of, dense_model, shown, source
 from scipy.linalg import solve_discrete_are
 
 import mpt_helpers as mpt
-from mpt_helpers.plots import COLOUR_OF
 from reproduction import burden, published
 from reproduction.ledger import stored_verdicts
 from reproduction.papers_2014_2015 import evidence_2015 as evidence
 from reproduction.papers_2014_2015 import figures_2015
+from reproduction.plots import COLOUR_OF
 
 KEY = "2015_mpt_3d"
 CELLS = {cell["id"]: cell for cell in cells_of(ROOT / "notebooks" / f"{KEY}.ipynb")}
