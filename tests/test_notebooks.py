@@ -7,12 +7,11 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
-from conftest import GIVES_A_VERDICT, NOTEBOOKS, ROOT, cells_of, source
+from conftest import LESSONS, NOTEBOOKS, ROOT, cells_of, source
 from matplotlib.image import imread
 
 from reproduction.execute import tidied
 from reproduction.figures import SavedFigure
-from reproduction.ledger.verdicts import MIME
 
 FIGURES = ROOT / "figures"
 WIDTH = 110  # characters of a line that a reader must read
@@ -30,10 +29,6 @@ def figure_names(cells):
     return re.findall(r'save_figure\([^"]+, "(\w+)"\)', "\n".join(map(source, code(cells))))
 
 
-def ledger_cells(cells):
-    return [cell for cell in code(cells) if GIVES_A_VERDICT.search(source(cell))]
-
-
 def test_there_are_notebooks():
     assert NOTEBOOKS
 
@@ -46,8 +41,8 @@ def test_a_notebook_is_executed_from_top_to_bottom(notebook):
 
 def test_a_notebook_is_stored_as_reproduce_and_tidy_store_it(notebook):
     """With the outputs, which `exact` compares, this makes the whole file: executing it again changes no byte."""
-    key, cells = notebook
-    text = (ROOT / "notebooks" / f"{key}.ipynb").read_text(encoding="utf-8")
+    path, cells = notebook
+    text = path.read_text(encoding="utf-8")
     kept = tidied(json.loads(text))
     assert text == json.dumps(kept, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
     assert kept["metadata"]["kernelspec"]["name"] == "python3"
@@ -67,27 +62,18 @@ def test_no_line_of_an_output_is_wider_than_a_page(notebook):
                 assert not wide, f"{cell['id']}: {wide[0]}"
 
 
-def test_verdicts_stand_folded_in_cells_of_their_own(notebook):
-    _, cells = notebook
-    for cell in ledger_cells(cells):
-        assert source(cell).startswith("# Ledger: "), cell["id"]
-        assert source(cell).splitlines()[-1] == "paper.report()", cell["id"]
-        assert cell["metadata"] == {"jupyter": {"source_hidden": True}, "tags": ["hide-input", "ledger"]}, cell["id"]
-        assert [MIME in out.get("data", {}) for out in cell["outputs"]] == [True], cell["id"]
-
-
 def test_every_figure_in_a_notebook_is_saved_and_committed(notebook):
-    key, cells = notebook
+    path, cells = notebook
     pictures = [out["data"]["image/png"] for out in outputs(cells) if "image/png" in out.get("data", {})]
     names = figure_names(cells)
     assert len(names) == len(pictures) == len(set(names))
     for name, picture in zip(names, pictures, strict=True):
-        assert name.startswith(f"{key}_")
+        assert path in LESSONS or name.startswith(f"{path.stem}_")
         assert (FIGURES / f"{name}.png").read_bytes() == b64decode(picture)
 
 
 def test_every_committed_figure_is_made_by_a_notebook():
-    made = {name for path in NOTEBOOKS for name in figure_names(cells_of(path))}
+    made = {name for path in [*NOTEBOOKS, *LESSONS] for name in figure_names(cells_of(path))}
     files = {f"{name}.{kind}" for name in made for kind in ("png", "svg")}
     assert files == {path.name for path in FIGURES.iterdir()}
     if not (ROOT / ".git").exists():

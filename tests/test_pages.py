@@ -22,8 +22,7 @@ from conftest import NOTEBOOKS, ROOT, cells_of, prose
 import mpt_helpers as mpt
 from mpt_helpers import recursive
 from reproduction import burden
-from reproduction.ledger import Verdicts, keys, stored_verdicts
-from reproduction.ledger.paper import Cause
+from reproduction.ledger import Cause, Verdicts, keys, stored_verdicts
 from reproduction.ledger.verdicts import FAILS, HOLDS, Verdict
 
 

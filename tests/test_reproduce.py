@@ -18,7 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import KERNEL, ROOT, VERDICTS, write_notebook
+from conftest import KERNEL, PAPER, ROOT, VERDICTS, write_notebook
 from jupyter_client import KernelManager
 from nbformat.v4 import new_output
 
@@ -78,6 +78,43 @@ def test_reproduce_executes_in_place_stores_the_verdicts_and_again_changes_no_by
     assert files(project) == before
     same = "the notebooks ran, and all 4 files that they make are as before, byte for byte"
     assert capfd.readouterr().out.splitlines()[-1] == same
+
+
+ROWS = """
+[[contents]]
+heading = "All"
+ids = ["count", "ratio", "wrong", "equal", "lost"]
+shows = "everything"
+"""
+
+
+def test_reproduce_writes_the_contents_and_again_changes_no_byte(project, capfd):
+    (project / "reproduction/ledger/small.toml").write_text(PAPER + ROWS)
+    write_notebook(project / SMALL, VERDICTS)
+    notebook = json.loads((project / SMALL).read_text())
+    front = "# Small\n\n<!-- contents --><!-- end of contents -->\n"
+    notebook["cells"].insert(0, {"cell_type": "markdown", "id": "front", "metadata": {}, "source": front})
+    (project / SMALL).write_text(json.dumps(notebook))
+    assert main(["reproduce"]) == 0
+    written = "".join(json.loads((project / SMALL).read_text())["cells"][0]["source"])
+    assert "4 of them can be checked: 3 hold, 1 does not, for 1 reason." in written
+    assert "| [All](#All) | everything | ✗ 1 of 4 wrong; ? 1 lost in our copy |" in written
+    before = files(project)
+    assert main(["reproduce", "small"]) == 0
+    assert files(project) == before
+    same = "the notebooks ran, and all 2 files that they make are as before, byte for byte"
+    assert capfd.readouterr().out.splitlines()[-1] == same
+
+
+def test_a_notebook_without_a_place_for_its_contents_changes_no_file(project, capsys):
+    (project / "reproduction/ledger/small.toml").write_text(PAPER + ROWS)
+    before = files(project)
+    assert main(["reproduce"]) == 1
+    assert (
+        "small.ipynb: needs <!-- contents --> and <!-- end of contents --> once, got them 0 times"
+        in capsys.readouterr().err
+    )
+    assert files(project) == before
 
 
 def test_notebooks_run_side_by_side_and_a_terminal_tells_the_time_left(project, tmp_path_factory, monkeypatch, capsys):

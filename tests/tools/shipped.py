@@ -67,7 +67,8 @@ class Environment:
     """A clean environment with a wheel and some of its extras, and an empty folder to work in."""
 
     def __init__(self, folder, what):
-        self.python = folder / "venv" / "bin" / "python"
+        folders = ("Scripts", "python.exe") if sys.platform == "win32" else ("bin", "python")
+        self.python = folder.joinpath("venv", *folders)
         self.here = folder / "work"
         self.here.mkdir()
         subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True)
@@ -120,20 +121,12 @@ def use_gps(there):
     assert made <= rows(ROOT / "notebooks" / "data" / "esbc_2020_177.csv.gz"), made
 
 
-def use_tracks(there):
-    """Read a GPX file into metres."""
-    there.script(
-        "from mpt_helpers import tracks\nassert tracks.gpx(__import__('sys').argv[1])[0].z.shape == (4559, 2)",
-        ROOT / "docs" / "tracks" / "ride.gpx",
-    )
-
-
 def rows(path):
     """Return the lines of a compressed table."""
     return set(gzip.decompress(path.read_bytes()).decode().splitlines())
 
 
-USES = {"notebooks": use_notebooks, "dask": use_dask, "gps": use_gps, "tracks": use_tracks}
+USES = {"notebooks": use_notebooks, "dask": use_dask, "gps": use_gps}
 
 
 def main(extras):
