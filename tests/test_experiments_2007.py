@@ -26,7 +26,7 @@ def test_random_skies_are_of_all_places_and_times():
 
 
 def off(X):
-    return X + [3e5, 0, 0, 5e3]
+    return X + np.array([3e5, 0, 0, 5e3])
 
 
 def test_rough_errors_are_those_of_the_iteration():

@@ -1,7 +1,7 @@
 """What the text of the paper of 2007 claims, put to the test: the numbers behind the verdicts of its notebook.
 
-The paper prints the size of its errors and no track. Its filters are linear, so that the mean and the covariance of their
-errors are exact, without a seed; only the satellites of the rough position and the adaptive window are simulated.
+The paper prints the size of its errors and no track. Its filters are linear, so that the mean and the covariance of
+their errors are exact, without a seed; only the skies of the rough position and the adaptive window are simulated.
 """
 
 from dataclasses import replace
@@ -13,8 +13,8 @@ import numpy as np
 from mpt_helpers import KalmanFilter, LinearModel, gps_ins
 from mpt_helpers.metrics import rms
 
-from . import positioning, recorded
 from . import experiments as runs
+from . import positioning, recorded
 
 N, DT = 100, 1.0  # the paper's n; the paper prints no Δt
 SIGMAS = np.array([1.0, 0.01])  # m and m/s, the random errors of GPS and INS
@@ -200,10 +200,7 @@ def on_record():
         newest = [[recorded.line_ratios(each, N)[1] for each in pair] for pair in pairs]
         lines = zip(of, noisy, newest, strict=True)
         rows.append(
-            [
-                (a.fix, *line, a.position / a.fix, b.position / b.fix, a.nees, a.velocity, a.bias)
-                for a, b, line in lines
-            ]
+            [(a.fix, *line, a.position / a.fix, b.position / b.fix, a.nees, a.velocity, a.bias) for a, b, line in lines]
         )
     return OnRecord(list(cases), *np.moveaxis(np.array(rows), 2, 0))
 

@@ -38,14 +38,14 @@ def random_sky(rng):
 
 
 def rough_errors(start, sigma, steps, rng, M, anew=True):
-    """Return the errors of the rough position over the iteration (2007 Figs. 1 and 2), (steps + 1, M), in M random runs.
+    """Return the errors (steps + 1, M) of the rough position over the iteration (2007 Figs. 1, 2), in M random runs.
 
     Each run has a `random_sky`, and range errors of standard deviation sigma: others at each step, or the same for all
     steps. start takes the true [x y z D'] to the known one. The errors are distances to the true position, at the start
     and after each step.
 
     >>> def off(X):
-    ...     return X + [3e5, 0, 0, 5e3]
+    ...     return X + np.array([3e5, 0, 0, 5e3])
     >>> rough_errors(off, 1.0, 3, np.random.default_rng(0), 2)[0]
     array([300000., 300000.])
     """

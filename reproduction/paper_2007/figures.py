@@ -5,7 +5,6 @@ import numpy as np
 from mpt_helpers import plots
 
 MEASURED = {"color": plots.COLOUR_OF["measured"], "lw": 1.0}
-DETAIL = slice(4, None)  # of a line fit: before the fifth point its velocity is off by metres a second
 
 
 def draw_fig1(one, skies, other):
@@ -20,7 +19,7 @@ def draw_fig1(one, skies, other):
     for label, (errors, style, colour) in starts.items():
         _band(ax["many"], errors, style, plots.COLOUR_OF[colour], label)
     ax["many"].set_yscale("log")
-    plots.finish(ax["many"], "step of the iteration", "ours: the same in metres, 1,000 skies")
+    plots.finish(ax["many"], "step of the iteration", f"ours: the same (m), {skies.shape[1]:,} skies")
     return fig
 
 
@@ -37,7 +36,7 @@ def draw_fig2(one, skies, same):
         rms = np.sqrt(np.mean(errors**2, axis=1))
         ax["many"].plot(rms, style, color=plots.COLOUR_OF["line" if style == "-" else "mean"], label=label)
     ax["many"].set_ylim(0)
-    plots.finish(ax["many"], "step of the iteration", "ours: rms error (m), 1,000 skies")
+    plots.finish(ax["many"], "step of the iteration", f"ours: rms error (m), {skies.shape[1]:,} skies")
     return fig
 
 
@@ -71,7 +70,8 @@ def draw_kalman(number, t, x, measured, estimates, sigma):
     _tracks(ax, t, x, measured, estimates, colour)
     ax["b"].plot(t, x[:, 2], ":", color=plots.COLOUR_OF["truth"])
     ax["b"].plot(t, estimates[:, 2], "--", color=colour)
-    plots.finish(ax["b"], "time (s)", "INS error (m/s)")
+    ax["b"].set_xlim(0, t[-1])
+    plots.finish(ax["b"], "time (s)", "ours: INS error (m/s)")
     _error(ax["error"], t, estimates[:, 0] - x[:, 0], sigma, colour)
     return fig
 
@@ -79,15 +79,19 @@ def draw_kalman(number, t, x, measured, estimates, sigma):
 def _tracks(ax, t, x, measured, estimates, colour):
     ax["x"].plot(t, measured, "-", **MEASURED, label="measured $x_m$")
     ax["x"].plot(t, estimates[:, 0], "--", color=colour, label="estimated $x_e$")
-    ax["V"].plot(t, x[:, 1], ":", color=plots.COLOUR_OF["truth"], label="true")
-    ax["V"].plot(t, estimates[:, 1], "--", color=colour, label="estimated")
-    plots.finish(ax["x"], "", "coordinate x (m)")
-    plots.finish(ax["V"], "", "velocity (m/s)")
+    ax["x"].plot([], [], ":", color=plots.COLOUR_OF["truth"], label="true")
+    ax["V"].plot(t, x[:, 1], ":", color=plots.COLOUR_OF["truth"])
+    ax["V"].plot(t, estimates[:, 1], "--", color=colour)
+    for name, title in {"x": "coordinate x (m)", "V": "velocity (m/s)"}.items():
+        ax[name].set_xlim(0, t[-1])
+        plots.finish(ax[name], "", title)
+    plots.legend_below(ax["x"], 3)
 
 
 def _error(panel, t, error, sigma, colour):
     panel.fill_between(t, -2 * sigma, 2 * sigma, color="0.85", lw=0)
     panel.plot(t, error, "-", color=colour)
+    panel.set_xlim(0, t[-1])
     plots.finish(panel, "time (s)", "ours: error of x (m)")
 
 
