@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mpt_helpers import plots
+from reproduction import plots
 
 MEASURED = {"color": plots.COLOUR_OF["measured"], "lw": 1.0}
 
