@@ -168,7 +168,7 @@ def test_what_fir_drops_in_example_1_is_that_of_simulated_tracks(taught, tracks)
 # What the verdicts say, with its numbers put in here
 
 
-BOTH = {"2014_gsm_2d": 2, "2015_mpt_3d": 3}  # papers and their axes
+BOTH = {"2014_gsm_2d": 2}  # papers and their axes
 
 
 @pytest.fixture(scope="module")
@@ -314,7 +314,7 @@ def test_a_speedup_that_changes_the_filter_says_that_of_the_same_filter(verdicts
         assert not verdicts[key]["speedup.kf-lf-a"].beyond
 
 
-@pytest.mark.parametrize(("key", "id"), [("2014_gsm_2d", "eq17.joined"), ("2015_mpt_3d", "merge.joined")])
+@pytest.mark.parametrize(("key", "id"), [("2014_gsm_2d", "eq17.joined")])
 def test_columns_side_by_side_are_no_state_however_they_are_transposed(key, id, verdicts):
     axes = BOTH[key]
     columns = [np.ones((2, 1))] * axes
