@@ -200,8 +200,8 @@ class Paper:
         if isinstance(value, str):
             given, right = self.cannot_check(item.id, value, cause=item.cause or None), ""
         elif item.lost:
-            given = self.cannot_check(item.id, "our copy has lost this cell", cause=item.cause, counted=round(float(value), decimals))
             right = f"{value:.{decimals}f}"
+            given = self.cannot_check(item.id, "our copy has lost this cell", cause=item.cause, counted=float(right))
         elif isinstance(value, tuple) and isinstance(value[0], (bool, np.bool_, Mapping)):
             holds, right, how = value
             evidence = how if right == item.printed else f"{right}: {how}"
