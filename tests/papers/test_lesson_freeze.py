@@ -121,9 +121,7 @@ def test_the_braking(taught):
     says("misses by 16 m where ours misses by 42, and on a calm road it is three times as restless")
     over = [np.sqrt(np.mean(misses(make, 0.01, 2) ** 2)) for make in (motion_3, motion)]
     assert [round(each) for each in over] == [16, 42]
-    says(
-        "The prediction of second 5 of the gentle brake misses by 4.1 m with our list of gains, and by 3.3 m if two more"
-    )
+    says("The prediction of second 5 of the gentle brake misses by 4.1 m with our list of gains, and by 3.3 m if two")
     assert round(misses(motion_3, 0.01, 2)[5], 1) == 4.1
     assert round(misses(motion_3, 0.01, 2, steps_more=2)[5], 1) == 3.3
     says("With the rule it does not.")
