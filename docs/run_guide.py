@@ -13,12 +13,11 @@ from pathlib import Path
 
 import matplotlib
 
-from mpt_helpers import plots
-from reproduction import figures
+from reproduction import figures, plots
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "guide"
-PAGES = ("guide.md", "by_hand.md", "small_processor.md", "lasting.md")
+PAGES = ("guide.md", "by_hand.md", "small_processor.md")
 BLOCK = r"^```python\n(?P<code>.*?)^```$(?:\n\n```text\n(?P<said>.*?)^```$)?"
 PART = re.compile(rf"(?ms){BLOCK}|^!?\[[^\]]*\]\(guide/(?P<name>\w+)\.png\)")
 

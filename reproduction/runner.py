@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 from tqdm import tqdm
 
-from mpt_helpers.files import write_together
+from mpt_helpers.tracks.files import write_together
 
 from . import ledger
 from .execute import settings_of_nobody

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.patches import Rectangle
 
 import mpt_helpers as mpt
-from mpt_helpers import plots
+from reproduction import plots
 
 from .lesson_one_step_late import PRINTED, UNKNOWN, walk
 
