@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -178,11 +178,23 @@ class Filter(Immutable):
         checks.no_infinity(z)
         return Estimates(*one_or_many(*function(z), many))
 
+    def __repr__(self) -> str:
+        """One line: the kind, and the sizes of the model."""
+        given = "".join(f", {name}" for name in ("t", "r") if getattr(self, name) is not None)
+        return f"<{type(self).__name__}: {self.model.n} states, {self.model.m} measurements{given}>"
+
+    if not TYPE_CHECKING:  # a type checker would take any name for one that is there
+
+        def __getattr__(self, name: str) -> Any:
+            """Say where to find what other packages call by another name."""
+            hint = "; step(x, P, z_k) takes one measurement" if name in ("predict", "update") else ""
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}")
+
     def _not_recursive(self):
         return TypeError(f"needs a filter with P0, covariances and step, got a {type(self).__name__}")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else works.
 

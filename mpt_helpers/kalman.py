@@ -33,7 +33,7 @@ LARGEST = 1e29
 MISSED_ELSEWHERE = 1e-3
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class KalmanFilter(RecursiveFilter):
     """The Kalman filter (2014 Eq. 4, 2015 Eq. 1).
 
@@ -117,9 +117,9 @@ class KalmanFilter(RecursiveFilter):
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
-        if dt is not None and not kf.S.max() < LARGEST:
-            need = "a time after which doubles hold the variances of the measurements beside that of the prediction"
-            checks.refuse("dt", need, f"{dt:.6g} s")
+        if not kf.S.max() < LARGEST:
+            need = "a prediction beside whose variance doubles hold those of the measurements"
+            checks.refuse("P" if dt is None else "dt", need, f"{kf.S.max():.2g} times as much")
         return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
 
     def step(
@@ -194,6 +194,8 @@ class KalmanFilter(RecursiveFilter):
     def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
         """Return the filter on columns, as in RecursiveFilter."""
         model = self.model
+        if not (self._units[0] @ model.P0 @ self._units[0].T).max() < LARGEST:
+            checks.refuse("P0", f"variances of what is measured below {LARGEST:g} times R", "larger ones")
         return kalman_on_columns(self.prediction, model.H, model.R, model.x0, model.P0, self.r is not None)
 
     @cached_property

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -470,20 +470,21 @@ def mean_track(model: LinearModel, N: int) -> Array:
     return np.array(states)
 
 
-def simulate(model: LinearModel, N: int, rng: np.random.Generator, tracks: int | None = None) -> tuple[Array, Array]:
+def simulate(model: LinearModel, N: int, rng: Any, tracks: int | None = None) -> tuple[Array, Array]:
     """Draw true tracks and their measurements from a model (2014 Eq. 1).
 
-    N is the number of steps, rng a numpy Generator, tracks the number of tracks M, or None for one track.
+    N is the number of steps, rng a numpy Generator, a seed, or what else numpy.random.default_rng takes. tracks is the
+    number of tracks M, or None for one track.
 
     Returns x and z of shapes (N, n) and (N, m), or (N, n, M) and (N, m, M). Row k is x(k+1), z(k+1): x(0) itself, drawn
-    from N(x0, P0), is not returned. Raises TypeError for anything but a model and a Generator, ValueError for N < 1.
+    from N(x0, P0), is not returned. Raises TypeError for anything but a model, ValueError for N < 1.
 
     >>> x, z = simulate(gsm_axis(dt=1.0, q=0.01, r=0.1), N=5, rng=np.random.default_rng(1), tracks=3)
     >>> x.shape, z.shape
     ((5, 2, 3), (5, 1, 3))
     """
     checks.instance("model", model, LinearModel)
-    checks.instance("rng", rng, np.random.Generator)
+    rng = np.random.default_rng(rng)
     N = checks.count("N", N)
     M = 1 if tracks is None else checks.count("tracks", tracks)
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))

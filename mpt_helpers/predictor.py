@@ -53,7 +53,7 @@ class _Ahead(Filter):
         return np.moveaxis(P, 1, 3)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Predictor(_Ahead):
     """The prediction of a filter's state some steps ahead: `filter(z)` returns x(1+N/1), x(2+N/2), ...
 
@@ -79,7 +79,7 @@ class Predictor(_Ahead):
         checks.count("steps", self.steps, least=0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SteadyStatePredictor(_Ahead):
     """The steady-state prediction N steps ahead (2016 Eqs. 15-20): `filter(z)` returns x(1+N/1), x(2+N/2), ...
 

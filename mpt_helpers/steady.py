@@ -27,7 +27,7 @@ SAME_A = 1e-6
 MOST_TAPS = 1_000_000
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class SteadyStateFilter(RecursiveFilter):
     """A filter with constant coefficients: A (n×n), B (n×m), and the error covariance P (n×n) of its steady state.
 
@@ -148,7 +148,7 @@ def fir_order(A: ArrayLike, tol: float, norm: float | str = 2) -> int:
     return order
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class FIRFilter(Filter):
     """The FIR form of a steady-state filter (2014 Section 7, Eqs. 20-22): a weighted sum of the last measurements.
 

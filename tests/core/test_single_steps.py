@@ -1,6 +1,5 @@
 """`step`: what it takes and refuses, for every filter that has one; and what two threads at once may not break."""
 
-import re
 import warnings
 from dataclasses import replace
 
@@ -18,22 +17,22 @@ KF, LF = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS)
 SS = mpt.SteadyStateFilter.from_kalman(AXIS)
 EACH = {"KF": KF, "LF": LF, "SSKF": SS, "join": mpt.JoinFilter(KF, LF), "separate": mpt.Separate(KF, LF)}
 NO_COVARIANCES = {
-    "not symmetric": ([[1.0, 0.5], [0.4, 1.0]], "a matrix that is not symmetric: 0.4 and 0.5"),
-    "negative": ([[1.0, 0.0], [0.0, -1e-3]], "a variance of -0.001"),
-    "all negative": (-np.eye(2), "a variance of -1"),
-    "correlated by more than one": ([[1.0, 2.0], [2.0, 1.0]], "a covariance of 2, too large beside its variances"),
-    "correlated with what is known": ([[1.0, 0.1], [0.1, 0.0]], "a covariance of 0.1, too large"),
+    "not symmetric": [[1.0, 0.5], [0.4, 1.0]],
+    "negative": [[1.0, 0.0], [0.0, -1e-3]],
+    "all negative": -np.eye(2),
+    "correlated by more than one": [[1.0, 2.0], [2.0, 1.0]],
+    "correlated with what is known": [[1.0, 0.1], [0.1, 0.0]],
 }
 
 
 @pytest.mark.parametrize("kind", [np.array, list], ids=["arrays", "lists"])
-@pytest.mark.parametrize(("P", "words"), NO_COVARIANCES.values(), ids=NO_COVARIANCES)
+@pytest.mark.parametrize("P", NO_COVARIANCES.values(), ids=NO_COVARIANCES)
 @pytest.mark.parametrize("each", EACH.values(), ids=EACH)
-def test_a_step_refuses_a_P_that_is_no_covariance(each, P, words, kind):
+def test_a_step_refuses_a_P_that_is_no_covariance(each, P, kind):
     n = each.model.n
     whole = np.eye(n)
     whole[:2, :2] = P
-    with pytest.raises(ValueError, match=re.escape(f"P: needs a covariance, got {words}")):
+    with pytest.raises(ValueError, match="P: needs a symmetric positive semidefinite matrix"):
         each.step(np.zeros(n), kind(whole.tolist()), np.zeros(each.model.m))
 
 
@@ -55,21 +54,15 @@ def test_a_join_of_filters_whose_gains_nobody_knows_has_no_step():
     np.testing.assert_allclose(joined[0], KF.step(AXIS.x0, AXIS.P0, [0.5])[0])
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(3, 5), st.integers(1, 2), st.sampled_from([None, 0.0, 0.1]))
-def test_a_kalman_step_refuses_a_P_that_gives_a_measurement_no_variance(seed, n, m, dt):
-    """Each pair of its states is fine, and the eigenvalue below zero lies along what is measured."""
-    rng = np.random.default_rng(seed)
-    axes = [mpt.constant_velocity(0.1, 1e-3, 1.0)] * n
-    signs = rng.choice([-1.0, 1.0], n)
-    P, H = np.eye(2 * n), rng.standard_normal((m, 2 * n))
+@given(st.integers(0, 2**32 - 1), st.integers(3, 5))
+def test_a_kalman_step_refuses_a_P_that_is_fine_by_pairs_of_states(seed, n):
+    """An eigenvalue below zero lies along a sum of all positions."""
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], n)
+    P = np.eye(2 * n)
     P[::2, ::2] = np.where(np.eye(n), 1.0, -0.99 * signs[:, None] * signs)
-    H[-1] = 0
-    H[-1, ::2] = 3 * signs
-    kf = mpt.KalmanFilter(replace(mpt.stack(*axes), H=H, R=np.diag(rng.uniform(0.1, 1.0, m)), P0=np.eye(2 * n)))
-    z = np.where(np.arange(m) == m - 1, 1.0, rng.choice([np.nan, 2.0], m))
-    with pytest.raises(ValueError, match="P: needs a covariance, got one that gives a measurement a variance"):
-        kf.step(np.zeros(2 * n), P, z, dt)
-    assert np.isfinite(kf.step(np.zeros(2 * n), np.abs(P), z, dt)[1]).all()
+    kf = mpt.KalmanFilter(mpt.stack(*[mpt.constant_velocity(0.1, 1e-3, 1.0)] * n))
+    with pytest.raises(ValueError, match="P: needs a symmetric positive semidefinite matrix"):
+        kf.step(np.zeros(2 * n), P, np.ones(n))
 
 
 @pytest.mark.parametrize("name", ["known start", "dense", "12 states"])

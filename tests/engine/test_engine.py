@@ -167,7 +167,7 @@ def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces)
         (mpt.constant_velocity, 3600.0, 1e-6, True),
         (mpt.constant_velocity, 86_400.0, 5e-6, True),  # after the second run
         (mpt.constant_acceleration, 600.0, 5e-6, True),  # after the third
-        (mpt.constant_acceleration, 3600.0, 5e-4, False),
+        (mpt.constant_acceleration, 3600.0, 5e-5, True),
         (mpt.constant_acceleration, 86_400.0, 1.0, False),
     ],
 )
@@ -403,7 +403,7 @@ REFUSED_TIMES = {
     "another Q": (lambda: timed(replace(plane(), Q=np.eye(4)), t=T), "t: needs a model with a transition"),
     "axes of other dt": (
         lambda: timed(mpt.stack(*(mpt.constant_velocity(dt, 1, 1) for dt in (1, 2))), t=T),
-        "t: needs a model with a transition",
+        "dt: needs a model that says the same dt",
     ),
     "backwards": (lambda: timed(t=[0, 2, 1]), "t: needs .* do not decrease, got 1 after 2, in row 2"),
     "NaN": (lambda: timed(t=[0, np.nan]), "t: needs .* got NaN or infinity"),
@@ -726,14 +726,7 @@ def test_a_state_that_is_known_exactly_stays_so(tracks, gaps):
 
 
 def test_a_variance_below_zero_is_refused():
-    """Three fixes in every twenty epochs: without process noise P grows to 1e17 of their variance in between."""
-    model = mpt.constant_acceleration(dt=30.0, q=0.0, r=1e-4, P0=1e8 * np.eye(3))
-    t = 30 * np.cumsum(np.random.default_rng(0).exponential(size=60))
-    z = np.where(np.arange(60)[:, None] % 20 < 3, 1.0, np.nan)
     kalman = mpt.KalmanFilter
-    for function in (kalman.filter, kalman.estimates, kalman.smooth, metrics.log_likelihood):
-        with pytest.raises(ValueError, match=r"z: needs .* precise .* got a variance below zero"):
-            function(kalman(model, t=t), z)
     z = np.sin(np.arange(1, 41.0))[:, None]
     z[9:13] = np.nan
     with pytest.raises(ValueError, match="a variance below zero"):  # 5.3 sigma wrong, without a word
