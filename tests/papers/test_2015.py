@@ -129,6 +129,7 @@ def test_what_z_leaves_out_of_the_next_position_is_the_push():
     assert (F @ x + G[:, 0] * w)[0] - (H @ x)[0] == pytest.approx(0.5 * w)
     found = VERDICTS["measured"]
     assert found.verdict == "holds in part"
+    assert f"the position at the end of step k, to within {100 * push:.0f} cm (σ)" in FRONT
     assert f"save a push of {100 * push:.0f} cm against {100 * noise:.0f} cm of noise (σ)" in found.reason
     assert "without the push ½ Δt w(k) of that step" in found.reason
 

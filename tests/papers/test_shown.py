@@ -8,7 +8,7 @@ from conftest import PAPER
 
 from reproduction.ledger import Item, Verdicts, read_paper
 from reproduction.ledger.contents import Row, contents, in_words, write_contents
-from reproduction.ledger.shown import Grid
+from reproduction.ledger.shown import Cell, Grid
 from reproduction.ledger.verdicts import MIME
 
 TABLES = """
@@ -51,7 +51,7 @@ lost = "our-copy"
 WITH_TABLES = PAPER.replace('id = "lost",', 'id = "lost", cause = "our-copy",').replace(
     'id = "wrong",', 'id = "wrong", cause = "one-missing",'
 )
-VALUES = {"count": 17, "wrong": 336, "ratio": (1.3, (1.28, 1.31)), "lost": 2.5}
+VALUES = {"count": 17, "wrong": 336, "ratio": (1.3, (1.28, 1.31)), "lost": 2.50004}
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def paper():
 def test_a_table_shows_printed_beside_computed_and_says_what_is_wrong(paper):
     shown = paper.table("both", VALUES, basis="simulation")
     assert repr(shown).splitlines() == [
-        "Table 9: all of them. 2 of 3 agree; 1 cannot be checked.",
+        "Table 9: all of them. 2 of 3 agree; our copy has lost 1.",
         "what             printed | computed",
         "a count          17 | 17",
         "a total          326 | 336 ✗",
@@ -77,6 +77,7 @@ def test_a_table_shows_printed_beside_computed_and_says_what_is_wrong(paper):
         "ratio": "within band",
         "lost": "cannot be checked",
     }
+    assert {each.id: each.computed for each in shown}["lost"] == "2.5"  # with as many decimals as the rest prints
     assert "<s>326</s> | <b>336</b>&nbsp;✗" in shown.html()
     assert [each["id"] for each in shown._repr_mimebundle_()[MIME]] == list(given)
 
@@ -114,6 +115,20 @@ def test_a_grid_shows_one_number_where_both_agree(paper):
         "2 LF B  2.00 | 3.00 ✗",
     ]
     assert "<th>2<br>LF&nbsp;B</th>" in shown.html()
+
+
+def test_the_numbers_of_a_table_may_share_a_reason(paper):
+    shown = paper.table("both", VALUES, basis="simulation", reason="Read as metres.")
+    assert [each.reason.startswith("Read as metres.") for each in shown] == [True, True, True, False]
+
+
+def test_a_grid_may_have_items_as_names_of_its_rows():
+    rows = '[["{equal}", "{count}"], ["a total", "17"]]'
+    text = f'[[tables]]\nid = "long"\ntitle = "Table 7"\nhead = ["what it says", "count"]\nrows = {rows}\ngrid = true\n'
+    value = {"equal": (True, "A equals B", "counted"), "count": 17}
+    shown = read_paper("test", WITH_TABLES + text).table("long", value, basis="arithmetic")
+    assert repr(shown).splitlines()[2:] == ["A equals B    17", "a total       17"]
+    assert "<td>a&nbsp;total</td>" in shown.html()
 
 
 def test_a_table_of_names_has_no_verdict_and_takes_columns_of_ours(paper):
@@ -155,8 +170,10 @@ def test_what_cannot_be_checked_is_shown_with_its_reason(paper):
 
 def test_the_cells_of_a_table_in_html_keep_their_signs():
     html = Grid(["a", "b"], [["<", "1 ✗"]], "c & d").html()
-    assert "<caption>c &amp; d</caption>" in html
+    assert "c &amp; d</caption>" in html
     assert "<td>&lt;</td><td>1 ✗</td>" in html
+    sentences = Grid(["a"], [[Cell("b", wrong=True)]], sentences=True).html()
+    assert "<td style='text-align:left; background:#fbe0d2'>b</td>" in sentences
 
 
 @pytest.fixture

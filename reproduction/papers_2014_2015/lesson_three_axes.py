@@ -1,4 +1,4 @@
-"""The drawings of the notebook on 2015, the numbers of its side matters, and the answers to its exercises."""
+"""The drawings of the lesson on three axes, the numbers behind its table, and the answer to its exercise."""
 
 from dataclasses import replace
 
@@ -102,72 +102,9 @@ def draw_lost_axis(last=30):
     return fig
 
 
-def draw_fig1(kf, sskf, sigma, shown=15):
-    """Return the paper's Figure 1 and what it cannot show: the gap between both groups of filters.
-
-    kf and sskf are the estimates (N, 6) of both groups, sigma (2,) of the settled filter: position and velocity.
-    """
-    plots.use_style()
-    fig, ax = plots.panels([["position", "velocity"], ["position gap", "velocity gap"]], height=2.3)
-    k = np.arange(1, len(kf) + 1)
-    for i, (name, unit) in enumerate({"position": "m", "velocity": "m/s"}.items()):
-        both = ax[name], ax[f"{name} gap"]
-        for axis in range(3):
-            solid = both[0].plot(k, kf[:, 2 * axis + i], "-", color=KALMAN)
-            dashed = both[0].plot(k, sskf[:, 2 * axis + i], "--", color=STEADY)
-            gap = (kf - sskf)[:shown, 2 * axis + i] / sigma[i]
-            both[1].plot(k[:shown], gap, ".-", color=STEADY, lw=0.8)
-        both[1].axhspan(-0.1, 0.1, color="0.85", lw=0)
-        both[1].set_ylim(-1.1, 1.1)
-        plots.finish(both[0], "", f"{name} ({unit})")
-        plots.finish(both[1], "step k", f"gap of {name} (σ)")
-    ax["position gap"].annotate("grey: ± σ/10", (shown, -0.95), ha="right", va="bottom", color="0.3")
-    fig.suptitle("Both groups agree after the first steps", x=0.02, ha="left", weight="bold")
-    names = ["KF/LF/JKLF", "SSKF/SSLF/JSSKLF"]
-    fig.legend([*solid, *dashed], names, loc="outside lower center", ncols=2)
-    return fig
-
-
 def started(P0, of=AXIS):
     """Return a model, AXIS if no other, with a start of covariance P0 (2, 2)."""
     return replace(of, P0=P0)
-
-
-def measured_with(sigma):
-    """Return AXIS with a sensor of this sigma, in metres."""
-    return replace(AXIS, R=[[sigma**2]])
-
-
-def gains(P0, steps, of=AXIS):
-    """Return the gain K of each step from a start of covariance P0, (steps, 2): for the position and the velocity.
-
-    >>> gains(np.zeros((2, 2)), 60)[-1].round(3)
-    array([0.546, 0.213])
-    """
-    P = KalmanFilter(started(P0, of)).covariances(steps)
-    return P[:, :, 0] / of.R[0, 0]  # K = P Hᵀ / r with the corrected P
-
-
-def rests(values):
-    """Return the first step, counted from 1, from which values (steps, n) stay within 1 % of the last ones.
-
-    >>> rests(np.array([[3.0], [2.0], [2.01], [2.0]]))
-    2
-    """
-    off = np.abs(values / values[-1] - 1).max(axis=1)
-    return 2 + int(np.flatnonzero(off > 0.01).max(initial=-1))
-
-
-def rests_after_silence(seconds, of=AXIS):
-    """Return the number of measurements after a silence until both sigmas are the settled ones again, to 1 %.
-
-    >>> rests_after_silence(30)
-    7
-    """
-    measured = np.zeros((500 + seconds + 300, 1))  # both settle; P does not depend on what is measured
-    measured[500 : 500 + seconds] = np.nan
-    P = KalmanFilter(of).covariances(measured)[500 + seconds :]
-    return rests(np.sqrt(np.diagonal(P, axis1=1, axis2=2)))
 
 
 def sigma_of_both(P0, steps, of=AXIS):
@@ -207,12 +144,6 @@ def losses_apart(sizes, errors=0.0, changes=0.0):
 def correlated(axes, c):
     """Return the correlation matrix (axes, axes) of axes that have the correlation c with each other."""
     return c + (1 - c) * np.eye(axes)
-
-
-def turned(axes, c):
-    """Return `correlated` with the last axis turned round: its correlations have the other sign."""
-    signs = np.append(np.ones(axes - 1), -1)
-    return correlated(axes, c) * np.outer(signs, signs)
 
 
 def diagonal_apart(c):
@@ -351,22 +282,6 @@ def sigma_if_errors_last(c, steps=1000):
     return float(np.sqrt(P[0, 0]))
 
 
-def sigma_predicted_once_more():
-    """Return sigma of the position F x, where x is the estimate of the paper's filter fed with present positions.
-
-    Its H is [1 0] F. So F x = F A x + F B z runs like a filter with H = [1 0] and the gain F B.
-
-    >>> round(sigma_predicted_once_more(), 3)
-    0.234
-    """
-    K = AXIS.F @ SteadyStateFilter.from_kalman(PAPER).B
-    kept = np.eye(2) - K @ AXIS.H
-    P = np.zeros((2, 2))
-    for _ in range(1000):
-        P = kept @ (AXIS.F @ P @ AXIS.F.T + AXIS.Q) @ kept.T + K @ AXIS.R @ K.T
-    return float(np.sqrt(P[0, 0]))
-
-
 def covariance_after(seconds):
     """Return P of a settled axis after so many seconds without a measurement, (2, 2)."""
     P = SteadyStateFilter.from_kalman(AXIS).P
@@ -394,30 +309,3 @@ def answer_silence(seconds, limit=1.0):
     if before > limit:
         return f"not quite: after {seconds} s of silence σ is {sigma:.3g} m. It passed {limit:g} m earlier."
     return f"right: after {seconds} s of silence σ is {sigma:.2f} m, a second before it was {before:.2f} m"
-
-
-def answer_step(step):
-    """Say how far a step(x, P, z) of a reader's own is from the filter's, from an x (2,), a P (2, 2) and a number z.
-
-    >>> print(answer_step(lambda x, P, z: (x, P)))
-    not quite: x should be [1.690 0.596], yours is [1.000 0.500]. P comes after x.
-    """
-    x, P, z = np.array([1.0, 0.5]), np.eye(2), 1.7
-    mine = step(x, P, z)
-    if mine is None:
-        return "not yet: return x and P one step later"
-    right = KalmanFilter(AXIS).step(x, P, np.array([z]))
-    for name, ours, theirs, after in zip(
-        ("x", "P"), right, mine, (". P comes after x.", ". Your x is right."), strict=True
-    ):
-        if np.shape(theirs) != ours.shape:
-            hint = ". A gain of shape (2, 1) is a column: K[:, 0] fits x." if np.shape(theirs) == (2, 2) else ""
-            return f"not quite: {name} should have the shape {ours.shape}, yours has {np.shape(theirs)}{hint}"
-        if not np.allclose(theirs, ours, atol=1e-9):
-            return f"not quite: {name} should be {written(ours)}, yours is {written(theirs)}{after}"
-    return "right: x and P are those of the filter"
-
-
-def written(values):
-    """Return an array of numbers as a line of text with three digits."""
-    return np.array2string(np.asarray(values, float), precision=3, floatmode="fixed").replace("\n", "")
