@@ -149,10 +149,6 @@ NOT_TAKEN = {
     "a dt whose powers overflow": (lambda: mpt.constant_velocity(1e150, 1, 1), "dt: needs at most 1e\\+60 s"),
     "the same of an acceleration": (lambda: mpt.constant_acceleration(1e70, 1, 1), "dt: needs at most 1e\\+60 s"),
     "the same of GPS and INS": (lambda: mpt.gps_ins(1e150, 1, (1, 1)), "dt: needs at most 1e\\+60 s"),
-    "covariances for r": (
-        lambda: mpt.KalmanFilter(PLANE, r=np.tile([[1.0, 0.3], [0.3, 2.0]], (4, 1, 1))),
-        r"r: needs variances, \(N, 2\) or \(N, 2, M\), got what looks like covariances",
-    ),
 }
 
 
@@ -160,41 +156,6 @@ NOT_TAKEN = {
 def test_what_a_step_does_not_take_is_refused_by_name(call, words):
     with pytest.raises(ValueError, match=words):
         call()
-
-
-def test_variances_of_as_many_tracks_as_measurements_are_taken():
-    """Where they do not look like covariances: different ones, the same for all, and a missing one."""
-    rng = np.random.default_rng(0)
-    for r in (rng.uniform(0.1, 1.0, (5, 2, 2)), np.full((5, 2, 2), 0.5), np.full((5, 2, 2), np.nan)):
-        assert mpt.KalmanFilter(PLANE, r=r).r.shape == (5, 2, 2)
-    dense = np.where(np.arange(5)[:, None, None] < 2, [[1.0, 0.3], [0.3, 2.0]], [[1.0, 0.3], [0.2, 2.0]])
-    assert mpt.KalmanFilter(PLANE, r=dense).r.shape == (5, 2, 2)
-
-
-@pytest.mark.parametrize("m", [2, 3])
-@pytest.mark.parametrize("fault", ["none", "rounding", "a singular row", "a row of zeros", "rows that are missing"])
-@given(st.integers(0, 2**32 - 1))
-def test_covariances_are_no_variances_of_as_many_tracks_also_where_a_few_are_not_quite_covariances(m, fault, seed):
-    """Receivers state them to rounding, and a singular one, of a bad fix, now and then."""
-    rng = np.random.default_rng(seed)
-    roots = 2 * rng.standard_normal((9, m, m)) * rng.choice([1.0, 30.0], m)[:, None]
-    r = roots @ roots.swapaxes(1, 2) + 2 * np.eye(m)
-    k = rng.integers(9)
-    if fault == "rounding":
-        r[:, 0, 1] += rng.choice([-1e-12, 0.0, 1e-12], 9)
-    elif fault == "a singular row":
-        r[k] = np.outer(roots[k, :, 0], roots[k, :, 0])
-    elif fault == "a row of zeros":
-        r[k] = 0.0
-    elif fault == "rows that are missing":
-        r[np.arange(9) != k] = np.nan
-    model = mpt.stack(*[CV] * m)
-    with pytest.raises(ValueError, match=r"r: needs variances, .* got what looks like covariances"):
-        mpt.KalmanFilter(model, r=r)
-    apart = np.abs(r)
-    apart[:, 0, 1] *= 1.001  # no longer symmetric, as variances of tracks are not
-    apart[k] = 0.5
-    assert mpt.KalmanFilter(model, r=apart).r.shape == (9, m, m)
 
 
 class Forgetting(dict):
