@@ -117,9 +117,11 @@ class KalmanFilter(RecursiveFilter):
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
-        if not kf.S.max() < LARGEST:
-            need = "a prediction beside whose variance doubles hold those of the measurements"
-            checks.refuse("P" if dt is None else "dt", need, f"{kf.S.max():.2g} times as much")
+        if not (kf.S.max() < LARGEST and np.isfinite(kf.P).all()):
+            held = "whose variances doubles hold beside those of the measurements"
+            if dt is not None:
+                checks.refuse("dt", f"a time over which the state has a prediction {held}", f"{dt:.6g} s")
+            checks.refuse("P", f"a covariance with a prediction {held}", f"{kf.S.max():.2g} times as much")
         return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
 
     def step(
