@@ -332,4 +332,4 @@ def test_the_panels_below_the_figure_have_the_difference_in_centimetres(drawn):
 
 
 def test_the_figure_is_titled_by_what_is_plotted(drawn):
-    assert drawn[2].get_suptitle() == "Position and velocity estimates of three axes"
+    assert drawn[2].get_suptitle() == "Figure 1: position and velocity estimates"
