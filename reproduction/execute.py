@@ -85,7 +85,7 @@ def execute(path):
     from nbclient.exceptions import CellExecutionError
 
     notebook = nbformat.read(path, as_version=4)
-    started = ["none"]  # the ids of the cells so far; before nbformat 4.5 cells have none, and their number stands for it
+    started = ["none"]  # the ids of the cells so far, or their numbers: before nbformat 4.5 cells have no ids
     with TemporaryDirectory(prefix="mpt-") as folder:
         client = NotebookClient(
             notebook,
