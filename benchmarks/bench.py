@@ -21,7 +21,7 @@ from report import write_readme
 from tqdm import tqdm
 
 import mpt_helpers as mpt
-from mpt_helpers.files import write_whole
+from mpt_helpers.tracks.files import write_whole
 
 HERE = Path(__file__).parent
 AGREE = 1e-8  # the estimates of all libraries, relative to the largest: single steps of some round differently

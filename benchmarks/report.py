@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from mpt_helpers.files import write_whole
+from mpt_helpers.tracks.files import write_whole
 from reproduction.ledger.tables import Table
 
 HERE = Path(__file__).parent

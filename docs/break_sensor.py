@@ -14,11 +14,11 @@ from functools import cache
 import numpy as np
 from scipy.special import chdtri
 
-from mpt_helpers import plots
-from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.kalman import KalmanFilter
 from mpt_helpers.metrics import chi_square_band, error_moments, nis, rms
 from mpt_helpers.model import LinearModel, gsm_axis, simulate
 from mpt_helpers.steady import FIRFilter, SteadyStateFilter
+from reproduction import plots
 
 FIXES = 60
 SPEED = 1.5  # m/s, walking pace

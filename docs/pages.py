@@ -36,8 +36,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 import mpt_helpers as mpt
-from mpt_helpers import plots
-from reproduction import figures
+from reproduction import figures, plots
 from reproduction.ledger import Verdicts, keys, stored_verdicts
 from reproduction.ledger.verdicts import (
     BASES,
@@ -428,10 +427,9 @@ def picture(figure, root="", folder="figures"):
 
 
 # Modules that no page shows: those behind the doors. Others are listed as the package has them, so that a new one is.
-NOT_SHOWN = ["checks", "files"]
+NOT_SHOWN = []
 # Modules of which a user of the filters needs nothing: they stand below the others.
-INSIDE = ["algebra", "columns", "engine", "epochs", "equations", "filters", "geodesy", "immutable", "partition"]
-INSIDE += ["predictor", "recordings", "recursive", "report", "search", "smoothing", "steps", "track_command"]
+INSIDE = ["equations", "kalman", "lainiotis", "predictor", "search"]
 # What a reader comes to a class for, in this order; the rest follows as the source has it.
 FOR_USERS = [
     "from_kalman",
@@ -443,22 +441,14 @@ FOR_USERS = [
     "smooth",
     "step",
 ]
-# What the engine asks of a filter: told once, on the page of the module `recursive`.
+# What the engine asks of a filter: told once, in `_base`.
 FOR_THE_ENGINE = ["as_tracks", "epochs_of", "estimates_of", "in_columns", "innovations_of", "next_step", "next_steps"]
 FOR_THE_ENGINE += ["optimal", "parts", "run", "shared_steps", "times_of"]
 # How modules are used whose first example shows something else, or that have none.
 KF = "kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))"
 USES = {
-    "columns": [KF, 'kf.filter([[0.1], [float("nan")], [3.2]])  # a track with a gap runs on columns'],
-    "geodesy": ["to_plane(np.array([57.0009]), np.array([9.9]), origin=(57.0, 9.9, 0.0)).round(1)"],
     "metrics": [KF, "z = [[0.1], [1.3], [9.9]]", "metrics.nis(kf, z), metrics.suspicious(kf, z)"],
-    "recordings": ['read_gpx("ride.gpx").time[:3]'],
-    "recursive": [KF, "isinstance(kf, RecursiveFilter), isinstance(kf, Filter)"],
-    "report": ["t = np.arange(600.0)", "c = tracks.clean(t, np.column_stack([2 * t, t]))", "print(text(c))"],
     "search": ["value, gradient, curvature = differences(lambda point: (point**2).sum(), np.array([1.0, 2.0]))"],
-    "smoothing": [KF, "kf.smooth([[0.1], [1.3], [1.9]]).x  # forth by the filter, back by smoothing"],
-    "track_command": ['main(["ride.gpx", "--out", "."])'],
-    "tracks": ['c = track("ride.gpx")', "print(c.report())"],
 }
 
 

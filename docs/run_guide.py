@@ -13,8 +13,7 @@ from pathlib import Path
 
 import matplotlib
 
-from mpt_helpers import plots
-from reproduction import figures
+from reproduction import figures, plots
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "guide"

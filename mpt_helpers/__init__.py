@@ -2,21 +2,15 @@
 
 To see how the filters work, read in this order:
 
+- `equations`: predicted covariance, gain, Joseph's form, and one Lainiotis step;
 - `model`: x(k+1) = F x(k) + w(k), z(k) = H x(k) + v(k), and the papers' models; `motion`: F and Q of a step of any
   length, and how to write a motion of your own;
-- `equations`: one Kalman step and one Lainiotis step, equation by equation;
-- `filters`: A_k, B_k and P of both filters in `next_step`; `steady`: their limits as constants, and the FIR form;
-- `recursive`: what every filter offers, and what the package asks of it;
-- `epochs`: measurements with the conditions that they were made under, as one value;
-- `engine`: the run of a filter over tracks. It has two ways: `steps`, which tracks without gaps share, and `columns`,
-  for tracks with gaps, times and precisions of their own;
-- `partition`: a long track as many short columns, and how these are run;
-- `smoothing`: the way back;
-- `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead.
-
-`riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` finds the parameters of a model by
-`search`, `lasting` models errors that last, `monte_carlo` runs studies of many runs, `checks` refuses bad input,
-`algebra` and `immutable` serve the others.
+- `kalman`, `lainiotis`: A_k, B_k and P of both filters in `next_step`; `steady`: their limits as constants, and the FIR
+  form;
+- `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead;
+- `riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` finds the parameters of a model by
+  `search`, `monte_carlo` runs many runs;
+- `_base`: what every filter offers; `_engine`: how a filter runs over tracks.
 
 Papers are cited by their year:
 
@@ -26,22 +20,19 @@ Papers are cited by their year:
 - 2016: Assimakis, Tziallas, Adam, Polyzos & Papanastasiou, Mobile Position Estimation and Prediction Using Steady State
   Kalman Filter.
 
-For a recorded track: `tracks` does all of it, from a file read by `recordings` to a line cleaned by `cleaning`, which
-asks `gate` for faults, and told by `report`; `track_command` is the same for a terminal. `geodesy`, `files` and `plots`
-serve these.
+For a recorded track: `tracks`, from a file to a smoothed line with its error.
 """
 
-__version__ = "0.4.0"
+__version__ = "0.5.0.dev0"
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from . import bands, lasting, metrics, riccati
+from . import bands, metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
-from .filters import KalmanFilter, LainiotisFilter
 from .fitting import fit, rescaled
-from .gate import gated
-from .lasting import fit_lasting, lasting_error
+from .kalman import KalmanFilter
+from .lainiotis import LainiotisFilter
 from .model import (
     LinearModel,
     constant_acceleration,
@@ -60,6 +51,9 @@ from .steady import FIRFilter, SteadyStateFilter, fir_order
 if TYPE_CHECKING:
     from . import tracks
     from .tracks import track
+    from .tracks.gate import gated
+
+LATER = "gated", "track", "tracks"
 
 __all__ = [
     "FIRFilter",
@@ -77,12 +71,9 @@ __all__ = [
     "exact_motion",
     "fir_order",
     "fit",
-    "fit_lasting",
     "gated",
     "gps_ins",
     "gsm_axis",
-    "lasting",
-    "lasting_error",
     "mean_track",
     "metrics",
     "rescaled",
@@ -97,13 +88,13 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import `tracks` when it or `track` is first asked for: its readers of files would slow every import down."""
-    if name not in ("track", "tracks"):
+    """Import `tracks` when it, `track` or `gated` is first asked for: readers of files would slow every import down."""
+    if name not in LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     tracks = import_module(".tracks", __name__)
-    globals().update(tracks=tracks, track=tracks.track)  # from now on both are found without this function
+    globals().update(tracks=tracks, track=tracks.track, gated=tracks.gate.gated)  # found without this function
     return globals()[name]
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), "track", "tracks"})
+    return sorted({*globals(), *LATER})

@@ -10,7 +10,7 @@ def main(arguments=None):
     """Run a command; returns the exit code, 2 as of any command line that is not understood."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     if given and given[0] == "track":
-        from .track_command import main as track
+        from .tracks.__main__ import main as track
 
         return track(given[1:])
     if given and given[0] in MOVED:

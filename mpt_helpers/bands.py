@@ -37,9 +37,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
-from . import checks
-from .checks import Array, Seconds
-from .recursive import Filter
+from . import _checks as checks
+from ._base import Filter
+from ._checks import Array, Seconds
 
 # What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
 SHORTEST_MEMORY = 5

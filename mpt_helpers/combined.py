@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from . import checks
-from .checks import Array, Seconds
-from .filters import KalmanFilter, LainiotisFilter
-from .immutable import same
+from . import _checks as checks
+from ._base import Estimates, Filter, RecursiveFilter
+from ._checks import Array, Seconds
+from ._immutable import same
+from .kalman import KalmanFilter
+from .lainiotis import LainiotisFilter
 from .model import LinearModel, stack
-from .recursive import Estimates, Filter, RecursiveFilter
 from .steady import SteadyStateFilter
 
 # Two constant gains are one gain if they differ by no more than this part of the largest gain of the same state. Both

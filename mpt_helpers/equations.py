@@ -149,6 +149,13 @@ def lainiotis_transition(P, Fn, On):
     return np.linalg.solve((np.eye(len(Fn)) + P @ On).T, Fn.T).T
 
 
+def neutralised(H, R, seen):
+    """Return H and R with zeros in H, and rows of the identity in R, for the measurements that seen (m,) lacks."""
+    H = H * seen[:, None]
+    R = np.where(np.outer(seen, seen), R, np.diag(~seen))
+    return H, R
+
+
 def square_root(C):
     """Return a matrix G with G Gᵀ = C for a positive semidefinite matrix C (n×n).
 

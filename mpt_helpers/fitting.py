@@ -16,12 +16,13 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 from tqdm import tqdm
 
-from . import bands, checks, metrics
-from .checks import Array, Seconds
-from .filters import KalmanFilter
-from .immutable import same
+from . import _checks as checks
+from . import bands, metrics
+from ._base import Filter
+from ._checks import Array, Seconds
+from ._immutable import same
+from .kalman import KalmanFilter
 from .model import LinearModel
-from .recursive import Filter
 from .search import FARTHEST, FLAT, NOTHING, along_a_line, differences, lowest
 
 # A search that has ended within this factor of FARTHEST would have gone on.

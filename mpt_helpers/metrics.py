@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
-from . import checks
-from .algebra import whitened
+from . import _checks as checks
+from ._base import Filter, one_or_many
+from ._checks import Array
+from ._engine.algebra import whitened
+from ._engine.shared import epochs_at_a_time
 from .bands import ahead as ahead  # these four stood here once, and users may still find them here
 from .bands import coverage as coverage
 from .bands import following as following
 from .bands import interval_score as interval_score
-from .checks import Array
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
-from .recursive import Filter, one_or_many
 from .steady import SteadyStateFilter
-from .steps import epochs_at_a_time
 
 # A median NIS, for each number measured, of these times the one that a true model has, says that something is wrong: on
 # ten recorded tracks fitted filters had 0.2 to 1.4, first guesses 0.04 to 120, and degrees, kilometres and
@@ -146,7 +146,7 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
     its S assumes that P(0/0) is the steady P, and its innovations are correlated until the start or a gap is
     forgotten. Raises as `innovations`.
 
-    >>> from mpt_helpers.filters import KalmanFilter
+    >>> from mpt_helpers.kalman import KalmanFilter
     >>> from mpt_helpers.model import constant_velocity
     >>> round(float(log_likelihood(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [np.nan]])), 4)
     -4.6228
@@ -170,7 +170,7 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     estimator and z are those of `innovations`. A number that repeats the one before it on its axis does not count in
     the medians. Raises as `innovations`.
 
-    >>> from mpt_helpers.filters import KalmanFilter
+    >>> from mpt_helpers.kalman import KalmanFilter
     >>> from mpt_helpers.model import constant_velocity, simulate
     >>> model = constant_velocity(dt=1.0, q=0.04, r=0.5, P0=np.eye(2))
     >>> _, z = simulate(model, N=200, rng=np.random.default_rng(1))

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from . import checks
-from .checks import Array, Seconds
+from . import _checks as checks
+from ._checks import Array, Seconds
+from ._engine.shared import Step, products_for, run_shared
+from ._immutable import Immutable
 from .equations import square_root
-from .immutable import Immutable
 from .motion import Motion, OneLength, Powers, checked, joined, powers_of, refuse_other_lengths
-from .steps import Step, products_for, run_shared
 
 # The longest time step (s): its fifth power, in the Q of constant acceleration, is a double.
 LONGEST_DT = 1e60

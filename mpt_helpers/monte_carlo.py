@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from . import checks
+from . import _checks as checks
 
 # Runs that share a stream of random numbers and are drawn together. Changing this changes the results of a seed.
 BLOCK = 200

@@ -51,10 +51,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from . import checks
-from .algebra import LinearMap, product, transposed
-from .checks import Array
-from .immutable import Immutable
+from . import _checks as checks
+from ._checks import Array
+from ._engine.algebra import LinearMap, product, transposed
+from ._immutable import Immutable
 
 # By how much two half steps of a motion may miss one whole step, relative to its size: a Q from a formula that
 # subtracts large numbers loses digits on short steps, and six of them should be left. Over other steps than the

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import checks
-from .checks import Array
+from . import _checks as checks
+from ._base import Filter
+from ._checks import Array
 from .equations import predicted_covariance
 from .model import LinearModel
-from .recursive import Filter
 from .steady import SteadyStateFilter
 
 
@@ -65,7 +65,7 @@ class Predictor(_Ahead):
     k of `covariances(z)` is P(k+N/k). A prediction has no P0, no innovations and no `step`. Raises TypeError or
     ValueError for another kind of argument.
 
-    >>> from mpt_helpers.filters import KalmanFilter
+    >>> from mpt_helpers.kalman import KalmanFilter
     >>> from mpt_helpers.model import constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 2], P0=np.eye(2)))
     >>> Predictor(kf, steps=3).filter([[2.0], [4.0]])

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from . import checks
-from .checks import Array
+from . import _checks as checks
+from ._checks import Array
 from .equations import (
     corrected_covariance,
     gain,

@@ -12,14 +12,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import checks, riccati
-from .checks import Array
-from .columns import ConstantGainColumns
-from .epochs import Rows
+from . import _checks as checks
+from . import riccati
+from ._base import Filter, RecursiveFilter
+from ._checks import Array
+from ._engine.columns import ConstantGainColumns
+from ._engine.epochs import Rows
+from ._engine.shared import TILE, tiles
 from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
 from .model import LinearModel
-from .recursive import Filter, RecursiveFilter
-from .steps import TILE, tiles
 
 # How far A may be from (I - B H) F, relative to the size of the terms: room for the rounding of the solvers.
 SAME_A = 1e-6

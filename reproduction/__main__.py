@@ -11,7 +11,7 @@ from functools import partial
 from textwrap import fill
 
 from mpt_helpers import __version__
-from mpt_helpers.files import write_whole
+from mpt_helpers.tracks.files import write_whole
 
 from .execute import tidied
 from .ledger import keys, shipped_verdicts

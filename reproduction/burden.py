@@ -12,7 +12,7 @@ import itertools
 import re
 from fractions import Fraction
 
-from mpt_helpers import checks
+from mpt_helpers import _checks as checks
 
 # What Python writes for what the papers do; these and numbers are all that is evaluated of a formula.
 OPERATORS = {"+": "+", "-": "-", "/": "/", "(": "(", ")": ")", "²": "**2", "³": "**3"}

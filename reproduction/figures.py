@@ -21,7 +21,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from mpt_helpers.files import write_together
+from mpt_helpers.tracks.files import write_together
 
 from .project import project
 
@@ -131,7 +131,7 @@ def round_svg(text: str) -> str:
 def alt_text(fig: Figure) -> str:
     """Say in words what a figure plots, for readers who do not see it: its title, its panels and their curves.
 
-    >>> from mpt_helpers.plots import finish, panels
+    >>> from reproduction.plots import finish, panels
     >>> fig, ax = panels([["s", "v"]])
     >>> for name in ax:
     ...     _ = ax[name].semilogy([1, 2], label="KF")
@@ -164,7 +164,7 @@ def describe(fig: Figure) -> str:
     """Return what a figure plots in words and numbers: texts and scales of all axes; points, extremes and mean of all
     that is drawn, with a checksum over the points at four significant digits (one below 1e-9, and zero below 1e-12).
 
-    >>> from mpt_helpers.plots import panels
+    >>> from reproduction.plots import panels
     >>> fig, ax = panels([["a"]])
     >>> line = ax["a"].plot([1, 2, 3], [0.0, 0.5, 1.0], label="a")
     >>> print(describe(fig))

@@ -20,11 +20,12 @@ from tempfile import TemporaryDirectory
 
 from tqdm import tqdm
 
-from mpt_helpers.files import write_together
+from mpt_helpers.tracks.files import write_together
 
 from . import ledger
 from .execute import settings_of_nobody
 from .ledger import keys, published, stored_verdicts
+from .ledger.contents import contents, write_contents
 from .project import FIGURES, LEDGER, NOTEBOOKS, CommandError, chosen_notebooks, project
 
 STAGE = ".reproduce-"  # how the name of a folder begins in which a notebook runs
@@ -48,8 +49,8 @@ def reproduce(some):
             raise ModuleNotFoundError(name=name)
     root = project()
     paths = chosen_notebooks(root, some)
-    if root.joinpath(LEDGER).is_dir() and not root.joinpath(LEDGER).samefile(ledger.paper.FOLDER):
-        running = ledger.paper.FOLDER.parents[1]
+    if root.joinpath(LEDGER).is_dir() and not root.joinpath(LEDGER).samefile(ledger.files.FOLDER):
+        running = ledger.files.FOLDER.parents[1]
         raise CommandError(f"the reproduction that runs is that of {running}, not of {root}: run this in {root}")
     for folder in (FIGURES, NOTEBOOKS):
         path = root / folder
@@ -195,9 +196,13 @@ def _made(root, key, stage):
     """Return the files that a notebook has made, {path from the root: bytes}: figures, itself, its verdicts."""
     executed = stage / NOTEBOOKS / f"{key}.ipynb"
     made = {FIGURES / path.name: path.read_bytes() for path in stage.joinpath(FIGURES).iterdir()}
-    made[NOTEBOOKS / f"{key}.ipynb"] = executed.read_bytes()
     if key in keys() and root.joinpath(LEDGER).is_dir():
-        made[LEDGER / f"{key}.json"] = published(key).complete(stored_verdicts(executed)).as_json().encode()
+        paper = published(key)
+        verdicts = paper.complete(stored_verdicts(executed))
+        made[LEDGER / f"{key}.json"] = verdicts.as_json().encode()
+        if paper.rows:
+            write_contents(executed, contents(paper.rows, verdicts))
+    made[NOTEBOOKS / f"{key}.ipynb"] = executed.read_bytes()
     return made
 
 

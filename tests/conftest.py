@@ -19,8 +19,11 @@ settings.load_profile("properties")
 talk_through_files()
 
 ROOT = Path(__file__).parents[1]
-NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
-GIVES_A_VERDICT = re.compile(r"\bpaper\.(check|claim|cannot_check|report)\(")
+NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))  # one for each paper
+LESSONS = sorted(ROOT.glob("notebooks/lessons/*.ipynb"))
+# Papers whose notebook is not yet the reproduction alone.
+NOT_YET = {"2007_mms_kalman", "2014_gsm_2d", "2015_mpt_3d", "2016_prediction"}
+GIVES_A_VERDICT = re.compile(r"\bpaper\.(check|claims?|cannot_check|report|table|equal|lacking)\(")
 AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
 MODELS_2016 = {"cv": mpt.constant_velocity(1.0, 0.01, 0.1), "ca": mpt.constant_acceleration(1.0, 0.01, 0.1)}
 
@@ -90,10 +93,10 @@ def part_one(path):
     return prose(article)
 
 
-@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.fixture(params=[*NOTEBOOKS, *LESSONS], ids=lambda path: path.stem)
 def notebook(request):
-    """A committed notebook: its key and its cells."""
-    return request.param.stem, cells_of(request.param)
+    """A committed notebook, of a paper or a lesson: its path and its cells."""
+    return request.param, cells_of(request.param)
 
 
 # A made-up paper: what the tests of the ledger, the command line and the seeds work on.
@@ -152,6 +155,6 @@ def project(tmp_path, monkeypatch):
     (tmp_path / "reproduction/ledger/small.toml").write_text(PAPER)
     (tmp_path / "notebooks/small.toml").write_text(PAPER)
     write_notebook(tmp_path / "notebooks/small.ipynb", VERDICTS, "1 + 1")
-    monkeypatch.setattr("reproduction.ledger.paper.FOLDER", tmp_path / "reproduction/ledger")
+    monkeypatch.setattr("reproduction.ledger.files.FOLDER", tmp_path / "reproduction/ledger")
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -1,111 +1,55 @@
-"""What a paper prints, read from its TOML file, and the verdict on each item: computed, never typed."""
+"""The verdicts on one paper: computed from what a notebook found, never typed."""
 
 from __future__ import annotations
 
-import json
 import math
-import re
-import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
-from itertools import product
 from numbers import Real
-from pathlib import Path
 
 import numpy as np
 
-from .shown import Grid, Layout, Row, Shown, beside, contents, mark, name_of_line
+from .contents import Row
+from .items import About, Cause, Item, printed_of
+from .shown import Grid, Layout, Shown, beside, laid_out, mark, shortened
 from .tables import gap_text
 from .verdicts import (
     BASES,
     CANNOT_BE_CHECKED,
-    CAUSE_KINDS,
     DIFFERS,
     ERRATUM,
     FAILS,
     HOLDS,
     IN_PART,
-    MIME,
     REPRODUCED,
-    VERDICTS,
     WITHIN_BAND,
     Verdict,
     Verdicts,
     counted,
 )
 
-FOLDER = Path(__file__).parent
-KINDS = ("number", "formula", "claim", "figure")
-
-
-@dataclass(frozen=True)
-class Item:
-    """One number, formula, claim or figure that a paper gives as a result: where it stands and what is printed.
-
-    If it fails, `cause` says why and `against` with which items of the paper it is at odds; basis says what a verdict on
-    it rests on. So a notebook gives values only.
-    """
-
-    id: str
-    where: str
-    kind: str
-    printed: str
-    cause: str = ""
-    against: tuple = ()
-    basis: str = ""
-
-    @property
-    def decimals(self) -> int:
-        """The number of decimals that the paper prints."""
-        return len(self.printed.partition(".")[2])
-
-    @property
-    def lost(self) -> bool:
-        """Say whether the printed text is missing from our copy of the paper; "?" stands for it then."""
-        return self.printed == "?"
-
-    def agrees(self, value: float) -> bool:
-        """Say whether a number rounds to the printed digits.
-
-        A tie may have been rounded either way, and a tie in decimals may be a little off as a double.
-
-        >>> Item("t", "Table 4", "number", "1.316").agrees(670 / 509)
-        True
-        """
-        decimals = len(self.printed.partition(".")[2])
-        return bool(abs(value - float(self.printed)) <= 0.5 * 10**-decimals * (1 + 1e-9))
-
-
-@dataclass(frozen=True)
-class Cause:
-    """Why items fail: one cause for all that fail for one reason.
-
-    kind is "slip" (a wrong number or formula), "wording" (a sentence that says it wrongly while nothing computed
-    depends on it), "finding" (a claim or formula that fails or holds only in part) or "copy" (lost by our copy, not by
-    the paper).
-    `sentence` says what is wrong and what is right, `meaning` says what follows for a user of the filter.
-    """
-
-    id: str
-    kind: str
-    sentence: str
-    meaning: str
-
 
 class Paper:
     """The items of one paper, the causes of what fails, and the verdicts given so far; made by `published`."""
 
-    def __init__(self, key: str, items: Iterable[Item], causes: Iterable[Cause], tables=(), rows=()):
-        self.key = key
-        self.tables = {table.id: table for table in tables}
-        self.rows = list(rows)
-        self._given, self._said = [], {}
+    def __init__(
+        self,
+        key: str,
+        items: Iterable[Item],
+        causes: Iterable[Cause],
+        about: About | None = None,
+        layouts: Iterable[Layout] = (),
+        rows: Iterable[Row] = (),
+    ):
+        self.key, self.about = key, about
         self.items = {item.id: item for item in items}
         self.causes = {cause.id: cause for cause in causes}
+        self.layouts = {layout.id: layout for layout in layouts}
+        self.rows = list(rows)
         self._outcomes = {}  # the last verdict on each item, in a word
         self._to_report = []
+        self._told_at = {}  # where the sentence of a cause was shown first
 
     def check(
         self,
@@ -198,108 +142,101 @@ class Paper:
         computed = "-" if counted is None else f"{counted:.6g}"
         return self._give(item, computed, CANNOT_BE_CHECKED, "reading", missing, cause)
 
-    def table(
-        self, id: str, computed, *, basis: str = "arithmetic", extra: Mapping[str, Iterable] | None = None
-    ) -> Shown:
-        """Check all cells of a table of the paper, and return it as the paper lays it out, printed beside computed.
+    def table(self, id: str, computed, *, basis: str = "", extra: Mapping[str, Iterable] | None = None) -> Shown:
+        """Check all cells of a table of the paper; return it as the paper lays it out, printed beside computed.
 
-        computed maps the items' ids to values, or has them in reading order (of a grid: rows of columns). A value is a
-        number, or a function of the printed formula that returns (whether it holds, what is right, how that was seen).
-        What our copy has lost is counted and not judged. extra has columns of ours, {head: cells}, at the right.
+        computed maps the items' ids to values, or has the values in reading order (of a grid, the whole array). A value
+        is a number; (number, (low, high)) with the band of simulations; (whether it holds, what is right, how that was
+        seen) for a formula or a text, or a function of the printed text that returns these; or a text that says why it
+        cannot be checked. Cells that our copy has lost are shown and not judged. extra has columns of ours for the
+        right, {head: cells}.
         """
-        layout = self.tables[id]
-        ids = layout.ids
+        layout = self.layouts[id]
         if not isinstance(computed, Mapping):
-            values = list(np.ravel(computed)[_off_diagonal(computed)]) if np.ndim(computed) == 2 else list(computed)
-            computed = dict(zip(ids, values, strict=True))
-        cells = {}
-        for each in ids:
-            item, value = self.items[each], computed[each]
-            if item.lost:
-                decimals = 3
-                given = self.cannot_check(
-                    each, "our copy has lost this cell", cause=item.cause, counted=round(value, 3)
-                )
-                right = f"{value:.{decimals}f}"
-            elif callable(value):
-                holds, right, how = value(item.printed)
-                given = self.claim(each, holds, f"{right}: {how}" if right != item.printed else how, basis=basis)
-            else:
-                given = self.check(each, float(value), basis=basis)
-                right = f"{value:.{item.decimals}f}"
-            cells[f"{{{each}}}"] = beside(given, right, layout.grid)
-        extra = extra or {}
-        head = [ITEM_TEXT(each, self.items) for each in (*layout.head, *extra)]
-        if layout.grid:
-            head = [name_of_line(each, "<br>") for each in head]
-            cells |= {row[0]: name_of_line(row[0]) for row in layout.rows}
-        columns = zip(*extra.values(), strict=True) if extra else [()] * len(layout.rows)
-        rows = [
-            [*(cells.get(cell, cell) for cell in row), *more] for row, more in zip(layout.rows, columns, strict=True)
-        ]
-        said = self._what_is_wrong(layout.title.partition(":")[0], layout.wrong)
-        wrong, lost = (sum(each.verdict in some for each in self._to_report) for some in (FAILS, [CANNOT_BE_CHECKED]))
-        checked = len(ids) - lost
-        count = f"{checked - wrong} of {checked} agree" + (f"; our copy has lost {lost}" if lost else "")
-        caption = f"{layout.title}. {count}." if ids else layout.title
-        return self._show(Grid(head, rows, caption), said)
+            values = _where_items_stand(layout, computed) if layout.grid else computed
+            computed = dict(zip(layout.ids, values, strict=True))
+        items = [self.items[each] for each in layout.ids]
+        decimals = max((item.decimals for item in items if item.kind == "number"), default=0)  # of what is lost
+        cells = {item.id: self._cell(item, computed[item.id], basis, layout.grid, decimals) for item in items}
+        caption = layout.title
+        if layout.ids:
+            verdicts = Counter(each.verdict for each in self._to_report)
+            checked = len(self._to_report) - verdicts[CANNOT_BE_CHECKED]
+            agree = sum(verdicts[each] for each in HOLDS)
+            caption += f". {agree} of {checked} agree"
+            caption += f"; {verdicts[CANNOT_BE_CHECKED]} cannot be checked." if checked < len(self._to_report) else "."
+        head, *rows = laid_out(layout, cells, extra)
+        return self._shown(Grid(head, rows, caption), self._told(layout))
 
     def equal(self, gaps: Mapping[str, float], what: str = "", *, below: float = 1e-12, reason: str = "") -> Shown:
-        """Record formulas and claims that hold if a gap is rounding, {id: gap}, and show them in a table."""
+        """Record formulas and claims that hold if a gap is rounding, {id: gap}, and show them in a table.
+
+        what says between which two things the gap is.
+        """
         rows = []
         for id, gap in gaps.items():
-            shown = f"{what}: largest gap {gap_text(gap)}" if what else f"largest gap {gap_text(gap)}"
-            given = self.claim(id, bool(gap < below), shown, basis=self.items[id].basis or "identity", reason=reason)
-            rows.append([f"{mark(given.verdict)} {given.where}", _short(given), gap_text(gap)])
-        return self._show(Grid(["", "the paper says", "largest gap" + (f" to {what}" if what else "")], rows), [])
+            size = gap_text(gap)
+            evidence = f"{what}: largest gap {size}" if what else f"largest gap {size}"
+            given = self.claim(id, bool(gap < below), evidence, basis=self._item(id).basis or "identity", reason=reason)
+            rows.append([f"{mark(given.verdict)} {given.where}", shortened(given.printed), size])
+        return self._shown(Grid(["", "the paper says", "largest gap" + (f" to {what}" if what else "")], rows))
 
-    def claims(self, found: Mapping[str, tuple]) -> Shown:
-        """Record claims, {id: (whether it holds, what shows it[, what lies beyond])}, and show them in a table."""
+    def claims(self, found: Mapping[str, tuple], *, basis: str = "") -> Shown:
+        """Record claims and formulas, and show them in a table: {id: (holds, evidence[, beyond])}, as in `claim`."""
         rows = []
-        for id, (holds, shown, *beyond) in found.items():
-            given = self.claim(id, holds, shown, basis=self.items[id].basis, beyond=" ".join(beyond))
-            rows.append([f"{mark(given.verdict)} {given.where}", given.printed, shown])
-        return self._show(Grid(["", "the paper says", "what we find"], rows), self._what_is_wrong("above"))
+        for id, (holds, evidence, *beyond) in found.items():
+            given = self.claim(id, holds, evidence, basis=basis, beyond=" ".join(beyond))
+            rows.append([f"{mark(given.verdict)} {given.where}", given.printed, evidence])
+        return self._shown(Grid(["", "the paper says", "what we find"], rows))
 
     def lacking(self, missing: Mapping[str, str]) -> Shown:
-        """Record what our copy of the paper has lost, {id: what is missing}, and show it in a table."""
+        """Record what cannot be checked, {id: what is missing}, and show it in a table."""
         rows = []
         for id, what in missing.items():
-            given = self.cannot_check(id, what, cause=self.items[id].cause or None)
+            given = self.cannot_check(id, what, cause=self._item(id).cause or None)
             rows.append([f"? {given.where}", given.printed, what])
-        return self._show(Grid(["", "what cannot be checked", "why"], rows), [])
+        return self._shown(Grid(["", "what cannot be checked", "why"], rows))
 
-    def ledger(self) -> Ledger:
-        """Return all verdicts, to be shown folded at the end; raises ValueError for an item without one."""
-        given = Verdicts(self._given, self.causes_by_paper())
-        order = {id: place for place, id in enumerate(self.items)}
-        given.sort(key=lambda each: order[each.id])
-        return Ledger(self.complete(given), given.causes)
+    def _cell(self, item, value, basis, grid, decimals):
+        """Check one cell of a table, and return it as it is shown."""
+        if callable(value):
+            value = value(item.printed)
+        if isinstance(value, str):
+            given, right = self.cannot_check(item.id, value, cause=item.cause or None), ""
+        elif item.lost:
+            given = self.cannot_check(item.id, "our copy has lost this cell", cause=item.cause, counted=float(value))
+            right = f"{value:.{decimals}f}"
+        elif isinstance(value, tuple) and isinstance(value[0], (bool, np.bool_)):
+            holds, right, how = value
+            evidence = how if right == item.printed else f"{right}: {how}"
+            given = self.claim(item.id, holds, evidence, basis=basis or item.basis or "arithmetic")
+        else:
+            value, band = value if isinstance(value, tuple) else (value, None)
+            given = self.check(item.id, float(value), basis=basis or item.basis or "arithmetic", band=band)
+            right = f"{value:.{item.decimals}f}"
+            if band:
+                right += f" ({band[0]:.{item.decimals}f} to {band[1]:.{item.decimals}f})"
+        return beside(given, right, grid)
 
-    def contents(self, verdicts: Verdicts) -> str:
-        """Return the table of contents of the paper's notebook in Markdown."""
-        return contents(self.rows, verdicts)
-
-    def cells(self, id: str) -> dict[tuple[int, int], Item]:
-        """Return the items of a grid as {(row, column): item}, counted from 0."""
-        places = {tuple(int(number) - 1 for number in each.split(".")[1:]): each for each in self.tables[id].ids}
-        return {place: self.items[each] for place, each in places.items()}
-
-    def _what_is_wrong(self, place, sentence=""):
-        """Return a sentence for each cause of what fails in a table, or one for all; the second time, where it was said."""
-        said = []
+    def _told(self, layout):
+        """Return what is wrong in a table, a sentence for each cause or one for all; none is told twice."""
         causes = Counter(each.cause for each in self._to_report if each.verdict in FAILS)
-        if sentence and causes:
-            return [f"✗ {counted(causes.total(), 'cell')}: {sentence}"]
+        if layout.wrong and causes:
+            return [f"✗ {counted(causes.total(), 'cell')}: {layout.wrong}"]
+        told = []
         for id, count in causes.items():
-            first = self._said.setdefault(id, place)
-            why = self.causes[id].sentence if first == place else f"the same as in {first}."
-            said.append(f"✗ {counted(count, 'cell')}: {why}")
-        return said
+            told_at = self._told_at.setdefault(id, layout.name)
+            why = self.causes[id].sentence if told_at == layout.name else f"as in {told_at}."
+            told.append(f"✗ {counted(count, 'cell')}: {why}")
+        return told
 
-    def _show(self, grid, said):
+    def _shown(self, grid, told=None):
+        """Return what a cell shows: a table, and below it what is wrong; of claims, the reason of each that fails."""
+        if told is None:
+            reasons = [f"{mark(each.verdict)} {each.reason}" for each in self._to_report if each.verdict in FAILS]
+            told = list(dict.fromkeys(reasons))
         given, self._to_report = self._to_report, []
-        return Shown(given, self.causes_by_paper(), grid, said)
+        return Shown(given, self.causes_by_paper(), grid, told)
 
     def report(self) -> Verdicts:
         """Return the Verdicts given since the last report; as the last line of a cell, it shows and stores them."""
@@ -376,7 +313,6 @@ class Paper:
             reason = f"{reason} Against {sides}."
         reason = (prefix + reason).strip()
         given = Verdict(self.key, *printed_of(item), computed, verdict, reason, basis, cause or "", beyond)
-        self._given.append(given)
         self._outcomes[item.id] = verdict
         self._to_report.append(given)
         return given
@@ -385,212 +321,13 @@ class Paper:
         return ValueError(f"{self.key}, {id!r}: {problem}")
 
 
-class Ledger(Verdicts):
-    """All verdicts on a paper, folded: a notebook shows them at its end, and stores them where they were given."""
-
-    def __repr__(self):
-        return "\n".join(
-            [
-                self.summary(),
-                *(
-                    f"{mark(e.verdict)} {e.id}: {e.cause}"
-                    for e in self
-                    if e.verdict not in HOLDS and e.kind != "number"
-                ),
-            ]
-        )
-
-    def _repr_mimebundle_(self, include=None, exclude=None):
-        bundle = super()._repr_mimebundle_()
-        return {"text/plain": repr(self), "text/html": bundle["text/html"]}
-
-
-def ITEM_TEXT(text, items):
-    """Return a text with what is printed in place of {id}."""
-    return re.sub(r"\{([^{}]+)\}", lambda found: items[found[1]].printed, text)
-
-
-def _off_diagonal(square):
-    return ~np.eye(len(square), dtype=bool).ravel()
-
-
-def _short(given):
-    text = given.printed
-    return text if len(text) <= 60 else text[:59].rsplit(" ", 1)[0] + " ..."
-
-
-def printed_of(item):
-    """Return what a Verdict repeats of an item."""
-    return item.id, item.where, item.kind, item.printed
+def _where_items_stand(layout, lines):
+    """Return the values of a grid, in the order of its items, from lines of one value for each cell."""
+    values = []
+    for row, line in zip(layout.rows, lines, strict=True):
+        values += [value for cell, value in zip(row[1:], line, strict=True) if cell]
+    return values
 
 
 def _is_finite(value):
     return isinstance(value, Real) and math.isfinite(value)
-
-
-def read_paper(key: str, text: str) -> Paper:
-    """Return the Paper in the text of a TOML file: `items`, `grids` of numbers and `causes`.
-
-    A grid gives one item for each row and column, with id "{id}.{row}.{column}" and a `where` such as "Table 4, row
-    {row}, column {column}"; an empty cell is no item, and "?" is one that our copy of the paper has lost. Raises
-    ValueError for a malformed file, naming the file, the entry and what it needs.
-    """
-    file = f"{key}.toml"
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{file}: {error}") from None
-    for name, entries in content.items():
-        if name not in ("items", "grids", "causes", "tables", "contents") or not isinstance(entries, list):
-            raise ValueError(f"{file}: needs lists of items, grids and causes, got {name} = {entries!r}")
-    contents_rows = [Row(**row) for row in content.pop("contents", [])]
-    layouts = [Layout(**table) for table in content.pop("tables", [])]
-    layouts += [_grid_layout(grid) for grid in content.get("grids", []) if "title" in grid]
-    cells = [cell for grid in content.get("grids", []) for cell in _cells(file, grid)]
-    items = [_made(Item, entry, KINDS, file) for entry in content.get("items", []) + cells]
-    causes = [_made(Cause, entry, CAUSE_KINDS, file) for entry in content.get("causes", [])]
-    for item in items:
-        if item.kind == "number" and not re.fullmatch(r"\?|[+-]?\d+(\.\d+)?", item.printed, re.ASCII):
-            raise ValueError(f"{file}, {item.id!r}: needs a number as printed, got {item.printed!r}")
-    for made in (items, causes):
-        twice = [id for id, times in Counter(each.id for each in made).items() if times > 1]
-        if twice:
-            raise ValueError(f"{file}: needs each id once, got {', '.join(twice)} again")
-    return Paper(key, items, causes, layouts, contents_rows)
-
-
-def _cells(file, grid):
-    """Yield the entries of a grid, as they would stand among the items."""
-    need = "id, where with {row} and {column}, columns, and rows with a text for each column"
-    needed = {"columns", "id", "rows", "where"}
-    if not isinstance(grid, dict) or not needed <= set(grid) <= needed | {
-        "title",
-        "names",
-        "cause_of",
-        "lost",
-        "against",
-        "wrong",
-    }:
-        raise ValueError(f"{file}, grid {grid!r:.40}: needs {need}")
-    try:
-        for row, cells in grid["rows"].items():
-            for column, printed in zip(grid["columns"], cells, strict=True):
-                if printed != "":
-                    place = grid["where"].format(row=row, column=column)
-                    why = grid.get("cause_of", {})
-                    cause = grid.get("lost", "") if printed == "?" else why.get(row, why.get(column, ""))
-                    made = {"id": f"{grid['id']}.{row}.{column}", "where": place, "kind": "number", "printed": printed}
-                    yield (
-                        made
-                        | ({"cause": cause} if cause else {})
-                        | ({"against": grid["against"]} if cause and printed != "?" else {})
-                    )
-    except (TypeError, LookupError, AttributeError, ValueError) as error:
-        raise ValueError(f"{file}, grid {grid!r:.40}: needs {need} ({error})") from None
-
-
-def _grid_layout(grid):
-    """Return the Layout of a grid: its names, if it has some, beside the numbers of rows and columns."""
-    names = grid.get("names", grid["columns"])
-    head = ["", *(f"{number} {name}" for number, name in zip(grid["columns"], names, strict=True))]
-    rows = []
-    for (row, cells), name in zip(grid["rows"].items(), names, strict=True):
-        items = [
-            f"{{{grid['id']}.{row}.{column}}}" if cell else ""
-            for column, cell in zip(grid["columns"], cells, strict=True)
-        ]
-        rows.append([f"{row} {name}", *items])
-    return Layout(grid["id"], grid["title"], head, rows, grid=True, wrong=grid.get("wrong", ""))
-
-
-def _made(make, entry, kinds, file):
-    """Return the Item or Cause that an entry describes, or raise."""
-    names = [field.name for field in fields(make)]
-    needed = [field.name for field in fields(make) if field.default is MISSING]
-    if not isinstance(entry, dict) or not set(needed) <= set(entry) <= set(names):
-        raise ValueError(f"{file}: needs {', '.join(needed)}, got {entry!r}")
-    for name, value in entry.items():
-        if name != "against" and (not isinstance(value, str) or not value):
-            raise ValueError(f"{file}, {entry['id']!r}: needs a text for {name}, got {value!r}")
-    if entry["kind"] not in kinds:
-        raise ValueError(f"{file}, {entry['id']!r}: needs kind {' or '.join(kinds)}, got {entry['kind']!r}")
-    return make(**entry)
-
-
-def keys() -> list[str]:
-    """Return the keys of all papers.
-
-    >>> "2014_gsm_2d" in keys()
-    True
-    """
-    return sorted(path.stem for path in FOLDER.glob("*.toml"))
-
-
-def published(key: str) -> Paper:
-    """Return one Paper, to be checked item by item. Raises ValueError for an unknown key and for a malformed file.
-
-    >>> paper = published("2014_gsm_2d")
-    >>> paper.check("speedup.kf-lf-a", 670 / 509)
-    Section 6, after Table 4 (i): printed 1.316; computed 1.31631: reproduced
-    """
-    if key not in keys():
-        raise ValueError(f"key: needs one of {', '.join(keys())}, got {key!r}")
-    return read_paper(key, (FOLDER / f"{key}.toml").read_text(encoding="utf-8"))
-
-
-def stored_verdicts(notebook: str | Path) -> Verdicts:
-    """Return the Verdicts that the cells of an executed notebook store, in the paper's order, without running it.
-
-    The paper is the one that the notebook is named for. Raises ValueError for a file that stores none, and for
-    verdicts that do not fit this version of the package.
-    """
-    path = Path(notebook)
-    paper = published(path.stem)
-    records = []
-    try:
-        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
-            for output in cell.get("outputs", []):
-                records += [{**record, "cell": cell["id"]} for record in output.get("data", {}).get(MIME, [])]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: needs an executed notebook ({error!r})") from None
-    if not records:
-        raise ValueError(f"{path}: needs an executed notebook whose cells end with paper.report()")
-    given = _read_verdicts(path, paper, records)
-    order = {id: place for place, id in enumerate(paper.items)}
-    given.sort(key=lambda each: order.get(each.id, len(order)))
-    return Verdicts(given, paper.causes_by_paper())
-
-
-def shipped_verdicts(*some: str) -> Verdicts:
-    """Return the Verdicts of some papers, or of all, that come with the package.
-
-    Raises ValueError for a file whose verdicts do not fit this version of the package.
-    """
-    given = []
-    causes = {}
-    for key in some or keys():
-        paper = published(key)
-        path = FOLDER / f"{key}.json"
-        if path.is_file():
-            try:
-                records = json.loads(path.read_text(encoding="utf-8"))
-            except ValueError as error:
-                raise ValueError(f"{path}: {error}") from None
-            given += _read_verdicts(path, paper, records)
-        causes |= paper.causes_by_paper()
-    return Verdicts(given, causes)
-
-
-def _read_verdicts(path, paper, records):
-    """Return the records of a file as a list of Verdicts on this paper, or raise."""
-    cure = f"run `python -m reproduction reproduce {paper.key}`"
-    try:
-        given = [Verdict(**record) for record in records]
-    except TypeError as error:
-        raise ValueError(f"{path}: needs verdicts of this version ({error}): {cure}") from None
-    known = {"paper": [paper.key], "verdict": VERDICTS, "basis": BASES, "cause": ["", *paper.causes]}
-    for each, (name, values) in product(given, known.items()):
-        value = getattr(each, name)
-        if value not in values:
-            raise ValueError(f"{path}: needs verdicts of this version, got {name} {value!r} of {each.id!r}: {cure}")
-    return given

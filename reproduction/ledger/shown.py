@@ -1,21 +1,20 @@
-"""What a notebook shows of a paper: its tables, printed beside computed, its sentences, and the contents."""
+"""What a cell of a notebook shows of its paper: tables with what is printed beside what is right."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 
-from .verdicts import CANNOT_BE_CHECKED, FAILS, HOLDS, IN_PART, MIME, Verdict, Verdicts
+from .verdicts import CANNOT_BE_CHECKED, FAILS, HOLDS, IN_PART, Verdict, Verdicts
 
 ITEM = re.compile(r"\{([^{}]+)\}")
-WRONG_STYLE = "background:#fbe0d2"
-LEGEND = "printed | computed; ✗ wrong; ? lost in our copy"
+WRONG_STYLE = "background:#fbe0d2"  # beside a sign: GitHub shows no colours
 
 
 def mark(verdict: str) -> str:
-    """Return how a verdict is marked beside what it is about: by a sign, since colours do not show everywhere."""
+    """Return the sign of a verdict: colours do not show everywhere."""
     if verdict in HOLDS:
         return "✓"
     return {IN_PART: "(✓)", CANNOT_BE_CHECKED: "?"}.get(verdict, "✗")
@@ -25,7 +24,7 @@ def mark(verdict: str) -> str:
 class Layout:
     """A table as the paper lays it out; `{id}` stands for an item, all else is text.
 
-    A grid has too many cells to print both numbers in each: one number then means that printed and computed agree.
+    A grid has too many cells to print both numbers in each: there one number says that printed and computed agree.
     wrong says in a sentence what is wrong, in place of one for each cause.
     """
 
@@ -39,117 +38,108 @@ class Layout:
     @property
     def ids(self) -> list[str]:
         """The items in the rows, in the order in which they are read."""
-        return list(dict.fromkeys(found for row in self.rows for cell in row for found in ITEM.findall(cell)))
-
-
-@dataclass(frozen=True)
-class Row:
-    """A line of the table of contents: a heading of the notebook, and the items of the ledger that it is about."""
-
-    heading: str
-    ids: list
-    shows: str
-    why: str = ""
-    holds: str = ""
+        found = [ITEM.fullmatch(cell) for row in self.rows for cell in row]
+        return list(dict.fromkeys(item[1] for item in found if item))
 
     @property
     def name(self) -> str:
-        """What the line is called: the heading up to a colon."""
-        return self.heading.partition(":")[0]
+        """What the paper calls the table: the title up to a colon."""
+        return self.title.partition(":")[0]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table: its text, the same in HTML, and whether it is wrong."""
+
+    text: str
+    html: str = ""
+    wrong: bool = False
+
+    def tag(self, name: str) -> str:
+        """Return the cell in HTML, as a td or th."""
+        style = f' style="{WRONG_STYLE}"' if self.wrong else ""
+        return f"<{name}{style}>{self.html or escape(self.text)}</{name}>"
 
 
 class Grid:
-    """Cells as text and as HTML, under a header; a cell is a text or (text, html, whether it is wrong)."""
+    """Cells under a header, with a caption; a text stands for the Cell of that text."""
 
-    def __init__(self, head: Iterable, rows: Iterable[Iterable], caption: str = ""):
-        self.head = [_cell(each) for each in head]
-        self.rows = [[_cell(each) for each in row] for row in rows]
+    def __init__(self, head: Iterable[Cell | str], rows: Iterable[Iterable[Cell | str]], caption: str = ""):
+        self.lines = [[cell if isinstance(cell, Cell) else Cell(str(cell)) for cell in line] for line in (head, *rows)]
         self.caption = caption
 
     def __repr__(self):
-        lines = [[text for text, _, _ in row] for row in (self.head, *self.rows)]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        padded = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
-        return "\n".join([*([self.caption] if self.caption else []), *padded])
+        widths = [max(len(cell.text) for cell in column) for column in zip(*self.lines, strict=True)]
+        lines = [self.caption] if self.caption else []
+        for line in self.lines:
+            padded = [cell.text.ljust(width) for cell, width in zip(line, widths, strict=True)]
+            lines.append("  ".join(padded).rstrip())
+        return "\n".join(lines)
 
     def html(self) -> str:
         """Return the table in HTML."""
         caption = f"<caption>{escape(self.caption)}</caption>\n" if self.caption else ""
-        head = "".join(f"<th>{html}</th>" for _, html, _ in self.head)
-        body = "\n".join(f"<tr>{''.join(map(_td, row))}</tr>" for row in self.rows)
-        return f"<table>\n{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+        head, *rows = self.lines
+        heads = "".join(cell.tag("th") for cell in head)
+        body = "\n".join(f"<tr>{''.join(cell.tag('td') for cell in row)}</tr>" for row in rows)
+        return f"<table>\n{caption}<thead><tr>{heads}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
 
 
-def name_of_line(text: str, line: str = "&nbsp;") -> tuple[str, str, bool]:
-    """Return the name of a row or column of a grid, which breaks nowhere or behind its number."""
-    number, _, name = escape(text).partition(" ")
-    return text, f"{number}{line}{name.replace(' ', '&nbsp;')}", False
+def laid_out(layout: Layout, cells: Mapping[str, Cell], extra: Mapping[str, Iterable] | None = None) -> list[list]:
+    """Return the lines of a table, its head first, with a Cell for each item; extra has columns for the right."""
+    extra = extra or {}
+    columns = zip(*extra.values(), strict=True) if extra else [()] * len(layout.rows)
+    lines = [[*layout.head, *extra]]
+    for row, more in zip(layout.rows, columns, strict=True):
+        found = [ITEM.fullmatch(cell) for cell in row]
+        lines.append([*(cells[item[1]] if item else cell for item, cell in zip(found, row, strict=True)), *more])
+    if layout.grid:  # names of rows break nowhere, those of columns behind their number
+        lines[0] = [_unbroken(name, "<br>") for name in lines[0]]
+        lines = [lines[0], *([_unbroken(line[0], "&nbsp;"), *line[1:]] for line in lines[1:])]
+    return lines
 
 
-def _cell(cell):
-    return cell if isinstance(cell, tuple) else (str(cell), escape(str(cell)), False)
+def _unbroken(name, break_):
+    number, _, rest = escape(name).partition(" ")
+    return Cell(name, f"{number}{break_}{rest.replace(' ', '&nbsp;')}")
 
 
-def _td(cell):
-    _, html, wrong = cell
-    return f'<td style="{WRONG_STYLE}">{html}</td>' if wrong else f"<td>{html}</td>"
-
-
-def beside(given: Verdict, right: str, grid: bool) -> tuple[str, str, bool]:
-    """Return a cell with what is printed and what is right.
+def beside(given: Verdict, right: str, grid: bool) -> Cell:
+    """Return a cell with what is printed, and what is right.
 
     >>> beside(Verdict("p", "t", "Table 3", "number", "326", "336", "erratum", "", "arithmetic", "join"), "336", False)
-    ('326 | 336 ✗', '<s>326</s> | <b>336</b>&nbsp;✗', True)
+    Cell(text='326 | 336 ✗', html='<s>326</s> | <b>336</b>&nbsp;✗', wrong=True)
     """
-    old, new = escape(given.printed), escape(right)
+    printed, bar = given.printed, "<br>" if grid else " | "
+    old, new = escape(printed), escape(right)
     if given.verdict in FAILS:
-        line = "<br>" if grid else " | "
-        return f"{given.printed} | {right} ✗", f"<s>{old}</s>{line}<b>{new}</b>&nbsp;✗", True
+        sign = mark(given.verdict)
+        return Cell(f"{printed} | {right} {sign}", f"<s>{old}</s>{bar}<b>{new}</b>&nbsp;{sign}", wrong=True)
     if given.verdict == CANNOT_BE_CHECKED:
-        return f"? | {right}", f"?{'<br>' if grid else ' | '}{new}", False
+        known = "" if printed == "?" else f"{printed} "
+        return Cell(f"{known}? | {right}" if right else f"{known}?", f"{escape(known)}?{bar if right else ''}{new}")
     if grid:
-        return given.printed, old, False
-    same = right if right != given.printed or given.kind == "number" else "the same"
-    return f"{given.printed} | {same}", f"{old} | {escape(same)}", False
+        return Cell(printed)
+    if right == printed and given.kind != "number":
+        right = "the same"
+    return Cell(f"{printed} | {right}")
+
+
+def shortened(text: str, most: int = 60) -> str:
+    """Return the beginning of a text, whole words, if it is long."""
+    return text if len(text) <= most else text[: most - 1].rsplit(" ", 1)[0] + " ..."
 
 
 class Shown(Verdicts):
     """Verdicts that a cell shows as a table with sentences below, and stores for machines as Verdicts do."""
 
-    def __init__(self, verdicts, causes, grid: Grid, said: Iterable[str] = ()):
+    def __init__(self, verdicts, causes, grid: Grid, told: Iterable[str] = ()):
         super().__init__(verdicts, causes)
-        self.grid, self.said = grid, list(said)
+        self.grid, self.told = grid, list(told)
 
     def __repr__(self):
-        return "\n".join([repr(self.grid), *self.said])
+        return "\n".join([repr(self.grid), *self.told])
 
-    def _repr_mimebundle_(self, include=None, exclude=None):
-        records = self.records()
-        for record in records:
-            del record["cell"]
-        html = self.grid.html() + "".join(f"\n<p>{escape(text)}</p>" for text in self.said)
-        return {"text/plain": repr(self), "text/html": html, MIME: records}
-
-
-def in_words(row: Row, verdicts: Iterable[Verdict]) -> str:
-    """Return the verdict on a line of the contents in a few words."""
-    given = [each for each in verdicts if any(each.id == id or each.id.startswith(f"{id}.") for id in row.ids)]
-    lost = [each for each in given if each.verdict == CANNOT_BE_CHECKED]
-    fail = [each for each in given if each.verdict in FAILS]
-    checked = len(given) - len(lost)
-    if lost and all(each.kind == "figure" for each in given):
-        return "picture lost in our copy; redrawn"
-    if not fail:
-        said = row.holds or f"all {checked}"
-    else:
-        said = f"✗ {len(fail)} of {checked} wrong" + (f": {row.why}" if row.why else "")
-    return said + (f"; {len(lost)} lost in our copy" if lost else "")
-
-
-def contents(rows: Iterable[Row], verdicts: Iterable[Verdict]) -> str:
-    """Return the table of contents in Markdown: what stands where, what it shows, and the verdict in a few words."""
-    lines = ["| in the paper | what it shows | does it hold? |", "|---|---|---|"]
-    for row in rows:
-        link = row.heading.replace(" ", "-")
-        lines.append(f"| [{row.name}](#{link}) | {row.shows} | {in_words(row, verdicts)} |")
-    return "\n".join(lines)
+    def html(self) -> str:
+        """Return the table and the sentences in HTML."""
+        return self.grid.html() + "".join(f"\n<p>{escape(text)}</p>" for text in self.told)

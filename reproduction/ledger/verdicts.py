@@ -183,13 +183,13 @@ class Verdicts(list[Verdict]):
         rows = [[shorten(getattr(each, name), 30, placeholder="...") for name in self.IN_TEXT] for each in self]
         return f"{self.summary()}\n{Table(self.IN_TEXT, rows)}"
 
-    def _repr_mimebundle_(self, include=None, exclude=None):
+    def html(self) -> str:
+        """Return the verdicts in HTML: a folded table."""
         table = Table(self.IN_HTML, [[getattr(each, name) for name in self.IN_HTML] for each in self])
+        return f"<details><summary>{escape(self.summary())}</summary>\n{table._repr_html_()}\n</details>"
+
+    def _repr_mimebundle_(self, include=None, exclude=None):
         records = self.records()
         for record in records:
             del record["cell"]  # a running cell does not know its id: the reader of the notebook does
-        return {
-            "text/plain": repr(self),
-            "text/html": f"<details><summary>{escape(self.summary())}</summary>\n{table._repr_html_()}\n</details>",
-            MIME: records,
-        }
+        return {"text/plain": repr(self), "text/html": self.html(), MIME: records}

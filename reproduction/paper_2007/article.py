@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
-from mpt_helpers import KalmanFilter, constant_velocity, plots
-from mpt_helpers.lasting import fit_lasting, lasting_error, memory
+from mpt_helpers import KalmanFilter, constant_velocity
 from mpt_helpers.metrics import rms
+from reproduction import plots
+from reproduction.lasting import fit_lasting, lasting_error, memory
 
 from . import recorded
 from .positioning import line_sigma

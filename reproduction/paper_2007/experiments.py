@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.kalman import KalmanFilter
 
 from . import positioning
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import toeplitz
 from scipy.special import gammaincc
 
-from mpt_helpers import checks
+from mpt_helpers import _checks as checks
 from mpt_helpers.equations import square_root
 
 EARTH_RADIUS = 6_378_137.0  # m, at the equator

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.signal import correlate
 from scipy.stats import chi2
 
-from mpt_helpers.checks import refuse
-from mpt_helpers.filters import KalmanFilter
+from mpt_helpers._checks import refuse
 from mpt_helpers.fitting import fit
-from mpt_helpers.lasting import LastingFit, fit_lasting, lasting_error
+from mpt_helpers.kalman import KalmanFilter
 from mpt_helpers.metrics import innovations, log_likelihood, rms
 from mpt_helpers.model import constant_velocity, gps_ins
+from reproduction.lasting import LastingFit, fit_lasting, lasting_error
 
 from . import positioning
 from .experiments import exact_moments

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mpt_helpers import plots
-from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.kalman import KalmanFilter
 from mpt_helpers.metrics import error_moments
 from mpt_helpers.model import constant_acceleration, constant_velocity
 from mpt_helpers.steady import SteadyStateFilter
+from reproduction import plots
 
 from .. import burden
 from . import readings, table1

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from mpt_helpers import plots
-from mpt_helpers.filters import KalmanFilter
+from mpt_helpers.kalman import KalmanFilter
 from mpt_helpers.metrics import innovations
 from mpt_helpers.model import gsm_axis, simulate
-from mpt_helpers.plots import COLOUR_OF
 from mpt_helpers.steady import SteadyStateFilter
+from reproduction import plots
+from reproduction.plots import COLOUR_OF
 
 from .. import burden
 from ..figures import visible_gap

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.colors import ListedColormap
 
-from mpt_helpers import metrics, plots
-from mpt_helpers.filters import KalmanFilter
+from mpt_helpers import metrics
+from mpt_helpers.kalman import KalmanFilter
 from mpt_helpers.model import LinearModel, gsm_axis, simulate, stack
 from mpt_helpers.steady import SteadyStateFilter
+from reproduction import plots
 
 PAPER = gsm_axis(dt=1.0, q=0.01, r=0.1)  # the paper's example: H = [1 1], the position one step ahead
 AXIS = replace(PAPER, H=[[1, 0]])  # the same axis, measured where it is

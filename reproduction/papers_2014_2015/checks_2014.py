@@ -110,7 +110,7 @@ def below(values, limit=0.1):
 
 
 def dropped_by_fir(axis, M, steps=300):
-    """Return the rms of what a FIR filter of order M drops, A^M x(k-M/k-M), at steps 0 ... N, in σ of position, velocity."""
+    """Return the rms of what FIR of order M drops, A^M x(k-M/k-M), at steps 0 ... N, in σ of position and velocity."""
     steady = mpt.SteadyStateFilter.from_kalman(axis)
     A, B, F, H = steady.A, steady.B, axis.F, axis.H
     T = np.block([[F, np.zeros((2, 2))], [B @ H @ F, A]])  # of the true state and the estimate
@@ -127,7 +127,7 @@ def dropped_by_fir(axis, M, steps=300):
 
 
 def late_by(axis, H_data):
-    """Return how a settled filter errs on data of another H: steps late, σ of the rest of its error, σ that it states."""
+    """Return how a settled filter errs on data of another H: steps late, σ of the rest of its error, its stated σ."""
     steady = mpt.SteadyStateFilter.from_kalman(axis)
     A, B, F = steady.A, steady.B, axis.F
     D = F - A - B @ H_data @ F  # of the state, zero if H_data is the filter's own

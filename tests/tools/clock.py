@@ -15,7 +15,7 @@ import numpy as np
 from reproduction.ledger import Table
 
 ROOT = Path(__file__).parents[2]
-NBVAL = ["-p", "tests.exact", "--nbval", "--nbval-current-env"]
+NBVAL = ["-p", "tests.support.exact", "--nbval", "--nbval-current-env"]
 COMMANDS = {
     "`make reproduce`": ["-m", "reproduction", "reproduce"],
     "`make test`": ["-m", "pytest", "-q", "-n", "auto", *NBVAL, "mpt_helpers", "tests", "notebooks"],

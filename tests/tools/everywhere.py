@@ -18,7 +18,7 @@ MINORS = (11, 12, 13)
 CORES = ("Nehalem", "SkylakeX")  # OpenBLAS for an old processor and for a new one: other last bits
 LIBRARIES = ("numpy", "scipy", "matplotlib", "filterpy")
 # Another matplotlib draws other pixels: then nbval compares what a figure plots in words only.
-EXACT = ("-p", "tests.exact")
+EXACT = ("-p", "tests.support.exact")
 
 
 class Place(NamedTuple):

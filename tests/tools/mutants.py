@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from tqdm import tqdm
 
-from mpt_helpers.files import write_whole
+from mpt_helpers.tracks.files import write_whole
 from reproduction.ledger.tables import Table
 
 ROOT = Path(__file__).parents[2]
@@ -79,7 +79,7 @@ def first_failure(project, tests):
     notebooks = [test for test in tests if test.endswith(".ipynb")]
     others = [test for test in tests if test not in notebooks]
     of_tests = ["--hypothesis-profile=mutants", *others] if others else []  # tests/conftest.py has that profile
-    of_notebooks = ["-p", "tests.exact", "--nbval", "--nbval-current-env", *notebooks] if notebooks else []
+    of_notebooks = ["-p", "tests.support.exact", "--nbval", "--nbval-current-env", *notebooks] if notebooks else []
     for stage in (of_tests, of_notebooks):
         if stage:
             command = [sys.executable, "-m", "pytest", "-q", "-x", "--color=no", "-p", "no:cacheprovider", *stage]

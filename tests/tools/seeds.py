@@ -16,7 +16,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
-from mpt_helpers.files import write_whole
+from mpt_helpers.tracks.files import write_whole
 from reproduction.execute import settings_of_nobody
 from reproduction.ledger import keys, stored_verdicts
 from reproduction.ledger.verdicts import IN_PART

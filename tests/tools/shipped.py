@@ -67,7 +67,8 @@ class Environment:
     """A clean environment with a wheel and some of its extras, and an empty folder to work in."""
 
     def __init__(self, folder, what):
-        self.python = folder / "venv" / "bin" / "python"
+        folders = ("Scripts", "python.exe") if sys.platform == "win32" else ("bin", "python")
+        self.python = folder.joinpath("venv", *folders)
         self.here = folder / "work"
         self.here.mkdir()
         subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True)
@@ -111,21 +112,13 @@ def use_dask(there):
 
 def use_gps(there):
     """Make the table of two satellites at two epochs from RINEX: the rows of the committed table of the whole day."""
-    there.script(GPS, ROOT / "tests" / "rinex" / "observations.rnx")
+    there.script(GPS, ROOT / "tests" / "papers" / "rinex" / "observations.rnx")
     navigation = there.here / "navigation.rnx.gz"
-    navigation.write_bytes(gzip.compress((ROOT / "tests" / "rinex" / "navigation.rnx").read_bytes()))
+    navigation.write_bytes(gzip.compress((ROOT / "tests" / "papers" / "rinex" / "navigation.rnx").read_bytes()))
     there.run(ROOT / "notebooks" / "data" / "make_table.py", "observations.crx.gz", navigation, "table.csv.gz")
     made = rows(there.here / "table.csv.gz")
     assert len(made) == 6, made  # the station, the columns, four ranges
     assert made <= rows(ROOT / "notebooks" / "data" / "esbc_2020_177.csv.gz"), made
-
-
-def use_tracks(there):
-    """Read a GPX file into metres."""
-    there.script(
-        "from mpt_helpers import tracks\nassert tracks.gpx(__import__('sys').argv[1])[0].z.shape == (4559, 2)",
-        ROOT / "docs" / "tracks" / "ride.gpx",
-    )
 
 
 def rows(path):
@@ -133,7 +126,7 @@ def rows(path):
     return set(gzip.decompress(path.read_bytes()).decode().splitlines())
 
 
-USES = {"notebooks": use_notebooks, "dask": use_dask, "gps": use_gps, "tracks": use_tracks}
+USES = {"notebooks": use_notebooks, "dask": use_dask, "gps": use_gps}
 
 
 def main(extras):

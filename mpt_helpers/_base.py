@@ -1,0 +1,302 @@
+"""The base classes of all filters: the methods for users, and those that the rest of the package calls.
+
+A user has `filter`, `estimates`, `covariances`, `smooth` and `step`. The rest of the package (metrics, bands, joint and
+separate filters, predictors) asks less, of measurements z (N, m, M) that are checked:
+
+- `epochs_of(z)`: z and its conditions, as `epochs.Epochs`;
+- `times_of(N)`: the times of N epochs in seconds, for what counts in seconds, as a band does;
+- `run(z, x, covariances)`: the states, written to an array that is there, and the covariances if they are wanted;
+- `innovations_of(z)`: the innovations and their covariances;
+- `parts`: the filters that it is made of.
+
+Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them. A subclass of `RecursiveFilter` says
+one step, `next_step`; `in_columns` may say the same for many columns at once. Who calls whom, in a RecursiveFilter:
+
+    filter, estimates_of  ->  run             ->  engine.estimates
+    estimates             ->  estimates_of
+    covariances           ->  estimates
+    smooth                ->  _smoothed       ->  engine.estimates, smoothing.smoothed
+    innovations_of        ->  engine.innovations  ->  engine.estimates
+
+    engine.estimates      ->  shared_steps    ->  next_step                      tracks without gaps
+                          ->  in_columns      ->  advance (of next_steps, or its own)    all others
+
+`_as_given` gives users their tracks back as they came, one or many; `_in_tiles` takes some tracks at a time, so that
+the covariances of all do not have to be in memory at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _checks as checks
+from ._checks import Array, Seconds
+from ._engine import run as engine
+from ._engine import shared as steps
+from ._engine.columns import SteppedColumns
+from ._engine.epochs import Epochs, Rows
+from ._engine.shared import SharedSteps, Step
+from ._engine.smoother import smoothed
+from ._immutable import Immutable
+from .model import LinearModel
+
+# Numbers in the covariances of a tile of tracks whose innovations, or way back, are computed together: 32 MB.
+MOST_NUMBERS = 4_000_000
+
+
+class Estimates(NamedTuple):
+    """States x, (N, n) or (N, n, M), and their covariances P, (N, n, n) or (N, n, n, M)."""
+
+    x: Array
+    P: Array
+
+
+def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, Array]:
+    """Return values (N, d, M) and covariances (N, d, d, M or 1) of one track without the axis of tracks.
+
+    Of `many` tracks they keep it, and each track gets its covariances.
+    """
+    if not many:
+        return values[..., 0], covariances[..., 0]
+    M = values.shape[2]
+    return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
+
+
+class Filter(Immutable):
+    """A filter of measurements z of its `model`. A subclass defines `run`, and what else it has.
+
+    t and r are the times and the variances that it was given, None where it was not.
+    """
+
+    model: LinearModel
+    t: Array | None = None
+    r: Array | None = None
+    optimal = False  # whether its gain is that of the covariance P, so that P says all that is known
+    steps_ahead = 0  # how far an estimate lies past its last measurement: 0, or N in a predictor
+
+    @property
+    def P0(self) -> Array:
+        """P(0/0); raises TypeError for a filter that has none, a predictor or a FIR filter."""
+        raise self._not_recursive()
+
+    def filter(self, z: ArrayLike) -> Array:
+        """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
+
+        z[0] is z(1), NaN where a measurement is missing. Raises ValueError or TypeError for another shape, another kind
+        of data, infinite values, and for gaps over which covariances overflow or rounding takes a variance below zero.
+        """
+        z, many = self.as_tracks(z)
+        x = np.empty((len(z), self.model.n, z.shape[2]))
+        with np.errstate(invalid="ignore"):  # NaN times zero
+            self.run(z, x, covariances=False)
+        if not np.isfinite(x[-1]).all():  # an infinite measurement shows to the end, so z is searched only now
+            checks.no_infinity(z)
+        return x if many else x[..., 0]
+
+    def estimates(self, z: ArrayLike) -> Estimates:
+        """Return x(1/1) ... x(N/N) and their covariances P(1/1) ... P(N/N) in one pass: `.x` and `.P`.
+
+        x is (N, n) and P (N, n, n) for z of shape (N, m); (N, n, M) and (N, n, n, M) for z of shape (N, m, M). Raises
+        as `filter`, and TypeError for a filter that has no covariances.
+        """
+        return self._as_given(z, self.estimates_of)
+
+    def covariances(self, z: ArrayLike) -> Array:
+        """Return P(1/1) ... P(N/N) for the gaps that z has: (N, n, n) for z (N, m), (N, n, n, M) for z (N, m, M).
+
+        With an integer N for z, nothing is missing. Raises as `estimates`.
+        """
+        if np.ndim(z) == 0:
+            z = np.zeros((checks.count("N", z), self.model.m))
+        return self.estimates(z).P
+
+    def smooth(self, z: ArrayLike) -> Estimates:
+        """Return the states and covariances of all epochs given all of z; raises TypeError where there are none."""
+        raise self._not_recursive()
+
+    def step(
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Return x(k+1/k+1) and P(k+1/k+1); raises TypeError for a filter that has no step."""
+        raise self._not_recursive()
+
+    @property
+    def parts(self) -> Sequence[Filter]:
+        """The filters that it is made of; none but for joint and separate filters and predictors."""
+        return ()
+
+    def times_of(self, N: int) -> Array:
+        """Return the times of N epochs in s: its t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
+
+        A model without a dt has steps of one second.
+        """
+        if self.t is not None:
+            return self.t
+        return (1.0 if self.model.dt is None else self.model.dt) * np.arange(N)
+
+    def epochs_of(self, z: Array) -> Epochs:
+        """Return z (N, m, M) with the conditions of its epochs; raises ValueError where those are of other epochs."""
+        return Epochs(z)
+
+    def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
+        """Write the estimates of z (N, m, M) to x (N, n, M); return their covariances, or None if they are not wanted.
+
+        Raises TypeError if they are, for a filter that has none.
+        """
+        raise NotImplementedError
+
+    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
+        """Return the filter on columns, as a RecursiveFilter does; raises TypeError for one that has no step."""
+        raise self._not_recursive()
+
+    def estimates_of(self, z: Array) -> tuple[Array, Array]:
+        """Return the estimates of z (N, m, M), (N, n, M), and their covariances, (N, n, n, M) or (N, n, n, 1)."""
+        x = np.empty((len(z), self.model.n, z.shape[2]))
+        P = self.run(z, x, covariances=True)
+        return x, P
+
+    def innovations_of(self, z: Array) -> tuple[Array, Array]:
+        """Return the innovations of z (N, m, M), NaN where z has NaN, and S, (N, m, m, M) or (N, m, m, 1).
+
+        Raises TypeError for a filter that has none.
+        """
+        raise self._not_recursive()
+
+    def as_tracks(self, z: ArrayLike) -> tuple[Array, bool]:
+        """Return measurements as (N, m, M), and whether they came with an axis of tracks, or raise."""
+        z = checks.measurements(z, self.model.m)
+        return (z, True) if z.ndim == 3 else (z[..., None], False)
+
+    def _as_given(self, z, function):
+        """Return the Estimates that function(z (N, m, M)) returns, for one track or many, as z was given."""
+        z, many = self.as_tracks(z)
+        checks.no_infinity(z)
+        return Estimates(*one_or_many(*function(z), many))
+
+    def _not_recursive(self):
+        return TypeError(f"needs a filter with P0, covariances and step, got a {type(self).__name__}")
+
+
+@dataclass(frozen=True, eq=False)
+class RecursiveFilter(Filter):
+    """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else works.
+
+    Its gain is taken for the Kalman filter's for its P, so that P is all that is known. A subclass of another gain must
+    say `optimal = False`, and then has no smoother. If it forgets that, `smooth` goes by a P that is not that of the
+    best estimate, and nothing tells that it is wrong.
+    """
+
+    model: LinearModel
+
+    optimal = True  # other than in Filter, where it is False
+
+    def __post_init__(self):
+        checks.instance("model", self.model, LinearModel)
+
+    @property
+    def P0(self) -> Array:
+        """P(0/0), the covariance that the filter starts from: the model's."""
+        return self.model.P0
+
+    def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n); seen (m,) says which measurements are there."""
+        raise NotImplementedError
+
+    def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
+        """Return A_k (M, n, n), B_k (M, n, m) and P(k+1/k+1) (M, n, n) of each P(k/k) of a stack (M, n, n).
+
+        It is `next_step` of one after the other. A subclass may make all of them at once.
+        """
+        A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
+        return np.array(A), np.array(B), np.array(P)
+
+    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
+        """Return the filter on columns: its `advance` (`engine`), the rows that it takes, x0 (d,) and P0 (d, d).
+
+        It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations. There may
+        be more states than the model's, after these: then d > n.
+        """
+        return SteppedColumns(self).advance, rows, self.model.x0, self.P0
+
+    def coefficients(self, N: int) -> Step:
+        """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing."""
+        each = steps.steps_without_gaps(self.next_step, self.P0, self.model.m, checks.count("N", N))
+        return Step(*map(np.array, zip(*each, strict=True)))
+
+    def step(
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
+
+        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt and r are for a KalmanFilter. Raises
+        ValueError or TypeError for other shapes, for states and covariances that are not finite, and for a P that is
+        no covariance as two of its states show; its eigenvalues are not computed.
+        """
+        for name, given in (("dt", dt), ("r", r)):
+            if given is not None:
+                need = "to be left out, as the steps and variances of this filter are those of its model"
+                checks.refuse(name, need, f"one for a {type(self).__name__}")
+        x, P = checks.state(x, P, self.model.n)
+        z_k, seen = checks.one_measurement(z_k, self.model.m)
+        A, B, P = self.next_step(P, seen)
+        return A @ x + B @ np.where(seen, z_k, 0), P
+
+    def smooth(self, z: ArrayLike) -> Estimates:
+        """Return x(k/N) and P(k/N) of k = 1 ... N, the states given all measurements: `.x` and `.P`.
+
+        The shapes are those of `estimates`. It is the papers' recursion run backwards (Rauch, Tung and Striebel 1965):
+
+            x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
+
+        with P(k/N) in Joseph's form. Raises as `estimates`, and TypeError for a filter of constant gain, or one that
+        fades: its P is not that of the best estimate. Warns of damped modes without process noise, whose P(k/N) loses
+        its digits.
+        """
+        if not self.optimal:
+            raise TypeError(f"smooth: needs a filter whose P is that of the best estimate, got a {type(self).__name__}")
+        return self._as_given(z, lambda z: self._in_tiles(self._smoothed, self.epochs_of(z), self.model.n))
+
+    def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
+        """Write the estimates to x and return the covariances if wanted, as in Filter."""
+        return engine.estimates(self, self.epochs_of(z), x, covariances)
+
+    def innovations_of(self, z: Array) -> tuple[Array, Array]:
+        """Return the innovations and their covariances, as in Filter."""
+        return self._in_tiles(partial(engine.innovations, self), self.epochs_of(z), self.model.m)
+
+    def shared_steps(self, N: int, tracks: int) -> SharedSteps | None:
+        """Return the steps of tracks without gaps, None where too many differ; the last are kept for the next call."""
+        # Read once and returned from here: another thread may write to `_kept` meanwhile.
+        kept_for, kept = self._kept.get("last", (None, None))
+        if kept_for != (N, tracks):
+            kept = steps.make_shared_steps(self.next_step, self.P0, self.model.m, N, tracks)
+            self._kept["last"] = (N, tracks), kept
+        return kept
+
+    @cached_property
+    def _kept(self):
+        """The memory of `shared_steps`, empty at first: a frozen filter takes no new value, but its dict does."""
+        return {}
+
+    def _smoothed(self, epochs):
+        N, _, M = epochs.z.shape
+        x = np.empty((N, self.model.n, M))
+        P = engine.estimates(self, epochs, x, covariances=True)
+        return smoothed(self.model.motion, epochs, x, P)
+
+    def _in_tiles(self, function, epochs, d):
+        """Return function(epochs): values (N, d, M) and covariances (N, d, d, M or 1), so many tracks at a time."""
+        N, _, M = epochs.z.shape
+        parts = steps.tiles(M, max(1, MOST_NUMBERS // (N * self.model.n**2)))
+        if len(parts) == 1:
+            return function(epochs)
+        values, covariances = np.empty((N, d, M)), np.empty((N, d, d, M))
+        for part in parts:
+            values[..., part], covariances[..., part] = function(epochs.of(part))
+        return values, covariances

@@ -1,0 +1,408 @@
+"""Checks of models, measurements and counts: bad input is refused by name, before anything is computed.
+
+The checks run where a user passes something in. Everything behind that point trusts what it gets.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import sys
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from numbers import Real
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]  # what a model holds and what a filter returns
+Seconds = float | timedelta | np.timedelta64  # a length of time; a number is one of seconds
+
+# A covariance scaled to unit variances has entries of order one and comes out of a few products of doubles: asymmetry
+# or negative eigenvalues below this are rounding, above it they are a mistake. A positive definite matrix must have all
+# its eigenvalues above it.
+ROUNDING = 1e-12
+# The same for a covariance that a solver has made, for a model at the edge of double precision.
+SOLVED = 1e-6
+# Seconds beyond this, 3,000 years, are no seconds. Unix times are 1.7e9 s today; of which units they are, where they
+# are too large, shows by what makes them less.
+LATEST_TIME = 1e11
+UNIX_UNITS = {"Unix milliseconds": 1e3, "Unix microseconds": 1e6, "Unix nanoseconds": 1e9}
+
+
+def refuse(name: str, need: str, got: object, error: type[Exception] = ValueError) -> NoReturn:
+    """Raise `error` with a message that names the argument, what it needs and what it got.
+
+    The error that led here, if there is one, is not shown: the message says all that a user can do.
+    """
+    raise error(f"{name}: needs {need}, got {got}") from None
+
+
+def warn(text: str) -> None:
+    """Warn a user (UserWarning) in the line of theirs that called into this package, however deep the call has come."""
+    frame, level = sys._getframe(1), 2
+    while frame is not None and (frame.f_globals.get("__package__") or "").partition(".")[0] == __package__:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, UserWarning, stacklevel=level)
+
+
+def instance(name: str, value: object, kind: type) -> None:
+    """Raise a TypeError if `value` is not a `kind`."""
+    if not isinstance(value, kind):
+        refuse(name, f"a {kind.__name__}", f"{type(value).__name__} {value!r:.40}", TypeError)
+
+
+def number(name: str, value: object, need: str, accept: Callable[[float], bool]) -> float:
+    """Return a finite real scalar as a float, or raise.
+
+    `accept` says whether the argument can take a finite value, and `need` says the same in words.
+
+    >>> number("dt", 0, "a positive number", lambda value: value > 0)
+    Traceback (most recent call last):
+    ...
+    ValueError: dt: needs a positive number, got 0
+    """
+    if isinstance(value, timedelta):
+        refuse(name, need, f"{value!r} (its total_seconds() is a number)", TypeError)
+    if isinstance(value, np.timedelta64):  # which counts as Real
+        refuse(name, need, f"{value!r} (divided by np.timedelta64(1, 's') it is a number)", TypeError)
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        refuse(name, need, f"{value!r:.60}", TypeError)
+    try:
+        as_float = float(value)
+    except OverflowError:  # a whole number beyond the range of doubles
+        as_float = math.inf
+    if not (math.isfinite(as_float) and accept(as_float)):
+        refuse(name, need, f"{value!r:.60}")
+    return as_float
+
+
+def positive(name: str, value: object) -> float:
+    """Return a positive number as a float, or raise."""
+    return number(name, value, "a positive number", lambda value: value > 0)
+
+
+def not_negative(name: str, value: object) -> float:
+    """Return a number that is not negative as a float, or raise."""
+    return number(name, value, "a number that is not negative", lambda value: value >= 0)
+
+
+def level(value: object) -> float:
+    """Return the share that a band is to hold, between 0 and 1, as a float, or raise."""
+    return number("level", value, "a number in (0, 1)", lambda value: 0 < value < 1)
+
+
+def duration(name: str, value: object) -> float:
+    """Return a positive length of time, a number of seconds or a timedelta, in seconds, or raise.
+
+    >>> duration("seconds", timedelta(minutes=1))
+    60.0
+    """
+    return positive(name, as_seconds(value))
+
+
+def count(name: str, value: object, least: int = 1) -> int:
+    """Return an integer of at least `least`, or raise."""
+    need = f"an integer of at least {least}"
+    if isinstance(value, bool | np.bool_):
+        refuse(name, need, value, TypeError)
+    try:
+        whole = operator.index(value)
+    except TypeError:
+        refuse(name, need, f"{value!r:.60}", TypeError)
+    if whole < least:
+        refuse(name, need, whole)
+    return whole
+
+
+def array(name: str, value: object, shape: tuple[int, ...]) -> Array:
+    """Return a read-only copy of an array of finite real numbers of this shape, or raise."""
+    need = f"a {shape} array of finite numbers"
+    # In C order, since the rounding of a product depends on the memory layout.
+    copy = real_numbers(name, value, need).astype(float, order="C")
+    if copy.shape != shape:
+        refuse(name, need, f"shape {copy.shape}")
+    if not np.isfinite(copy).all():
+        refuse(name, need, "NaN or infinity")
+    copy.flags.writeable = False
+    return copy
+
+
+def real_numbers(name: str, value: object, need: str) -> np.ndarray:
+    """Return `value` as an array if it holds real numbers, or raise; the numbers are not looked at."""
+    if value is None:
+        refuse(name, need, "None", TypeError)
+    if isinstance(value, np.ma.MaskedArray):
+        refuse(name, need, "a masked array (its filled(np.nan) has NaN where one is missing)", TypeError)
+    try:
+        values = np.asarray(value)
+    except ValueError:
+        refuse(name, need, "rows of different lengths")
+    if values.dtype == object and hasattr(value, "to_numpy"):
+        with suppress(TypeError, ValueError):  # of a column of anything else
+            numbers = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
+            others = np.reshape([not _is_number(each) for each in values.ravel()], values.shape)
+            if np.isnan(numbers[others]).all():  # and not texts, or times with a zone, which have a number too
+                values = numbers
+    if values.dtype.kind not in "iuf":
+        refuse(name, need, _other_data(values), TypeError)
+    return values
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _other_data(values: np.ndarray) -> str:
+    """Say what an array holds that has no real numbers, and what makes numbers of it."""
+    kinds = {"m": timedelta, "M": datetime}
+    others = [kinds[values.dtype.kind]] if values.dtype.kind in kinds else []
+    if values.dtype == object:
+        others = [type(each) for each in values.ravel() if not _is_number(each)]
+        if not others:
+            return "numbers as objects (.astype(float) makes an array of numbers)"
+        if type(None) in others:
+            return "None among its values"
+    if timedelta in others:
+        return "lengths of time (divided by np.timedelta64(1, 's'), or their total_seconds(), they are numbers)"
+    if any(issubclass(each, datetime) for each in others):
+        return "dates (their differences in seconds are numbers)"
+    if others:
+        return f"an array of objects of type {others[0].__name__}"
+    return f"an array of {values.dtype} data"
+
+
+def rows(name: str, matrix: object) -> int:
+    """Return how many rows a matrix has, or raise."""
+    values = real_numbers(name, matrix, "a matrix")
+    if values.ndim != 2 or values.size == 0:
+        refuse(name, "a matrix", f"shape {values.shape}")
+    return len(values)
+
+
+def covariance(name: str, value: object, size: int, definite: bool = False, rounding: float = ROUNDING) -> Array:
+    """Return a symmetric positive semidefinite (or definite) matrix of this size, or raise.
+
+    The eigenvalues examined are those of the correlation matrix, so that variances of very different size pass.
+
+    >>> covariance("R", [[0.0]], 1, definite=True)
+    Traceback (most recent call last):
+    ...
+    ValueError: R: needs a symmetric positive definite 1×1 matrix, got an eigenvalue of 0 (at unit variances)
+    """
+    need = f"a symmetric positive {'definite' if definite else 'semidefinite'} {size}×{size} matrix"
+    matrix = array(name, value, (size, size))
+    variance = np.diag(matrix)
+    # A variance of -rounding² relative to the largest is a sigma wrong by `rounding`.
+    if variance.min() < -(rounding**2) * variance.max() or variance.max() < 0:
+        refuse(name, need, f"a variance of {variance.min():.6g}")
+    sigma = np.sqrt(np.maximum(variance, 0))
+    # Beside a variance of zero there is no covariance but rounding: up to `rounding` of the largest one possible.
+    unit = np.where(sigma > 0, sigma, np.sqrt(rounding) * sigma.max() or np.finfo(float).tiny)
+    with np.errstate(over="ignore"):
+        scaled = matrix / unit[:, None] / unit
+    if not np.isfinite(scaled).all():
+        refuse(name, need, "a covariance far larger than the variances allow")
+    if np.abs(scaled - scaled.T).max() > rounding:
+        refuse(name, need, "a matrix that is not symmetric")
+    lowest = np.linalg.eigvalsh(scaled)[0]
+    if lowest < -rounding or (definite and lowest <= rounding):
+        refuse(name, need, f"an eigenvalue of {lowest:.6g} (at unit variances)")
+    return matrix
+
+
+def measurements(z: object, m: int) -> Array:
+    """Return measurements as a float array of shape (N, m) or (N, m, M), or raise. NaN stands for a missing one.
+
+    Infinity is not looked for here: `no_infinity` does that where a result is not finite.
+    """
+    need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
+    z = real_numbers("z", z, need)
+    if z.ndim not in (2, 3) or z.shape[1] != m or 0 in z.shape:
+        refuse("z", need, f"shape {z.shape}")
+    if z.dtype == float:
+        return z
+    with np.errstate(over="ignore"):  # a long double beyond the range of doubles becomes infinite
+        return z.astype(float)
+
+
+def no_infinity(z: np.ndarray, name: str = "z") -> None:
+    """Raise a ValueError if one of the measurements is infinite."""
+    if np.isinf(z).any():
+        refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
+
+
+def one_measurement(z_k: object, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return z_k as a vector of floats of length m, and which of them are there, or raise."""
+    need = f"a vector of length {m}"
+    z_k = real_numbers("z_k", z_k, need).astype(float)
+    if z_k.shape != (m,):
+        refuse("z_k", need, f"shape {z_k.shape}")
+    seen = np.isfinite(z_k)
+    if not seen.all():
+        no_infinity(z_k, "z_k")
+    return z_k, seen
+
+
+def state(x: object, P: object, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return x (n,) and P (n, n) as arrays of finite floats, or raise. P is a covariance, looked at by pairs.
+
+    Its eigenvalues are not looked at: that would cost a large part of a step.
+    """
+    if np.shape(x) == (n,) and np.shape(P) == (n, n):
+        x_array, P_array = np.asarray(x), np.asarray(P)
+        if x_array.dtype == P_array.dtype == float:
+            rows = P_array.tolist()  # Python's numbers are faster than numpy's, where there are few
+            if math.isfinite(sum(x_array.tolist()) + sum(map(sum, rows))):
+                _require_covariances(rows)
+                return x_array, P_array
+    x_array, P_array = array("x", x, (n,)), array("P", P, (n, n))
+    _require_covariances(P_array.tolist())
+    return x_array, P_array
+
+
+def _require_covariances(rows):
+    """Refuse the rows of a P with a negative variance, an asymmetry, or a P_ij larger than two states can share."""
+    variances = [row[i] for i, row in enumerate(rows)]
+    least, largest = min(variances), max(variances)
+    if least < -ROUNDING * largest or largest < 0:
+        refuse("P", "a covariance", f"a variance of {least:.6g}")
+    rounding = SOLVED * math.sqrt(largest)
+    sigmas = [math.sqrt(max(variance, 0.0)) + rounding for variance in variances]
+    for i, row in enumerate(rows):
+        for j in range(i):
+            most = sigmas[i] * sigmas[j]
+            if abs(row[j] - rows[j][i]) > SOLVED * most:
+                refuse("P", "a covariance", f"a matrix that is not symmetric: {row[j]:.6g} and {rows[j][i]:.6g}")
+            if abs(row[j]) > (1 + SOLVED) * most:
+                refuse("P", "a covariance", f"a covariance of {row[j]:.6g}, too large beside its variances")
+
+
+def times(name: str, value: object) -> Array:
+    """Return times (N,) or (N, M) that do not decrease as a read-only float array in seconds, or raise.
+
+    Numbers are seconds already. Dates are taken for what they are, in seconds from the first: datetime64, datetimes and
+    pandas Timestamps, with or without a zone, in arrays, lists, a pandas index or Series. So are lengths of time.
+
+    >>> times("t", np.array(["2024-05-03T10:00", "2024-05-03T10:01"], "datetime64[m]"))
+    array([ 0., 60.])
+    """
+    need = "an (N,) or (N, M) array of finite times that do not decrease"
+    values = real_numbers(name, _seconds_of_all(name, value), need)
+    if values.ndim not in (1, 2) or 0 in values.shape:
+        refuse(name, need, f"shape {values.shape}")
+    kind = values.dtype
+    values = array(name, values, values.shape)
+    with np.errstate(over="ignore"):  # such times are refused below
+        steps = np.diff(values, axis=0)
+    if (steps < 0).any():
+        k = np.argwhere(steps < 0)[0][0]
+        refuse(name, need, f"{values[k + 1].max():.15g} after {values[k].max():.15g}, in row {k + 1}")
+    _require_seconds(name, values, steps, kind)
+    return values
+
+
+def as_seconds(value: object) -> object:
+    """Return a length of time, a timedelta of Python, numpy or pandas, in seconds; anything else as it is.
+
+    >>> as_seconds(timedelta(minutes=1)), as_seconds(np.timedelta64(5, "m")), as_seconds(1.5)
+    (60.0, 300.0, 1.5)
+    """
+    if isinstance(value, timedelta):
+        return value.total_seconds()
+    if isinstance(value, np.timedelta64):
+        with suppress(TypeError):  # years and months have no length
+            return float(value / np.timedelta64(1, "s"))
+    return value
+
+
+def moment(name: str, value: object) -> float:
+    """Return a time in seconds, since 1970 where it is a date (datetime, Timestamp, datetime64), or raise.
+
+    >>> moment("t", np.datetime64("1970-01-02")), moment("t", 1.5)
+    (86400.0, 1.5)
+    """
+    if isinstance(value, datetime):
+        value = (value - datetime(1970, 1, 1, tzinfo=value.tzinfo and UTC)).total_seconds()
+    elif isinstance(value, np.datetime64):
+        value = as_seconds(value - np.datetime64("1970-01-01", "s"))
+    return number(name, value, "a time in seconds, or a date", lambda _: True)
+
+
+def _seconds_of_all(name, value):
+    """Return dates and lengths of time as arrays of seconds, dates from the first; anything else as it is."""
+    if value is None or isinstance(value, np.ma.MaskedArray):
+        return value
+    try:
+        values = np.asarray(value)
+    except ValueError:  # rows of different lengths: refused behind this
+        return value
+    if values.dtype.kind == "M" and values.size:
+        if np.datetime_data(values.dtype)[0] in ("Y", "M"):  # which have no length
+            values = values.astype("datetime64[s]")
+        return (values - values.flat[0]) / np.timedelta64(1, "s")
+    if values.dtype.kind == "m" and values.size:
+        return values / np.timedelta64(1, "s")
+    if values.dtype != object or not values.size:
+        return value
+    each = values.ravel().tolist()
+    if all(isinstance(one, datetime) for one in each):
+        if len({one.tzinfo is None for one in each}) == 2:
+            refuse(name, "dates with a zone, or dates without", "both")
+        each = [one - each[0] for one in each]
+    if all(isinstance(one, timedelta) for one in each):
+        return np.reshape([one.total_seconds() for one in each], values.shape)
+    return value
+
+
+def _require_seconds(name, values, steps, kind):
+    """Raise a ValueError where times cannot be seconds: too large, all equal, or rounded away by their type."""
+    largest = np.abs(values).max()
+    if largest > LATEST_TIME:
+        unit = next((unit for unit, size in UNIX_UNITS.items() if largest / size < LATEST_TIME), None)
+        got = f"{largest:.15g}" if unit is None else f"{largest:.15g}, which looks like {unit} (/ {UNIX_UNITS[unit]:g})"
+        refuse(name, "times in seconds", got)
+    if len(values) > 2 and not steps.any():
+        refuse(name, "times of which some differ", f"{values.flat[0]:.15g} in all {len(values)} rows")
+    if kind.kind == "f" and kind.itemsize < 8 and (steps > 0).any():
+        rounding = float(np.spacing(kind.type(largest)))
+        if steps[steps > 0].min() < 2 * rounding:
+            refuse(
+                name, "times as float64, or from the first", f"{kind}, which rounds {largest:.10g} to {rounding:g} s"
+            )
+
+
+def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
+    """Return the variances (m,) of one measurement, positive where it is there, as seen (m,) says, or raise."""
+    need = f"a vector of {len(seen)} positive variances"
+    values = real_numbers(name, value, need).astype(float)
+    if values.shape != seen.shape:
+        refuse(name, need, f"shape {values.shape}")
+    if not are_variances(values[seen]).all():
+        refuse(name, need, f"{values}")
+    return values
+
+
+def are_variances(values: np.ndarray) -> np.ndarray:
+    """Tell which numbers can be variances of a measurement: those that are positive and finite."""
+    return np.isfinite(values) & (values > 0)
+
+
+def used_variances(name: str, values: np.ndarray, of: str = "measurement that is there") -> None:
+    """Raise a ValueError if a variance that is used cannot be one; `of` says what has one."""
+    if not are_variances(values).all():
+        refuse(name, f"a positive variance of every {of}", "another")
+
+
+def variances(name: str, value: object, m: int) -> Array:
+    """Return variances (N, m) or (N, m, M) as a read-only float array, or raise; the numbers are not looked at."""
+    need = f"an (N, {m}) or (N, {m}, M) array of variances"
+    values = real_numbers(name, value, need)
+    if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
+        refuse(name, need, f"shape {values.shape}")
+    values = values.astype(float, order="C")
+    values.flags.writeable = False
+    return values

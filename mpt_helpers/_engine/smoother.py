@@ -1,0 +1,131 @@
+"""The states of all epochs given all measurements: the filter's recursion, run backwards (Rauch, Tung, Striebel 1965).
+
+    x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
+    P(k/N) = C_k [P(k+1/N) + Q] C_kᵀ + (I - C_k F) P(k/k) (I - C_k F)ᵀ
+
+A step back is x <- C x + d, P <- C P Cᵀ + D, with d = (I - C F) x(k/k) and D = C Q Cᵀ + (I - C F) P(k/k) (I - C F)ᵀ.
+C, d and D depend on the filter's results alone: they are computed first, of many epochs in each call. Then the steps
+are taken one after the other, and a long track is cut into pieces, as by the filter.
+
+N is the number of epochs, n that of states. c tracks that share their covariances are a column, and there are M columns
+(`engine`). In x (N, n, M) and P (N, n, n, M or 1) of the filter, M is the number of all tracks.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.linalg import eig
+
+from .. import _checks as checks
+from .algebra import product, solved, transposed
+from .pieces import through
+from .run import in_sequence
+from .shared import epochs_at_a_time
+
+# A mode is damped if its eigenvalue is smaller than DAMPED, and undriven if the variance that Q adds to it in a step is
+# smaller than UNDRIVEN times the one after the first measurement.
+DAMPED = 1 - 1e-6
+UNDRIVEN = 1e-12
+
+
+@dataclass(frozen=True)
+class Backwards:
+    """The coefficients of N steps back over N + 1 epochs, last epoch first: x <- C x + d, P <- C P Cᵀ + D.
+
+    They are those of columns: C and D are (N, n, n, M), d is (N, n, c, M). `partition.through` takes them in the
+    place of rows of measurements, and cuts them.
+    """
+
+    C: np.ndarray
+    d: np.ndarray
+    D: np.ndarray
+
+    def __iter__(self):
+        """Yield C, d and D of one step after the other."""
+        return zip(self.C, self.d, self.D, strict=True)
+
+    def mapped(self, function):
+        """Return the steps of function(array) for each array."""
+        return Backwards(function(self.C), function(self.d), function(self.D))
+
+    def with_tracks_of_zeros(self, count):
+        """Return the steps with `count` more tracks in each column, whose d is zero.
+
+        `partition` sees by them where a piece ends that starts at a unit vector: at the product of its C.
+        """
+        N, n, _, M = self.d.shape
+        return Backwards(self.C, np.concatenate([self.d, np.zeros((N, n, count, M))], axis=2), self.D)
+
+
+def smoothed(motion, epochs, x, P):
+    """Return x(k/N) (N, n, M) and P(k/N) (N, n, n, M or 1) from x(k/k) and P(k/k) of the same shapes.
+
+    motion is that of the states, epochs are the Epochs that x and P are estimates of. P has one covariance for all
+    tracks (1) or one for each.
+    """
+    modes = _undriven(*motion.one_step, P[0])
+    if modes:
+        text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
+        checks.warn(f"{text}: covariances may be wrong. Process noise of a millionth of the variances mends it")
+    (N, n, M), width = x.shape, P.shape[3]
+    C, d, D = np.empty((N - 1, n, n, width)), np.empty((N - 1, n, M)), np.empty((N - 1, n, n, width))
+    for part in epochs_at_a_time(N - 1, n * n * width) if N > 1 else ():
+        lengths = None if epochs.lengths is None else epochs.lengths[1:][part]
+        C[part], d[part], D[part] = _coefficients(motion, lengths, x[part], P[part])
+    x, P = x.copy(), P.copy()
+    if N > 1:
+        as_columns = epochs.layout.as_columns
+        back = Backwards(C[::-1], as_columns(d[::-1]), D[::-1])
+        # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
+        through(partial(in_sequence, _advance), back, as_columns(x[-1]), P[-1], as_columns(x[-2::-1]), P[-2::-1])
+    return x, P
+
+
+def _undriven(F, Q, P):
+    """Return the damped modes of F that Q does not drive, as texts.
+
+    A mode is y = lᴴ x, with a left eigenvector l of F. Q adds lᴴ Q l to its variance in a step, which is compared with
+    the variance lᴴ P l of the first epoch, P (n, n, M or 1).
+    """
+    modes, left = eig(F, left=True, right=False)
+    added = np.einsum("im,ij,jm->m", left.conj(), Q, left).real
+    known = np.einsum("im,ijt,jm->mt", left.conj(), P, left).real.max(axis=1)
+    return [f"{abs(mode):.3g}" for mode in modes[(np.abs(modes) < DAMPED) & (added < UNDRIVEN * known)]]
+
+
+def _coefficients(motion, lengths, x, P):
+    """Return C (N, n, n, M or 1), d = (I - C F) x (N, n, M) and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ of N epochs.
+
+    They are those of the step back to each epoch, from its x (N, n, M) and P (N, n, n, M or 1). lengths are those of
+    the steps that follow the epochs, None where all are one step of the model.
+    """
+    x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
+    lengths = None if lengths is None else np.broadcast_to(lengths, P.shape[2:])
+    FP = motion.state(P, lengths)
+    C = transposed(solved(motion.covariance(P, lengths), FP))
+    d = x - np.einsum("ij...,j...->i...", C, motion.state(x, lengths))
+    kept = P - product(C, FP)  # (I - C F) P
+    # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero but for the rounding of `kept`, which it takes back.
+    D = kept - product(
+        transposed(motion.state(transposed(kept), lengths)) - _times_noise(motion, lengths, C), transposed(C)
+    )
+    return np.moveaxis(C, 2, 0), np.moveaxis(d, 1, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
+
+
+def _times_noise(motion, lengths, C):
+    """Return C Q."""
+    if lengths is None:
+        _, Q = motion.one_step
+        return transposed((Q @ transposed(C).reshape(len(C), -1)).reshape(C.shape))
+    return product(C, motion.covariance(np.zeros_like(C), lengths))
+
+
+def _advance(step, x, P):
+    """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts.
+
+    It is an `advance` of `engine`: x comes out linear in x and d, P does not depend on them, and both are left as they
+    were. So the way back may be cut into pieces.
+    """
+    C, d, D = step
+    return product(C, x) + d, product(product(C, P), transposed(C)) + D, np.zeros((0, *x.shape[1:]))

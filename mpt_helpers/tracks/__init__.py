@@ -1,0 +1,399 @@
+"""Recorded tracks: from a file, or from latitudes and longitudes, to times in seconds and positions in metres.
+
+`track` does all that there is to do with one: it reads a file, refuses faults, fits, smooths and judges. `clean` does
+the same with numbers. `gpx` only reads, and refuses a file whose times are not in order, or skips such fixes.
+"""
+
+from __future__ import annotations
+
+import bisect
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _checks as checks
+from .._checks import Array, Seconds
+from . import geodesy
+from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
+from .readers import NO_TIME, Recording, moment_of, read, read_gpx
+
+__all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
+
+
+# Latitudes and longitudes (°) and heights (m) are not beyond these, and no height is below the lowest. A number that
+# is counts as missing: some files write -32768 where there is no height.
+MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
+LARGEST_METRES = 2e7  # m: half around the Earth
+# Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
+ONE_PLANE = 500e3
+METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
+# Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
+DECIMALS = tuple(10.0**-k for k in range(10))
+GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
+GRIDS_OF_METRES = DECIMALS
+A_WHILE = 3600.0  # s between segments that overlap in time
+
+
+class Track(NamedTuple):
+    """A segment of a recorded track.
+
+    t (N,): times in s since `start`
+    z (N, 2) or (N, 3): metres east and north of the origin, and above it; a height is NaN where the file has none
+    origin: latitude and longitude (°) and height (m) that z counts from: the segment's first ones, or those given
+    start: the time of the first fix of the file that was kept
+    """
+
+    t: Array
+    z: Array
+    origin: tuple[float, float, float]
+    start: datetime
+
+
+def gpx(
+    path: str | PathLike[str],
+    up: bool = False,
+    skip: bool = False,
+    pause: Seconds | None = None,
+    origin: tuple[float, ...] | None = None,
+) -> list[Track]:
+    """Return the track segments of a GPX file as a list of Tracks; segments without a fix are left out.
+
+    Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
+    together: filter each for itself. With `pause`, a segment is also cut wherever its next fix comes more than so many
+    seconds later (a number, or a timedelta). Each segment lies in the plane through its own first fix, where z is 0,
+    since segments may be far apart; `origin`, a latitude, a longitude and, if wanted, a height (m), puts all of them
+    into one plane. With up=True a third column has the heights.
+
+    Every fix needs a time, later than that of the one before in its segment: an equal time is almost always one fix
+    written twice or the rounding of times, and would count as two independent measurements. skip=True leaves out as few
+    fixes as will do, and warns how many.
+
+    Raises ValueError for a file that is no GPX, holds no tracks (routes and waypoints have no times), or has fixes that
+    are out of order, have no time or no degrees, of which the first is named, for a pause that is not positive and an
+    origin that is none.
+    """
+    if pause is not None:
+        pause = checks.duration("pause", pause)
+    if origin is not None:
+        origin = _origin(origin)
+    recording = read_gpx(path)
+    if (recording.time == NO_TIME).all():
+        got = f"{recording.segments} track segments and {_no_times(recording)}"
+        raise ValueError(f"{path}: needs a recorded track, got {got}")
+    kept, left_out = [], 0
+    for number in range(1, recording.segments + 1):
+        rows = np.flatnonzero(recording.segment == number)
+        _check_degrees(path, recording, number, rows)
+        in_order = longest_in_order(recording.time[rows])
+        wrong = np.setdiff1d(np.arange(len(rows)), in_order)
+        if len(wrong) and not skip:
+            why = what_is_wrong(recording, rows, in_order, wrong[0])
+            got = f"{why} in fix {wrong[0] + 1} of segment {number} ({len(wrong)} such of its {len(rows)} fixes)"
+            raise ValueError(f"{path}: needs times that increase, got {got}; gpx(path, skip=True) leaves them out")
+        left_out += len(wrong)
+        if len(in_order):
+            kept.append(rows[in_order])
+    if left_out:
+        checks.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase")
+    if pause is not None:
+        kept = [part for rows in kept for part in np.split(rows, _pauses(recording.time[rows], pause))]
+    start = kept[0][0]
+    return [_track(recording, rows, recording.time[start], origin, up) for rows in kept]
+
+
+def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = None) -> Array:
+    """Return positions in metres east and north of an origin, (N, 2), from latitudes and longitudes (N,) in degrees.
+
+    origin is a latitude, a longitude and, if they are given, a height (m); without one it is the first position. The
+    positions lie in the plane that touches the Earth at the origin: 100 km away lengths are 0.01 % too short. NaN
+    stays NaN. Raises ValueError for other shapes, degrees that are none and an origin that is none.
+
+    >>> local([57.0, 57.0009], [9.9, 9.9]).round(1) + 0.0
+    array([[  0. ,   0. ],
+           [  0. , 100.2]])
+    """
+    lat, lon = checks.real_numbers("lat", lat, "latitudes"), checks.real_numbers("lon", lon, "longitudes")
+    if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
+        checks.refuse("lat, lon", "as many latitudes as longitudes, in one dimension", f"{lat.shape} and {lon.shape}")
+    (there,) = np.nonzero(~np.isnan(lat) & ~np.isnan(lon))
+    if not there.size or not _on_earth(lat[there], lon[there]).all():
+        checks.refuse("lat, lon", "degrees of at most 90 and 360", _no_degrees(lat[there], lon[there]))
+    origin = _origin((lat[there[0]], lon[there[0]]) if origin is None else origin)
+    return geodesy.to_plane(lat, lon, origin)
+
+
+def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
+    """Return latitudes and longitudes (N,) in degrees of positions z (N, 2) in metres: the inverse of `local`.
+
+    origin is that of `local`, whose height the positions have: the plane touches the Earth at the origin and is 1.8 km
+    above its surface 150 km away, which is reckoned with. Longitudes are between -180 and 180. NaN stays NaN. Raises
+    ValueError for another shape and an origin that is none.
+
+    >>> lat, lon = degrees([[0.0, 100.2]], origin=(57.0, 9.9))
+    >>> lat.round(4), lon.round(4)
+    (array([57.0009]), array([9.9]))
+    """
+    z = checks.real_numbers("z", z, "positions (N, 2) in metres").astype(float)
+    if z.ndim != 2 or z.shape[1] != 2:
+        checks.refuse("z", "positions (N, 2) in metres", f"shape {z.shape}")
+    return geodesy.from_plane(z, _origin(origin))
+
+
+def longest_in_order(time: Array) -> Array:
+    """Return the rows of the most fixes whose times (microseconds, NO_TIME where there is none) increase.
+
+    So one clock error does not cost all that follows it. It is the longest increasing subsequence, found from the end:
+    of all that are as long, the one that starts latest can be continued by most (Fredman 1975).
+    """
+    known = np.flatnonzero(time != NO_TIME)
+    if (np.diff(time[known]) > 0).all():
+        return known
+    turned = (-time).tolist()
+    # Entry k of `starts` and `starts_of` is of all orders of k + 1 rows the one that starts latest: -time of its first
+    # row, turned since bisect wants numbers that increase, and that row. `after` has the row that follows each one.
+    # Times 1, 9, 2, 3 make, from the end, starts of [-3], [-3, -2], [-9, -2], [-9, -2, -1]: the order is 1, 2, 3.
+    starts, starts_of, after = [], [], {}
+    for row in known[::-1].tolist():
+        length = bisect.bisect_left(starts, turned[row])
+        after[row] = starts_of[length - 1] if length else None
+        starts[length : length + 1] = [turned[row]]  # of two at one time the first stays
+        starts_of[length : length + 1] = [row]
+    rows, row = [], starts_of[-1]
+    while row is not None:
+        rows.append(row)
+        row = after[row]
+    return np.array(rows)
+
+
+def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) -> str:
+    """Return the reason why fix k of some rows was left out of those that are in order."""
+    time = recording.time[rows]
+    if time[k] == NO_TIME:
+        unread = recording.unread.get(int(rows[k]))
+        return "no time" if unread is None else f"a time that cannot be read ({unread!r:.40})"
+    before = in_order[in_order < k]
+    last = time[before[-1]] if len(before) else None
+    moment = moment_of(time[k])
+    if last is None or last < time[k]:
+        return f"{moment:%Y-%m-%d %H:%M:%S} before an earlier time"
+    return f"{moment:%Y-%m-%d %H:%M:%S} {'again' if last == time[k] else 'after a later time'}"
+
+
+def _no_times(recording):
+    """Say what stands in place of times."""
+    unread = next(iter(recording.unread.values()), None)
+    if unread is None:
+        return "no times"
+    said = f"times that cannot be read, as {unread!r:.40}"
+    if re.match(r"\s*\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}", unread):
+        said += ": is the day first, or the month? Write dates as 2025-05-03"
+    return said
+
+
+def _on_earth(lat, lon):
+    """Tell which latitudes and longitudes are degrees; NaN is none."""
+    return (np.abs(lat) <= MOST[0]) & (np.abs(lon) <= MOST[1])
+
+
+def _no_degrees(lat, lon):
+    """Say what stands in place of degrees."""
+    if not len(lat):
+        return "none"
+    if np.abs(lat).max() > LARGEST_METRES:
+        return "much larger numbers: are they 1e7 to a degree? Columns of such are named latE7 and lonE7"
+    if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
+        return "latitudes beyond 90: are the two exchanged?"
+    return "others: none, metres, or the two exchanged"
+
+
+def _origin(origin):
+    """Return an origin as latitude, longitude and height, 0 m where it has none."""
+    values = np.ravel(checks.real_numbers("origin", origin, "a latitude and a longitude")).astype(float)
+    if len(values) not in (2, 3) or not np.isfinite(values).all() or (np.abs(values) > MOST[: len(values)]).any():
+        checks.refuse("origin", "a latitude, a longitude (°) and, if wanted, a height (m)", f"{origin!r:.60}")
+    return (*values[:2].tolist(), float(values[2]) if len(values) == 3 else 0.0)
+
+
+def _check_degrees(path, recording, number, rows):
+    """Refuse a segment with a fix that lies nowhere on the Earth."""
+    lat, lon = recording.lat[rows], recording.lon[rows]
+    on_earth = _on_earth(lat, lon)
+    if not on_earth.all():
+        k = int(np.argmin(on_earth))
+        got = f"{lat[k]:g} and {lon[k]:g} in fix {k + 1} of segment {number}"
+        raise ValueError(f"{path}: needs latitudes and longitudes of at most 90 and 360 degrees, got {got}")
+
+
+def _pauses(time, pause):
+    """Return the rows that come more than a pause (s) after those before them."""
+    return np.flatnonzero(np.diff(time) > pause * 1e6) + 1
+
+
+def _track(recording, rows, start, origin, up):
+    """Return fixes as a Track; without an origin it is the first latitude, longitude and height of them."""
+    lat, lon, heights = recording.lat[rows], recording.lon[rows], _heights(recording.height[rows])
+    if origin is None:
+        known = heights[np.isfinite(heights)]
+        origin = (float(lat[0]), float(lon[0]), float(known[0]) if len(known) else 0.0)
+    z = local(lat, lon, origin)
+    if up:
+        z = np.column_stack([z, heights - origin[2]])
+    return Track((recording.time[rows] - start) / 1e6, z, origin, moment_of(start))
+
+
+def _heights(heights):
+    """Return heights (N,), NaN where they are none."""
+    return np.where((heights >= LOWEST) & (heights <= MOST[2]), heights, np.nan)
+
+
+def track(
+    path: str | PathLike[str],
+    *,
+    columns: dict[str, str] | None = None,
+    seconds: Seconds = 10.0,
+    limit: float = 100.0,
+    pause: Seconds | None = None,
+    show: Callable[[str], None] = lambda _: None,
+) -> Cleaned:
+    """Return the track of a GPX or CSV file without its faults, smoothed and with a band, as a Cleaned.
+
+    All segments are read and smoothed, each for itself. Fixes without a time, with one that does not increase, and
+    without degrees are left out, and named in `report()`. Of a CSV, columns says which column has the time, lat, lon
+    (or east and north in m), height, hdop or accuracy (m); the others are found by their usual names. An hdop, or an
+    accuracy, says how precise fixes are relative to each other. seconds, limit, pause and show are those of `clean`.
+
+    Raises ValueError for a file that holds no recorded track, naming what it has, and as `clean`.
+    """
+    path = Path(path)
+    show("reading")
+    recording = read(path, columns)
+    rows, left_out = usable(path, recording)
+    t = _one_clock(recording.time[rows] / 1e6, recording.segment[rows])
+    t, said = t - t[0], [*recording.said]
+    if recording.metres is None:
+        origins, plane, z = _in_planes(recording, rows)
+        grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
+    else:
+        origins, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
+        grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
+    relative, name = _precision(recording, rows)
+    said += [f"fixes are weighed by their {name}"] if name else []
+    c = clean(
+        t,
+        z,
+        relative,
+        seconds=seconds,
+        limit=limit,
+        pause=pause,
+        segment=recording.segment[rows],
+        rounding=max(grids) ** 2 / 12,
+        show=show,
+    )
+    return replace(c, source=Source(path, recording, rows, left_out, origins, plane, said))
+
+
+def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
+    """Return the rows of a recording that can be used, and how many others there are by reason."""
+    time, N = recording.time, len(recording.time)
+    if N == 0:
+        raise ValueError(f"{path}: needs a recorded track, got {recording.segments} track segments and no fixes")
+    if recording.metres is None:
+        lat, lon = recording.lat, recording.lon
+        somewhere = _on_earth(lat, lon)
+        if not somewhere.any() or np.mean(somewhere) < 0.5:
+            there = np.isfinite(lat) & np.isfinite(lon)
+            raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat[there], lon[there])}")
+    else:
+        somewhere = np.isfinite(recording.metres).all(axis=1)
+    timed = time != NO_TIME
+    if not timed.any():
+        raise ValueError(f"{path}: needs a recorded track, got {N} fixes and {_no_times(recording)}")
+    if N > 1 and np.ptp(time[timed]) == 0:
+        raise ValueError(f"{path}: needs times that increase, got {moment_of(time[timed][0]):%Y-%m-%d %H:%M:%S} in all")
+    kept = []
+    for number in np.unique(recording.segment):
+        rows = np.flatnonzero((recording.segment == number) & somewhere & timed)
+        if len(rows):
+            kept.append(rows[longest_in_order(time[rows])])
+    rows = np.concatenate(kept) if kept else np.empty(0, dtype=int)
+    unread = ~timed & np.isin(np.arange(N), list(recording.unread))
+    reasons = {  # each row counts for one
+        "no position on the Earth": int((~somewhere).sum()),
+        "no time": int((somewhere & ~timed & ~unread).sum()),
+        "a time that cannot be read": int((somewhere & unread).sum()),
+        "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
+    }
+    left_out = {reason: count for reason, count in reasons.items() if count > 0}
+    if len(rows) < FEWEST:
+        got = ", ".join([f"{len(rows)} of {N}", *(f"{count} with {reason}" for reason, count in left_out.items())])
+        got += _what_ails(np.diff(time[somewhere & timed]))
+        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
+    return rows, left_out
+
+
+def _what_ails(steps):
+    """Say what is wrong with times if most steps between them are negative or zero."""
+    if len(steps) and np.mean(steps < 0) > 0.5:
+        return ": most times are before the one before them; if the file begins with the last fix, turn it round"
+    if len(steps) and np.mean(steps == 0) > 0.5:
+        return ": most times are equal to the one before them; have they lost digits (as float32)?"
+    return ""
+
+
+def _one_clock(t, segment):
+    """Return times (s) that do not run back where a segment begins before the one before it has ended."""
+    t = t.copy()
+    for begin in np.flatnonzero(np.diff(segment)) + 1:
+        if t[begin] <= t[begin - 1]:
+            t[begin:] += t[begin - 1] + A_WHILE - t[begin]
+    return t
+
+
+def _in_planes(recording, rows):
+    """Return the origins of the planes, in which plane each fix lies, and positions (N, 2) in metres.
+
+    An origin is the fix nearest to the middle, which no outlier moves. All segments share one if they are near.
+    """
+    lat, lon = recording.lat[rows], recording.lon[rows]
+    where = geodesy.earth_centred(lat, lon, 0.0)
+    segment = recording.segment[rows]
+    middles = [_middle(where, np.flatnonzero(segment == number)) for number in np.unique(segment)]
+    apart = np.linalg.norm(where[:, middles] - where[:, [_middle(where, np.arange(len(rows)))]], axis=0)
+    one = apart.max() < ONE_PLANE
+    if one:
+        middles = [_middle(where, np.arange(len(rows)))]
+    plane = np.zeros(len(rows), dtype=np.intp) if one else np.unique(segment, return_inverse=True)[1]
+    origins, z = [], np.empty((len(rows), 2))
+    for k, middle in enumerate(middles):
+        own = plane == k
+        origins.append((float(lat[middle]), float(lon[middle]), 0.0))
+        z[own] = geodesy.to_plane(lat[own], lon[own], origins[-1])
+        # A fix beyond the horizon of the plane would be folded back into it: it is put as far away as it is.
+        chord = np.linalg.norm(where[:, own] - where[:, [middle]], axis=0)
+        far = chord > 4 * ONE_PLANE
+        z[np.flatnonzero(own)[far]] *= (chord[far] / np.maximum(np.linalg.norm(z[own][far], axis=1), 1.0))[:, None]
+    return origins, plane, z
+
+
+def _middle(where, rows):
+    """Return the row of those that is nearest to their median position."""
+    own = where[:, rows]
+    return int(rows[np.argmin(np.linalg.norm(own - np.median(own, axis=1)[:, None], axis=0))])
+
+
+def _precision(recording, rows):
+    """Return the relative variances (N,) of fixes and where they are from, or None and None."""
+    for name, sigma in (("accuracy", recording.accuracy), ("hdop", recording.hdop)):
+        if sigma is None:
+            continue
+        known = np.isfinite(sigma[rows]) & (sigma[rows] > 0)
+        if known.mean() > 0.9 and np.ptp(sigma[rows][known]) > 0:
+            return np.where(known, sigma[rows], np.median(sigma[rows][known])) ** 2, name
+    return None, None

@@ -1,0 +1,175 @@
+"""`python -m mpt_helpers track FILE`: a recorded track without its faults, smoothed, with a band that was tested."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from .. import tracks
+from . import readers as recordings
+from . import report
+from .files import write_together
+
+# How a file begins that this command has written: it may be replaced.
+SIGNATURE, LOOKED_AT = b"mpt_helpers", 400
+# Above this size (bytes) a word is said beforehand: a million fixes take a minute and 1.8 GB.
+LARGE, BYTES_OF_A_FIX, BYTES_OF_MEMORY, FIXES_A_SECOND = 20e6, 100, 1800, 20_000
+DPI = 130
+DESCRIPTION = (
+    "Read a recorded track (GPX, or CSV with a line of names), refuse its faults, smooth it, test how far ahead it can "
+    "be predicted, and write FILE_smooth.gpx and FILE.png. Refused fixes lie on the smoothed line of the new file."
+)
+
+
+class TrackError(Exception):
+    """A failure in words for the terminal."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command with its arguments, and return its exit status."""
+    options = _parser().parse_args(argv)
+    try:
+        _run(options)
+    except (TrackError, ValueError, OSError) as error:
+        print(f"track: {_words(error)}", file=sys.stderr)
+        return 1
+    except ImportError as error:
+        print(f"track: {error}: python -m pip install {error.name or 'mpt_helpers'}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("track: interrupted; nothing was written", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser():
+    parser = argparse.ArgumentParser(prog="python -m mpt_helpers track", description=DESCRIPTION)
+    parser.add_argument("file", type=Path, metavar="FILE", help="a GPX or CSV file, or one of them compressed (.gz)")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="where to write (beside FILE)")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="how far ahead to predict (10)")
+    pause = "begin anew after so many seconds without a fix (60, or ten usual steps if these are longer)"
+    parser.add_argument("--pause", type=float, metavar="S", help=pause)
+    limit = "refuse fixes whose squared distance is so many times what is expected; 50 to 200 do alike (100)"
+    parser.add_argument("--limit", type=float, default=100.0, metavar="NIS", help=limit)
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
+    parser.add_argument("--overwrite", action="store_true", help="replace files that this command has not written")
+    names = parser.add_argument_group("columns of a CSV, where their names are unusual")
+    for what in recordings.NAMES:
+        names.add_argument(f"--{what}", metavar="NAME", dest=f"column_{what}")
+    return parser
+
+
+def _run(options):
+    path, folder = options.file, options.out or options.file.parent
+    if not path.is_file():
+        raise TrackError(f"{path}: there is no such file")
+    if not folder.is_dir():
+        raise TrackError(
+            f"{folder}: needs a folder that exists, to write to; make it: mkdir -p {shlex.quote(str(folder))}"
+        )
+    named = {what: getattr(options, f"column_{what}") for what in recordings.NAMES}
+    columns = {what: name for what, name in named.items() if name is not None}
+    smooth, picture = _written(path, folder, recordings.in_degrees(path, columns))
+    _require_own([smooth, picture], options.overwrite)
+    show = _Progress(path)
+    try:
+        c = tracks.track(
+            path,
+            columns=columns,
+            seconds=options.seconds,
+            limit=options.limit,
+            pause=options.pause,
+            show=show,
+        )
+        show("drawing")
+        contents = {smooth: _track_of(c), picture: _picture_of(c)}
+    finally:
+        show.clear()
+    replaced = [each.name for each in contents if each.exists()]
+    write_together(contents)
+    files = [str(each) for each in contents]
+    if options.json:
+        print(
+            json.dumps(report.summary(c) | {"files": files, "replaced": replaced}, ensure_ascii=False, allow_nan=False)
+        )
+        return
+    print(c.report())
+    print(f"written: {', '.join(files)}" + (f" (replaced: {', '.join(replaced)})" if replaced else ""))
+
+
+def _written(path, folder, in_degrees):
+    """Return the paths of the smoothed track and of the picture."""
+    name = path.name.removesuffix(".gz")
+    stem = name[: -len(Path(name).suffix)] if Path(name).suffix else name
+    return folder / f"{stem}_smooth.{'gpx' if in_degrees else 'csv'}", folder / f"{stem}.png"
+
+
+def _track_of(c):
+    return report.gpx_bytes(c) if c.source.recording.metres is None else report.csv_bytes(c)
+
+
+def _picture_of(c):
+    fig, png = c.plot(), io.BytesIO()
+    fig.savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
+    return png.getvalue()
+
+
+def _require_own(paths, overwrite):
+    """Refuse to replace files that this command has not written."""
+    for path in paths:
+        if overwrite or not path.is_file():
+            continue
+        with path.open("rb") as file:
+            if SIGNATURE not in file.read(LOOKED_AT):
+                raise TrackError(
+                    f"{path}: exists and is not from this command; --overwrite replaces it, --out avoids it"
+                )
+
+
+def _size_of(path):
+    """Return the size of a file in bytes and, if it is compressed, that the size is that of its content.
+
+    The last four bytes of a .gz say how long its content is, but for multiples of 4 GiB.
+    """
+    size = path.stat().st_size
+    if path.suffix != ".gz":
+        return size, ""
+    with path.open("rb") as file:
+        file.seek(max(size - 4, 0))
+        unpacked = int.from_bytes(file.read(), "little")
+    return (unpacked, " unpacked") if unpacked > size else (size, " packed, and more unpacked")
+
+
+class _Progress:
+    """The present task, on a terminal, in one line that is cleared at the end."""
+
+    def __init__(self, path):
+        self._shown = sys.stderr.isatty()
+        size, packed = _size_of(path)
+        if size > LARGE:
+            fixes = size / BYTES_OF_A_FIX
+            minutes, gigabytes = fixes / FIXES_A_SECOND / 60, fixes * BYTES_OF_MEMORY / 1e9
+            print(
+                f"{path.name}: {size / 1e6:,.0f} MB{packed}, some {fixes:,.0f} fixes: about {minutes:.0f} min and "
+                f"{gigabytes:.1f} GB of memory",
+                file=sys.stderr,
+            )
+
+    def __call__(self, what):
+        if self._shown:
+            print(f"\r\033[K{what} ...", end="", file=sys.stderr, flush=True)
+
+    def clear(self):
+        if self._shown:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def _words(error):
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)

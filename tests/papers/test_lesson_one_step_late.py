@@ -1,0 +1,451 @@
+"""The lesson `one_step_late`: its filter, each number in its prose, and hunts for cases that refute its sentences.
+
+A text in `says` has its numbers put in by the test, so that a number that changes makes it fail.
+"""
+
+import re
+
+import numpy as np
+import pytest
+from conftest import source
+from reading import Article
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+
+import mpt_helpers as mpt
+from reproduction.papers_2014_2015 import lesson_one_step_late as lesson
+
+
+def plain(text):
+    """A text without markup, in one line; [1\\ \\ 0] is [1 0]."""
+    return re.sub(r"\s+", " ", re.sub(r"\\ ", " ", re.sub(r"[*$]", "", text)))
+
+
+LESSON = Article("lessons/one_step_late", plain)
+says, code_of, printed_by = LESSON.says, LESSON.code_of, LESSON.printed_by
+NOW, NEXT = np.array([[1.0, 0.0]]), np.array([[1.0, 1.0]])
+WIDE = 100 * np.eye(2)
+
+
+def motion(dt, q):
+    """F, G and Q of an axis: the push w of a step comes evenly over it."""
+    F, G = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt / 2], [1.0]])
+    return F, G, q * G @ G.T
+
+
+def settled(H, dt=1.0, q=0.01, r=0.1):
+    """A, K, P and the variance S of the innovations of the settled filter, by scipy."""
+    F, _, Q = motion(dt, q)
+    P_p = solve_discrete_are(F.T, H.T, Q, [[r]])
+    S = (H @ P_p @ H.T).item() + r
+    K = P_p @ H.T / S
+    return (np.eye(2) - K @ H) @ F, K, P_p - K @ H @ P_p, S
+
+
+def makes(H, dt=1.0, q=0.01, r=0.1, age=0):
+    """What a settled filter makes of positions that are `age` steps old: its lag, by L, and the covariance of the rest.
+
+    The estimate is L x(k) plus an error whose covariance, with that of the previous step's push, one Lyapunov equation
+    gives; it follows the position `age` steps ago and the newest pushes, so it needs no simulation.
+    """
+    F, G, _ = motion(dt, q)
+    A, K, _, _ = settled(H, dt, q, r)
+    seen = np.array([[1.0, -age * dt]])  # what the sensor shows of x(k), but for the newest pushes
+    # L F = K seen F + A L
+    L = np.linalg.solve(np.kron(np.eye(2), F.T) - np.kron(A, np.eye(2)), (K @ seen @ F).ravel()).reshape(2, 2)
+    # pushes w(k), ..., w(k - age + 1) that the sensor has not felt: position now - age v dt is wrong by their sum
+    felt = [-(np.linalg.matrix_power(F, i) @ G)[0, 0] + age * dt for i in range(age)]
+    n = 2 + age  # the error, and the newest pushes
+    T, W = np.zeros((n, n)), np.zeros((n, 2))
+    T[:2, :2] = A
+    T[3:, 2:-1] = np.eye(max(age - 1, 0))
+    W[:2, [0]] = K @ seen @ G - L @ G
+    W[:2, [1]] = K
+    if age:
+        W[2, 0] = 1
+        W[:2, [0]] += K * felt[0]
+        T[:2, 2:-1] += K * felt[1:]
+    covariance = solve_discrete_lyapunov(T, W @ np.diag([q, r]) @ W.T)
+    return L, covariance[:2, :2]
+
+
+@pytest.fixture(scope="module")
+def taught():
+    """The names that the cells of the lesson define, but for those that draw."""
+    names = {"lesson": lesson}
+    for id in ("filter", "four-positions", "how-bad", "nis", "ramp"):
+        exec(code_of(id), names)
+    return names
+
+
+def with_matrices(taught, F=None, Q=None):
+    """The lesson's names once more, with another F or Q."""
+    names = dict(taught)
+    for id in ("filter", "four-positions", "ramp"):
+        exec(code_of(id), names)
+        names |= {name: matrix for name, matrix in (("F", F), ("Q", Q)) if matrix is not None}
+    return names
+
+
+# The filter, and why it is late
+
+
+def test_the_step_is_that_of_the_package(taught):
+    x, P, z = np.array([[1.0], [2.0]]), np.array([[2.0, 0.5], [0.5, 1.0]]), 3.5
+    for H in (NOW, NEXT):
+        model = mpt.LinearModel(F=taught["F"], H=H, Q=taught["Q"], R=[[0.1]])
+        ours_x, ours_P = taught["step"](x, P, z, H)
+        package_x, package_P = mpt.KalmanFilter(model).step(x[:, 0], P, np.array([z]))
+        np.testing.assert_allclose(ours_x[:, 0], package_x, rtol=1e-12)
+        np.testing.assert_allclose(ours_P, package_P, rtol=1e-12)
+    np.testing.assert_allclose(taught["Q"], lesson.PRINTED.Q)
+    np.testing.assert_array_equal(lesson.PRINTED.H, NEXT)  # the paper's
+
+
+def test_the_numbers_of_the_scene_and_of_the_repair():
+    late, right = (np.sqrt(settled(H)[2][0, 0]) for H in (NEXT, NOW))
+    says(f"It says that it knows the position to {100 * late:.0f} centimetres")
+    says("each position wrong by some 30 centimetres")
+    assert np.sqrt(0.1) == pytest.approx(0.3, abs=0.02)
+    assert f"paper's filter {late:.3f} m, right filter {right:.3f} m" in printed_by("how-bad")
+    assert f"walking, 1.5 m/s: 1.5 m behind, {1.5 / late:.0f} times" in printed_by("how-bad")
+    says(f"with σ = {right:.2f} m, one crossing of a line tells the delay to {right / 1.5:.2f} s (its σ)")
+    F, _, Q = motion(1.0, 0.01)
+    _, made = makes(NEXT)
+    made, P = F @ made @ F.T, settled(NEXT)[2]
+    moved = F @ P @ F.T
+    says(f"The position then errs by {np.sqrt(made[0, 0]):.3f} m, as with the right filter")
+    assert f"{np.sqrt(made[0, 0]):.3f}" == f"{right:.3f}"
+    says(
+        f"and states {np.sqrt(moved[0, 0]):.3f}. The velocity states too little, {np.sqrt(moved[1, 1]):.2f} m/s"
+        f" where it errs by {np.sqrt(made[1, 1]):.2f}, because the newest push is missing."
+    )
+    says(f"Add `Q`, and it states {np.sqrt((moved + Q)[1, 1]):.2f}.")
+
+
+def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
+    """The estimate is that of x(k), minus Δt times the velocity in the position: for every Q, r and Δt."""
+    says("That the filter is late is algebra, in one line, for every Q, r and Δt.")
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        dt, q, r = 10 ** rng.uniform([-2, -4, -3], [2, 2, 3])
+        L, _ = makes(np.array([[1.0, dt]]), dt, q, r)
+        np.testing.assert_allclose(L, [[1, -dt], [0, 1]], rtol=1e-6, atol=1e-6 * dt)
+
+
+def test_the_wrong_sigma_is_the_error_of_a_second_ago():
+    """Within one part in a hundred, by simulation of the position before and the estimate now."""
+    says(
+        "It is the error of the position a second ago, known from the measurement of that second and from the next one."
+    )
+    true, measured = lesson.walk(60, tracks=4000)
+    x = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE})).filter(measured[:, None])
+    about_before = np.sqrt(np.mean((x[40:, 0] - true[39:-1]) ** 2))
+    assert about_before == pytest.approx(np.sqrt(settled(NEXT)[2][0, 0]), rel=0.01)
+
+
+def matrices(model):
+    return {name: getattr(model, name) for name in "FHQR"}
+
+
+def test_the_walk_of_the_picture():
+    true, measured = lesson.walk(60)
+    speed = 1.5 + np.cumsum(np.random.default_rng(1).normal(0, 0.1, 60))
+    says(f"The phone walks at {speed.min():.1f} to {speed.max():.1f} m/s")
+    np.testing.assert_allclose(np.diff(true), (speed[1:] + speed[:-1]) / 2)
+    late = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE}))
+    error = (true - late.filter(measured[:, None])[:, 0])[2:]
+    says("The error of the paper's filter stays near 1.5 m, far outside the grey stripe.")
+    assert error.mean() == pytest.approx(1.5, abs=0.1)
+    assert (error > 2 * np.sqrt(late.covariances(60)[2:, 0, 0])).all()
+    new = mpt.metrics.innovations(late, measured[:, None])
+    assert np.mean(np.abs(new.values[2:, 0] / np.sqrt(new.S[2:, 0, 0])) <= 2) >= 0.95
+
+
+def test_a_walk_obeys_the_model():
+    """The covariance of a push, as it enters position and speed, is Q; that of the noise 0.1."""
+    true, measured = lesson.walk(3, push=0.7, tracks=200_000)
+    first, second, third = np.diff(true, axis=0, prepend=0) - 1.5  # w1/2, w1 + w2/2, w1 + w2 + w3/2
+    w1, w2 = 2 * first, 2 * (second - 2 * first)
+    w3 = 2 * (third - w1 - w2)
+    np.testing.assert_allclose(np.cov([w1, w2, w3]), 0.49 * np.eye(3), atol=0.01)
+    np.testing.assert_allclose(mpt.gsm_axis(dt=1.0, q=0.49, r=0.1).Q, 0.49 * np.outer([0.5, 1], [0.5, 1]))
+    assert np.var(measured - true) == pytest.approx(0.1, rel=0.01)
+
+
+def test_the_four_positions():
+    answer = re.search(r"H = \[1 1\]: the phone is at ([\d.]+) m", printed_by("four-positions"))[1]
+    says(f"The last measurement was 4.0. The paper's filter answers {answer}")
+    assert abs(float(answer) - 2.9) < 0.17  # "where the phone was one measurement earlier": the third was 2.9
+
+
+# The usual test
+
+
+def nis_of_late(dt, q, r):
+    """The exact mean NIS of the settled filter with H = [1 Δt] on positions of now.
+
+    Its innovation is H F d(k-1) + half of the newest push + noise, where d(k-1) is its error about x(k-2).
+    """
+    F, G, _ = motion(dt, q)
+    H = np.array([[1.0, dt]])
+    A, K, _, S = settled(H, dt, q, r)
+    # d(k) = x(k-1) - x(k/k) = A d(k-1) + (I - K H) G w(k-2) - K ([1 0] G w(k-1) + v(k)); state: d and the last push
+    T = np.block([[A, (np.eye(2) - K @ H) @ G], [np.zeros((1, 3))]])
+    W = np.block([[-K * G[0, 0], -K], [1, 0]])
+    covariance = solve_discrete_lyapunov(T, W @ np.diag([q, r]) @ W.T)
+    C = np.hstack([H @ F, H @ G])
+    return ((C @ covariance @ C.T).item() + G[0, 0] ** 2 * q + r) / S
+
+
+def rows_of(id):
+    return [re.split(r" {2,}", line.strip()) for line in printed_by(id).splitlines()[1:]]
+
+
+def test_the_nis_of_the_table_is_the_exact_one():
+    for push, nis, *_ in rows_of("pushes"):
+        q = float(push.removesuffix(" m/s")) ** 2
+        assert float(nis) == pytest.approx(nis_of_late(1.0, q, 0.1), abs=0.006)
+
+
+def test_what_counts_is_the_push_over_the_noise():
+    says("What counts is a push times Δt, beside the sensor's own error")
+    rng = np.random.default_rng(2)
+    for ratio in (0.1, 0.32, 1.0, 3.0):
+        found = []
+        for _ in range(50):
+            dt, r = 10 ** rng.uniform([-2, -3], [2, 3])
+            found.append(nis_of_late(dt, ratio**2 * r / dt**2, r))
+        np.testing.assert_allclose(found, found[0], rtol=1e-5)
+        assert found[0] < 1
+    says("and NIS falls below 1: the more, the larger the pushes are.")
+    by_push = [nis_of_late(1.0, q, 0.1) for q in np.logspace(-6, 3, 50)]
+    assert (np.diff(by_push) < 0).all()
+
+
+def test_how_often_a_minute_raises_an_alarm():
+    """The share is one of 20,000 minutes: 0.4 % give or take at most; another seed gives the same within 1.5 %."""
+    says("The alarms are counted in 20,000 simulated minutes for each row.")
+    says("with pushes of 0.1 m/s a minute alarms you about as often as it does with the right filter")
+    says("With pushes of 1 m/s it sees the fault nearly always.")
+    shares = {}
+    for push, _, *said in rows_of("pushes"):
+        for H, share in zip((NEXT, NOW), said, strict=True):
+            _, found = lesson.alarms(float(push.removesuffix(" m/s")), H, seed=5)
+            assert found == pytest.approx(float(share.removesuffix("%")) / 100, abs=0.015)
+            shares[push, H[0, 1]] = found
+    assert shares["0.1 m/s", 1] < 1.1 * shares["0.1 m/s", 0]
+    assert shares["1 m/s", 1] > 0.9
+
+
+def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
+    minute, hours = ([float(each) for each in re.findall(r"\d\.\d\d", line)] for line in printed_by("nis").splitlines())
+    says("In a minute nobody is alarmed. Three hours do show that something is a little off.")
+    assert all(abs(nis - 1) < 2 * minute[2] for nis in minute[:2])
+    assert hours[0] < 1 - 3 * hours[2]
+    assert abs(hours[1] - 1) < 2 * hours[2]
+    assert 2.7 < 10_000 / 3600 < 3
+    assert minute[2] == pytest.approx(np.sqrt(2 / 60), abs=0.005)
+    says("For an honest filter it is 1, give or take \\sqrt{2/N} over N measurements")
+
+
+def test_nis_of_the_lesson_is_that_of_the_package(taught):
+    _, measured = lesson.walk(100)
+    kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE}))
+    new = mpt.metrics.innovations(kf, measured[:, None])
+    expected = np.mean(new.values[10:, 0] ** 2 / new.S[10:, 0, 0])
+    assert taught["nis"](measured, NEXT) == pytest.approx(expected, rel=1e-9)
+
+
+def test_somebody_who_turns_back_alarms_both():
+    says("in the bends every filter lags, and NIS is large with either H")
+    seconds = np.arange(200)
+    positions = np.cumsum(1.5 * (1 - 2 * (seconds // 20 % 2)))
+    z = positions[:, None] + np.random.default_rng(0).normal(0, np.sqrt(0.1), (200, 200))
+    for H in (NOW, NEXT):
+        kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": H, "P0": WIDE}))
+        new = mpt.metrics.innovations(kf, z[:, None])
+        assert np.mean(new.values[10:, 0] ** 2 / new.S[10:, 0, 0].reshape(190, -1)) > 5
+
+
+# The ramp
+
+
+def test_the_ramp_of_the_four_cases():
+    found = re.findall(r"off by (-?[\d.]+) m and ([\d.]+) m/s", printed_by("ramp"))
+    assert found == [("0.00", "0.00"), ("-1.50", "0.00"), ("1.50", "0.00"), ("0.00", "0.00")]
+    assert len(code_of("ramp").split("\n\n\n")[0].splitlines()) == 5  # "in five lines of code"
+    says("A point that moves at constant speed brings it to light, in five lines of code.")
+
+
+def after_ramp(F, H, Q, r, sensor, dt=1.0, v=1.5, rows=1000):
+    """How far the settled filter of these matrices is off on a ramp; its sensor shows the position `sensor` s ahead."""
+    n = len(F)
+    x, P = np.zeros((n, 1)), 100 * np.eye(n)
+    for k in range(1, rows + 1):
+        x, P = F @ x, F @ P @ F.T + Q
+        K = P @ H.T / (H @ P @ H.T + r)
+        x, P = x + K @ (v * (k * dt + sensor) - H @ x), P - K @ H @ P
+        P = (P + P.T) / 2
+    return x[:, 0] - np.array([v * rows * dt, v, *[0.0] * (n - 2)])
+
+
+def test_what_a_ramp_tells_is_what_the_formula_says():
+    """For many steps, entries a and b, sensors, speeds, Q and r."""
+    says("(h - b\\,\\Delta t / a)\\,v")
+    says("(\\Delta t / a - 1)\\,v")
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        dt, v, q, r = 10 ** rng.uniform([-1, -1, -2, -1], [1, 1.5, 1, 1])
+        a, b, h = dt * rng.uniform(0.3, 3), dt * rng.uniform(0, 2), dt * rng.uniform(-2, 2)
+        _, _, Q = motion(dt, q / dt**2)
+        found = after_ramp(np.array([[1, a], [0, 1]]), np.array([[1, b]]), Q, r, h, dt, v, 1000)
+        expected = np.array([h - b * dt / a, dt / a - 1]) * v
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * v * max(1, dt))
+
+
+def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
+    """Each by 2 % of its scale, for many Q and r: the position or the speed is off by more than a thousandth."""
+    rng = np.random.default_rng(4)
+    for _ in range(12):
+        q, r = 10 ** rng.uniform([-3, -1], [1, 1])
+        for entry in ("F00", "F01", "F10", "F11", "H0", "H1"):
+            F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+            matrix, index = (F, (int(entry[1]), int(entry[2]))) if entry[0] == "F" else (H, (0, int(entry[1])))
+            matrix[index] += rng.choice([-1, 1]) * 0.02
+            off = after_ramp(F, H, motion(1.0, q)[2], r, 0.0, rows=400)
+            assert np.abs(off).max() > 1e-3, (entry, q, r)
+
+
+def test_a_ramp_sees_neither_q_nor_r():
+    says("Q, r and P: every gain settles on the same ramp.")
+    rng = np.random.default_rng(5)
+    for _ in range(15):
+        root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
+        off = after_ramp(np.array([[1.0, 1.0], [0.0, 1.0]]), NOW, root @ root.T, 10 ** rng.uniform(-2, 2), 0.0)
+        assert np.abs(off).max() < 1e-6
+
+
+def parabola(F, H, Q, r, rows=1500, a=0.3):
+    """How far a filter of three states is off at constant acceleration: position, speed and acceleration."""
+    x, P = np.zeros((3, 1)), 100 * np.eye(3)
+    for k in range(1, rows + 1):
+        x, P = F @ x, F @ P @ F.T + Q
+        K = P @ H.T / (H @ P @ H.T + r)
+        x, P = x + K @ (a * k**2 / 2 - H @ x), P - K @ H @ P
+        P = (P + P.T) / 2
+    return x[:, 0] - np.array([a * rows**2 / 2, a * rows, a])
+
+
+def test_with_acceleration_four_entries_pass_the_ramp_and_not_the_parabola():
+    says("in the four entries that multiply it: F[0,2], F[1,2], F[2,2] and H[0,2]")
+    rng = np.random.default_rng(6)
+    for _ in range(5):
+        q, r = 10 ** rng.uniform([-2, -1], [0, 1])
+        G = np.array([[1 / 6], [0.5], [1]])
+        Q = q * G @ G.T
+        right = np.array([[1, 1, 0.5], [0, 1, 1], [0, 0, 1]]), np.array([[1.0, 0, 0]])
+        assert np.abs(parabola(*right, Q, r)).max() < 1e-4
+        for entry in ((0, 2), (1, 2), (2, 2), "H"):
+            F, H = right[0].copy(), right[1].copy()
+            if entry == "H":
+                H[0, 2] = 0.4
+            else:
+                F[entry] -= 0.2
+            assert np.abs(after_ramp(F, H, Q, r, 0.0, rows=1000)).max() < 1e-4
+            assert np.abs(parabola(F, H, Q, r)).max() > 1e-2
+
+
+def test_a_filter_that_damps_the_speed_falls_behind_by_intention():
+    says("One that damps it falls behind by intention.")
+    off = after_ramp(np.array([[1.0, 1.0], [0.0, 0.95]]), NOW, motion(1.0, 0.01)[2], 0.1, 0.0)
+    assert off[0] < -0.05
+
+
+# A recording, and sensors that are late
+
+
+def test_a_recording_of_the_next_position_is_that_of_somebody_who_set_out_earlier(taught):
+    """Row by row: so a filter makes the same of both, while one of them is late and the other is not."""
+    true = 1.5 * np.arange(1, 202)
+    noise = np.random.default_rng(3).normal(0, np.sqrt(0.1), 200)
+    of_next = true[1:] + noise
+    set_out_earlier = true + 1.5
+    np.testing.assert_array_equal(of_next, set_out_earlier[:200] + noise)
+    position = taught["run"](of_next, NEXT)[20:, 0]
+    assert np.mean(true[20:200] - position) == pytest.approx(0, abs=0.05)
+    assert np.mean(set_out_earlier[20:200] - position) == pytest.approx(1.5, abs=0.05)
+
+
+def test_the_tempting_fit_returns_the_number_in_h():
+    says("about 1 for [1 1] and about 0 for [1 0], whatever the sensor shows")
+    rng = np.random.default_rng(7)
+    seconds = np.arange(201)
+    turning = np.cumsum(1.5 * (1 - 2 * (seconds // 20 % 2)))
+    for true in (1.5 * seconds, turning, lesson.walk(201)[0]):
+        for ahead in (0, 1):
+            z = true[ahead : 200 + ahead, None] + rng.normal(0, np.sqrt(0.1), (200, 500))
+            for H in (NOW, NEXT):
+                kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": H, "P0": WIDE}))
+                x = kf.filter(z[:, None])[10:]
+                slope = ((z[10:] - x[:, 0]) * x[:, 1]).sum(axis=0) / (x[:, 1] ** 2).sum(axis=0)
+                assert np.abs(slope - H[0, 1]).max() < 0.1
+
+
+def test_a_line_that_is_crossed_at_a_known_time_tells_the_delay():
+    """At constant speed; every filter and every delay of the sensor: the mean to 2 %, the scatter that is said."""
+    positions = 1.5 * np.arange(1, 101)
+    for h in (-2, 0, 1):
+        z = positions[:, None] + 1.5 * h + np.random.default_rng(8).normal(0, np.sqrt(0.1), (100, 5000))
+        for H in (NOW, NEXT):
+            kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": H, "P0": WIDE}))
+            late = (positions[-1] - kf.filter(z[:, None])[-1, 0]) / 1.5
+            assert late.mean() == pytest.approx(H[0, 1] - h, abs=0.02)
+            assert late.std() < 0.16
+
+
+def test_an_old_position_takes_a_negative_h_in_the_mean_only():
+    old, age = np.array([[1.0, -3.0]]), 3
+    L, made = makes(old, age=age)
+    np.testing.assert_allclose(L, np.eye(2), atol=1e-9)
+    states = np.sqrt(settled(old)[2][0, 0])
+    says(f"at h = 3 it states {states:.2f} m and makes {np.sqrt(made[0, 0]):.2f} m")
+    F, _, Q = motion(1.0, 0.01)
+    P = settled(NOW)[2]
+    for _ in range(age):
+        P = F @ P @ F.T + Q
+    says(f"At h = 3 that makes {np.sqrt(P[0, 0]):.2f} m, and states it.")
+    # both by simulation, which owes nothing to the formulas above
+    true, measured = lesson.walk(100, tracks=20_000)
+    for H, rms in ((old, np.sqrt(made[0, 0])), (NOW, np.sqrt(P[0, 0]))):
+        kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": H, "P0": WIDE}))
+        x = kf.filter(measured[:-age, None])[-1]
+        if H is NOW:
+            x = np.linalg.matrix_power(F, age) @ x
+        assert np.sqrt(np.mean((x[0] - true[-1]) ** 2)) == pytest.approx(rms, rel=0.02)
+
+
+@pytest.mark.parametrize("h", [-2.0, -0.5, 0.0, 1.0, 2.5])
+def test_an_h_that_fits_the_sensor_passes_the_ramp(taught, h):
+    says("Which H makes `ramp(H, h=-0.5)` zero?")
+    np.testing.assert_allclose(taught["ramp"](np.array([[1.0, h]]), h), 0, atol=1e-6)
+    assert abs(taught["ramp"](np.array([[1.0, h + 0.1]]), h)[0]) > 0.1
+
+
+def test_a_wrong_step_in_f_shows_in_the_speed(taught):
+    says("A wrong Δt in F shows in the speed, so look at both.")
+    names = with_matrices(taught, F=np.array([[1.0, 0.5], [0.0, 1.0]]))
+    position, speed = names["ramp"](NOW, 0)
+    assert position == pytest.approx(0, abs=1e-6)
+    assert speed == pytest.approx(1.5, abs=1e-6)
+
+
+def test_the_half_in_g():
+    """A push that comes evenly: in many small parts it moves the position by half of it."""
+    says("So the position gains half of it times Δt.")
+    parts, dt, w = 100_000, 2.0, 0.3
+    speed = np.cumsum(np.full(parts, w / parts))
+    assert speed.sum() * dt / parts == pytest.approx(w * dt / 2, rel=1e-4)
+
+
+def test_a_lesson_calls_no_ledger():
+    assert not any(re.search(r"\bpublished\(|\bpaper\.", source(cell)) for cell in LESSON.cells)

@@ -1,0 +1,262 @@
+"""CONTRIBUTING.md followed to the letter in a copy of the project: a fifth paper, a motion, a filter and a gate."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import nbformat
+import pytest
+from conftest import NOTEBOOKS, ROOT, cells_of
+
+from reproduction.__main__ import main
+from reproduction.ledger import keys, published, stored_verdicts
+from reproduction.ledger.items import KINDS
+from reproduction.ledger.verdicts import BASES, CAUSE_KINDS
+
+PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+KEY = re.search(r"The key is .*, here `(\w+)`", PAGE)[1]
+KERNEL = json.loads(re.search(r"has the metadata `(\{.*?\})`", PAGE)[1])
+FOLDED = json.loads(re.search(r"folded by the metadata `(\{.*?\})`", PAGE)[1])
+# Not what Python has compiled: that it need not do again.
+IGNORED = shutil.ignore_patterns(".*", "_build", "dist", "*.egg-info")
+# What `make site` makes before Sphinx runs.
+SITE = """\
+import sys
+sys.path.insert(0, "docs")
+import pages
+pages.main()"""
+# What `make reproduce` does, for the new paper only: one process imports all that it needs.
+MAKES = f"""\
+from reproduction.__main__ import main
+assert main(["reproduce", "{KEY}"]) == main(["readme"]) == 0"""
+
+
+def blocks(kind):
+    """Return the page's code blocks of one kind."""
+    return re.findall(rf"```{kind}\n(.*?)```", PAGE, re.DOTALL)
+
+
+MODULE = blocks("python")[0].rstrip("\n")  # the others are cells
+
+
+def run(folder, *arguments):
+    """Run Python in a copy of the project, with the package of this copy; return what it prints."""
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """A copy of the project to which the page has added a paper: its notebook is executed, its counts in the README."""
+    copy = tmp_path_factory.mktemp("project") / "copy"
+    shutil.copytree(ROOT, copy, ignore=IGNORED)
+    ledger, words = blocks("toml")
+    (copy / "reproduction" / "ledger" / f"{KEY}.toml").write_text(ledger, encoding="utf-8")
+    (name,) = re.findall(rf"`(reproduction/\w+_{KEY[:4]}\.py)`", PAGE)
+    (copy / name).write_text(f"{MODULE}\n", encoding="utf-8")
+    path = copy / "docs" / "papers.toml"
+    path.write_text(f"{path.read_text(encoding='utf-8')}\n{words}", encoding="utf-8")
+    path = copy / "README.md"
+    (line,) = blocks("text")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("\n\n**Everything again", f"\n{line}\n**Everything again", 1), encoding="utf-8")
+    write_the_notebook(copy / "notebooks" / f"{KEY}.ipynb")
+    run(copy, "-c", MAKES)
+    return copy
+
+
+def write_the_notebook(path):
+    """Write the page's cells, not yet executed."""
+    notebook = nbformat.v4.new_notebook(metadata=KERNEL)
+    for kind, text in re.findall(r"```(markdown|python)\n(.*?)\n```", PAGE, re.DOTALL):
+        if kind == "markdown":
+            notebook.cells.append(nbformat.v4.new_markdown_cell(text))
+        elif text != MODULE:
+            metadata = FOLDED if text.startswith("# Ledger") else {}
+            notebook.cells.append(nbformat.v4.new_code_cell(text, metadata=metadata))
+    nbformat.write(notebook, path)
+
+
+@pytest.fixture
+def said(copy, monkeypatch, capsys):
+    """A function that returns the words of the command line on the copy's verdicts."""
+
+    def said(*arguments):
+        monkeypatch.setattr("reproduction.ledger.files.FOLDER", copy / "reproduction" / "ledger")
+        assert main(["verdicts", *arguments]) == 0
+        return capsys.readouterr().out
+
+    return said
+
+
+def test_the_new_paper_has_its_verdicts(said):
+    given = {each["id"]: each for each in json.loads(said(KEY, "--json"))}
+    verdicts = {id: each["verdict"] for id, each in given.items()}
+    assert verdicts == {"gain": "reproduced", "variance": "differs", "units": "reproduced"}
+    assert given["variance"]["cause"] == "digits-exchanged"
+    assert given["variance"]["computed"] == "0.618034"
+    assert {each["basis"] for each in given.values()} == {"exact", "identity"}
+
+
+def test_the_new_paper_is_counted_beside_the_others(said):
+    others = keys()
+    shown = said()
+    assert re.findall(r"(?m)^(\w+): ", shown) == sorted([KEY, *others])
+    assert f"{KEY}: 1 of 1 claims hold; 1 of 2 numbers" in " ".join(shown.split())
+    assert "The filter is a little better than printed." in " ".join(shown.split())
+
+
+def test_the_projects_tests_of_papers_and_pages_pass_with_the_new_paper(copy):
+    files = [f"tests/test_{name}.py" for name in ("readme", "ledger", "notebooks", "articles")]
+    files.append("tests/test_package.py::test_the_upper_half_keeps_to_its_rooms")
+    said = run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files)
+    assert " passed" in said
+    assert f"| [{KEY}](notebooks/{KEY}.ipynb) | 1 | 1 | 0 | 0 | 0 | 0 |" in (copy / "README.md").read_text(
+        encoding="utf-8"
+    )
+
+
+def test_the_site_has_the_new_paper(copy):
+    run(copy, "-c", SITE)
+    source = copy / "docs" / "_build" / "source"
+    papers = (source / "papers.md").read_text(encoding="utf-8")
+    assert f"1960: A random walk is known to 0.79, not to 0.83 <notebooks/{KEY}>" in papers
+    assert "How far off is a walker whose steps are random?" in papers
+    assert "is 0.618034, not 0.681" in papers
+    assert (source / "notebooks" / f"{KEY}.ipynb").is_file()
+
+
+def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
+    monkeypatch.setattr("reproduction.ledger.files.FOLDER", copy / "reproduction" / "ledger")
+    verdicts = stored_verdicts(copy / "notebooks" / f"{KEY}.ipynb")
+    with pytest.raises(ValueError, match=f"{KEY}.toml and its notebook: no verdict on units"):
+        published(KEY).complete([each for each in verdicts if each.id != "units"])
+
+
+def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
+    cells = [cell for path in NOTEBOOKS for cell in cells_of(path)]
+    folded = [cell["metadata"] for cell in cells if "ledger" in cell["metadata"].get("tags", [])]
+    assert [each for each in folded if each != FOLDED] == []
+
+
+def test_the_page_names_every_kind_of_item_and_cause_and_every_basis():
+    for kind in (*KINDS, *CAUSE_KINDS, *BASES):
+        assert f"`{kind}`" in PAGE, kind
+
+
+def test_the_page_names_every_part():
+    (table,) = re.findall(r"(?s)\| part \|.*?\n\n", PAGE)
+    for name in ("mpt_helpers/", "reproduction/", "ledger/", "notebooks/", "docs/", "benchmarks/", "tests/"):
+        assert f"`{name}`" in table, name
+
+
+def written(copy, kind):
+    """Write the file of a motion, a filter or a gate, as the page has it, into the copy; return its name."""
+    ((name, text),) = re.findall(
+        rf"Here `mpt_helpers/(\w+)\.py`(?:(?!Here `).)*?```python {kind}\n(.*?)```", PAGE, re.DOTALL
+    )
+    (copy / "mpt_helpers" / f"{name}.py").write_text(text, encoding="utf-8")
+    return name
+
+
+MOTION = """\
+import sys
+sys.path.insert(0, "tests")
+import numpy as np
+import mpt_helpers as mpt
+from oracles import van_loan
+from mpt_helpers.forgetful import Forgetful
+rng = np.random.default_rng(5)
+t = np.cumsum(rng.exponential(2.0, 300))
+drift = np.array([[0, 1], [0, -1 / 20]])
+for length in (0.01, 3.0, 20.0):
+    made, right = Forgetful(2.0, 20.0, 0.04).over(length), van_loan(drift, [0, 0.04], 2 * length)
+    assert all(np.allclose(M, M_right, rtol=1e-6, atol=1e-15) for M, M_right in zip(made, right)), length
+made = lambda q, r: mpt.LinearModel(motion=Forgetful(1.0, 20.0, q), H=[[1, 0]], R=[[r]], P0=np.eye(2))
+model = made(0.04, 0.5)
+x, z, at = np.zeros(2), np.empty((300, 1)), t[0] - 1
+truth, errors = np.empty((300, 2)), []
+for k in range(300):
+    F, Q = model.motion.over(t[k] - at)
+    x = F @ x + np.linalg.cholesky(Q + 1e-15 * np.eye(2)) @ rng.standard_normal(2)
+    truth[k], z[k], at = x, x[0] + rng.normal(0, np.sqrt(0.5)), t[k]
+z[rng.random(300) < 0.2] = np.nan
+kf = mpt.KalmanFilter(model, t=t)
+x, P, at, plain = np.zeros(2), np.eye(2), t[0] - 1, []
+for k in range(300):
+    F, Q = model.motion.over(t[k] - at)
+    x, P, at = F @ x, F @ P @ F.T + Q, t[k]
+    if np.isfinite(z[k, 0]):
+        K = P[:, 0] / (P[0, 0] + 0.5)
+        x, P = x + K * (z[k, 0] - x[0]), P - np.outer(K, P[0])
+    plain.append(x)
+print(np.abs(kf.filter(z) - plain).max() < 1e-9)
+smooth = kf.smooth(z)
+print(np.mean((truth - smooth.x)[:, 0] ** 2 < 4 * smooth.P[:, 0, 0]) > 0.85)
+found = mpt.fit(lambda q, r: mpt.KalmanFilter(made(q, r), t=t), z, q=0.1, r=1.0)
+print(abs(np.log(found.values["r"] / 0.5)) < 3 * found.log_errors["r"])
+a = mpt.metrics.ahead(kf, z, 3.0)
+print(np.isfinite(mpt.metrics.following(a)).any())"""
+
+
+def test_a_motion_is_one_file(copy):
+    """With times and gaps of its own it is filtered as by a plain loop, smoothed, fitted, and given a band."""
+    assert written(copy, "motion") == "forgetful"
+    assert run(copy, "-c", MOTION).split() == 4 * ["True"]
+
+
+FILTER = """\
+import numpy as np
+import mpt_helpers as mpt
+from mpt_helpers.fading import FadingFilter
+rng = np.random.default_rng(6)
+model = mpt.constant_velocity(1.0, 0.01, 0.1, P0=np.eye(2))
+z = np.cumsum(rng.standard_normal((200, 1, 3)), axis=0)
+z[rng.random(z.shape) < 0.2] = np.nan
+found = FadingFilter(model, alpha=1.05).filter(z)
+for track in range(3):
+    x, P = np.zeros(2), np.eye(2)
+    for k in range(200):
+        x, P = model.F @ x, 1.05**2 * model.F @ P @ model.F.T + model.Q
+        if np.isfinite(z[k, 0, track]):
+            K = P[:, 0] / (P[0, 0] + 0.1)
+            x, P = x + K * (z[k, 0, track] - x[0]), P - np.outer(K, P[0])
+        assert np.allclose(found[k, :, track], x, rtol=1e-9, atol=1e-9)
+print("alike")"""
+
+
+def test_a_filter_is_one_file(copy):
+    """Tracks with gaps of their own are filtered as by a plain loop."""
+    assert written(copy, "filter") == "fading"
+    assert run(copy, "-c", FILTER).split() == ["alike"]
+
+
+GATE = """\
+import numpy as np
+import mpt_helpers as mpt
+from mpt_helpers.impatient import impatient
+kf = mpt.KalmanFilter(mpt.constant_velocity(1.0, 0.01, 0.1, P0=np.eye(2)), t=np.arange(40.0) ** 1.2)
+z = np.arange(40.0)[:, None] ** 1.2
+z[20] += 30
+print(np.flatnonzero(~impatient(kf, z)))"""
+
+
+def test_a_gate_is_one_file(copy):
+    """It refuses the one outlier. That it is a plain loop, test_own_gate says."""
+    assert written(copy, "gate") == "impatient"
+    assert run(copy, "-c", GATE).split() == ["[20]"]
+
+
+def test_the_three_files_are_as_the_project_wants_its_modules(copy):
+    """Style, doctests and rooms of the copy, with nothing changed but the three files that are new."""
+    files = [f"mpt_helpers/{written(copy, kind)}.py" for kind in ("motion", "filter", "gate")]
+    shutil.copy(ROOT / "pyproject.toml", copy)
+    run(copy, "-m", "ruff", "check", *files)
+    run(copy, "-m", "ruff", "format", "--check", *files)
+    tests = "tests/test_package.py", "tests/test_readme.py::test_the_layout_names_every_part_of_the_package"
+    assert " passed" in run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files, *tests)

@@ -1,0 +1,371 @@
+"""The guide prints and draws what it says, its numbers in words are right, and its lines work on other tracks."""
+
+import re
+
+import matplotlib
+import numpy as np
+import pytest
+import run_guide
+from conftest import ROOT
+
+import mpt_helpers as mpt
+from mpt_helpers import tracks
+from mpt_helpers.tracks import cleaning
+
+GUIDE = (run_guide.DOCS / "by_hand.md").read_text(encoding="utf-8")  # every step
+SHORT = (run_guide.DOCS / "guide.md").read_text(encoding="utf-8")  # one command
+OTHER = {name: (run_guide.DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("small_processor", "lasting")}
+RECORDED = [
+    "ride",
+    "glider_nz_3s",
+    "paraglider_napret_1hz",
+    "ride_edge810_1hz",
+    "run_fenix2_1hz",
+    "walkrun_mallorca_4s",
+]
+
+
+def ran(text):
+    """Run a page; return its names, what each block says that it prints and what it prints, and its pictures."""
+    names, printed, pictures = {}, [], {}
+    for part, made in run_guide.run(text, names):
+        if part["name"]:
+            pictures[part["name"]] = made
+        else:
+            printed.append((part["said"] or "", made))
+    return names, printed, pictures
+
+
+@pytest.fixture(scope="module")
+def guide():
+    """A run of the guide by hand."""
+    return ran(GUIDE)
+
+
+@pytest.fixture(scope="module", params=OTHER)
+def other(request):
+    """A run of a page beside the guides."""
+    return ran(OTHER[request.param])
+
+
+def test_the_blocks_of_the_other_pages_print_what_they_say(other):
+    _, printed, _ = other
+    assert len(printed) == 1
+    assert set(run_guide.PAGES) == {"guide.md", "by_hand.md", *(f"{name}.md" for name in OTHER)}
+    for said, made in printed:
+        assert made == said
+
+
+def blocks(*first_words, names=None):
+    """Run the blocks of the guide that hold these words and return the names that they define."""
+    names = {"np": np, "mpt": mpt} if names is None else names
+    codes = [part["code"] for part in run_guide.PART.finditer(GUIDE) if part["code"]]
+    for words in first_words:
+        (code,) = (code for code in codes if words in code)
+        for _ in run_guide.run(f"```python\n{code}```", names):
+            pass
+    return names
+
+
+def test_the_blocks_print_what_the_guide_says(guide):
+    _, printed, _ = guide
+    assert len(printed) > 15
+    for said, made in printed:
+        assert made == said
+
+
+PINNED = re.search(r"matplotlib==([\d.]+)", (ROOT / "environment.txt").read_text(encoding="utf-8"))[1]
+
+
+@pytest.fixture(scope="module")
+def short():
+    """A run of the short guide."""
+    return ran(SHORT)
+
+
+def test_the_blocks_of_the_short_guide_print_what_it_says(short):
+    _, printed, _ = short
+    assert len(printed) > 5
+    for said, made in printed:
+        assert made == said
+
+
+def test_the_numbers_in_the_words_of_the_short_guide_are_right(short):
+    c = short[0]["c"]
+    own_faults = {1000, *range(1995, 2060)}
+    assert set(c.refused.tolist()) - own_faults == {3898, 4319}
+    assert "Two fixes are refused of the ride itself" in SHORT
+    by_curvature = np.sqrt(2 / np.isfinite(c.z).sum())
+    assert 6.5 < c.log_errors["q"] / by_curvature < 7.5
+    assert "says a seventh of that" in SHORT
+    both = (np.abs(c.band.ahead.errors) <= c.band.widths)[c.band.unseen].all(axis=1).mean()
+    assert f"{both:.0%}" == "93%"
+    assert "both at once hold less, here 93 %" in SHORT
+
+
+def sections(text):
+    """The anchors of a page's sections, with their headings."""
+    return [(re.sub(r"[^a-z]+", "-", name.lower()), name) for name in re.findall(r"(?m)^## (.*)", text)]
+
+
+def contents(text):
+    """The anchors to which a page's line of contents leads, with the words of the links."""
+    (line,) = (line for line in text.splitlines() if line.startswith("<a "))
+    return re.findall(r'<a href="#([a-z-]+)">([^<]+)</a>', line)
+
+
+def test_the_short_guide_comes_in_the_order_that_a_reader_needs():
+    assert [name for _, name in sections(SHORT)[:3]] == ["Install", "One command", "The same in Python"]
+    assert contents(SHORT) == sections(SHORT)
+    assert set(re.findall(r"\(by_hand\.md#([^)]+)\)", SHORT)) <= set(dict(sections(GUIDE)))
+
+
+@pytest.mark.skipif(matplotlib.__version__ != PINNED, reason="another matplotlib draws other pixels")
+def test_the_pictures_are_those_of_the_blocks(guide, short):
+    pictures = guide[2] | short[2]
+    stored = {path.stem: path.read_bytes() for path in run_guide.PICTURES.glob("*.png")}
+    assert set(pictures) == set(stored) == set(re.findall(r"\(guide/(\w+)\.png\)", GUIDE + SHORT))
+    for name, png in pictures.items():
+        assert png == stored[name], name
+
+
+def test_a_picture_stands_before_all_sections_and_which_filter_to_take_stands_first():
+    assert GUIDE.index("![") < GUIDE.index("\n## ")
+    assert sections(GUIDE)[0][1] == "Which filter"
+    assert contents(GUIDE) == sections(GUIDE)
+
+
+def test_links_lead_to_files_of_a_checkout():
+    pages = "\n".join(
+        [GUIDE, SHORT, *OTHER.values(), (run_guide.DOCS / "other_packages.md").read_text(encoding="utf-8")]
+    )
+    links = re.findall(r'\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)|href="([^"#]+)"', pages)
+    assert len(links) > 15
+    assert set(re.findall(r'href="#([^"]+)"', GUIDE)) <= set(dict(sections(GUIDE)))
+    for link in links:
+        assert (ROOT / "docs" / "".join(link)).is_file(), link
+
+
+def test_the_headline_is_what_the_second_half_shows(guide):
+    a, band = guide[0]["bands"][10]
+    unseen = a.row >= guide[0]["half"]
+    (own, follows) = re.search(r"own 95 % band holds (\d+) %; the band that follows .* holds (\d+) %", GUIDE).groups()
+    inside = [(np.abs(a.errors) <= width)[unseen].mean() for width in (1.96 * a.sigma, band)]
+    assert [f"{100 * share:.0f}" for share in inside] == [own, follows]
+
+
+def test_a_jump_stands_out_in_the_nis_and_the_mean_after_the_fit_does_not_see_it(guide):
+    names, printed, _ = guide
+    assert "100 times above the limit" in GUIDE
+    nis = mpt.metrics.nis(names["guess"], names["spoilt"])
+    far = np.flatnonzero(nis > 100 * 5.99)
+    assert len(far) >= 3
+    assert (far > names["lost"]).all()
+    assert (far < names["back"] + 5).all()
+    assert "q more than five times too large" in GUIDE
+    assert 5 < names["bad"].values["q"] / names["fit"].values["q"] < 6
+    assert "Twenty-five of some 2,300 fixes" in GUIDE
+    assert (names["spoilt"] != names["z"]).any(axis=1).sum() == pytest.approx(25, abs=2)
+    assert names["half"] == pytest.approx(2300, abs=50)
+    means = [float(re.search(r"mean (\d+\.\d+)", made)[1]) for _, made in printed if "NIS: mean" in made][-2:]
+    medians = [float(re.search(r"median (\d+\.\d+)", made)[1]) for _, made in printed if "NIS: mean" in made][-2:]
+    np.testing.assert_allclose(means, 2, atol=0.02)  # both fits are right by it
+    assert medians[1] < medians[0] / 4
+
+
+def test_only_one_state_is_covered_below_85_percent_and_it_is_the_one_that_the_guide_names(guide):
+    (said,) = (made for _, made in guide[1] if "on the worse axis" in made)
+    below = re.findall(r"(?m)^ *(\d+) s, ([a-z ]+): 0\.(?:[0-7]\d|8[0-4]) ± .*, (\d+) independent", said)
+    assert below == [("1", "after standing still", "17")]
+    assert "a start from standing still one second ahead, and seventeen predictions" in GUIDE
+
+
+def test_a_pandas_frame_with_a_time_index_becomes_a_track():
+    ride = tracks.gpx(run_guide.DOCS / "tracks" / "ride.gpx")[0]
+    lat, lon = ride.origin[0] + np.array([0, 0.0009]), ride.origin[1] + np.zeros(2)
+    pandas = pytest.importorskip("pandas")
+    index = pandas.DatetimeIndex(["2020-04-18 11:15:44", "2020-04-18 11:15:45.5"], tz="UTC")
+    names = blocks("def from_frame", names={"tracks": tracks})
+    t, z = names["from_frame"](pandas.DataFrame({"lat": lat, "lon": lon}, index=index))
+    np.testing.assert_allclose(t, [0, 1.5])
+    np.testing.assert_allclose(z, [[0, 0], [0, 100.1]], atol=0.1)
+    kf = mpt.KalmanFilter(mpt.stack(*[mpt.constant_velocity(dt=1.0, q=0.1, r=0.1, P0=np.eye(2))] * 2), t=t)
+    assert np.isfinite(kf.filter(z)).all()
+
+
+def test_the_fit_refuses_a_track_in_utm():
+    ride = tracks.gpx(run_guide.DOCS / "tracks" / "ride.gpx")[0]
+    names = blocks("def model", names={"np": np, "mpt": mpt, "t": ride.t, "z": ride.z})
+    with pytest.raises(ValueError, match=r"first measurements .* standard deviations away"):
+        mpt.fit(lambda q, r: mpt.KalmanFilter(names["model"](q, r), t=ride.t), ride.z + 5e6, q=0.1, r=0.1)
+
+
+def test_a_constant_gain_costs_what_its_page_says():
+    text = OTHER["small_processor"]
+    assert "as good while fixes come, and several times worse just after a gap" in text
+    (said,) = (part["said"] for part in run_guide.PART.finditer(text))
+    errors = {
+        line.partition(":")[0]: [float(x) for x in re.findall(r"(\d+\.\d+) m", line)] for line in said.splitlines()
+    }
+    assert errors["steady state"][1] == errors["Kalman"][1]
+    assert errors["steady state"][2] > 2.5 * errors["Kalman"][2]
+
+
+def recorded(name, first_half_unseen):
+    """A track; with its second half before the first, an hour apart, where the first half is to be unseen."""
+    if name == "ride":
+        t, z = tracks.gpx(run_guide.DOCS / "tracks" / "ride.gpx")[0][:2]
+    else:
+        t, lat, lon = np.loadtxt(ROOT / "tests" / "tracks" / f"{name}.csv.gz", delimiter=",", skiprows=1).T
+        z = tracks.local(lat, lon)
+    if not first_half_unseen:
+        return t, z
+    half = len(t) // 2
+    t = np.concatenate([t[half:] - t[half], t[:half] + t[-1] - t[half] + 3600.0])
+    z = np.concatenate([z[half:], z[:half]])
+    return t, z - z[0]
+
+
+@pytest.mark.parametrize("first_half_unseen", [False, True])
+@pytest.mark.parametrize("name", RECORDED)
+def test_the_lines_of_the_guide_give_true_bands_on_recorded_tracks(name, first_half_unseen):
+    """90 to 98 % of an unseen half per axis at 1 and 10 s, 0.6 of the placebo's score, no state below 85 %."""
+    t, z = recorded(name, first_half_unseen)
+    names = blocks("def model", names={"np": np, "mpt": mpt, "t": t, "z": z})
+    blocks("half = len(t) // 2", names=names)
+    if names["fit"].values["r"] < 0.01**2:
+        blocks("r = grid**2 / 12", names=names)
+    blocks("kf = mpt.KalmanFilter(model(q, r), t=t)", names=names)
+    horizons = [seconds for seconds in (1, 10) if np.median(np.diff(t)) <= 1.5 * seconds]
+    assert 10 in horizons
+    kf, half = names["kf"], names["half"]
+    a = mpt.metrics.ahead(kf, z, 10)
+    names["bands"] = {seconds: (mpt.metrics.ahead(kf, z, seconds), None) for seconds in horizons}
+    for seconds, (a, _) in names["bands"].items():
+        band = mpt.metrics.following(a)
+        unseen = a.row >= half
+        share, _, independent = mpt.metrics.coverage(a, band, where=unseen)
+        assert independent > 100
+        assert (share > 0.90).all()
+        assert (share < 0.98).all()
+        blind = mpt.metrics.following(mpt.bands.placebo(a, np.random.default_rng(0)))
+        scores = [mpt.metrics.interval_score(a, width, where=unseen) for width in (band, blind)]
+        assert (scores[0] < 0.6 * scores[1]).all()
+        for state, rows in blocks_of_states(names).items():
+            where = unseen & rows[a.row]
+            if where.any() and len(found := enough(a, band, where)):
+                assert found.min() > 0.85, (seconds, state)
+
+
+OTHER_STEPS = {
+    "a short one with steps of 1 to 40 s": [(57.0, 9.9, 150, (1, 5, 6, 7, 10, 40))],
+    "segments 2000 km apart, with steps of 6 to 200 s": [
+        (-33.9, 151.2, 12, (6, 9, 12, 200)),
+        (-38.0, 135.0, 120, (6, 9, 12, 200)),
+        (-33.9, 151.2, 40, (98,)),
+    ],
+    "steps of 98 s and pauses of hours": [
+        (40.0, -3.0, 160, (98, 98, 98, 98, 98, 98, 98, 98, 98, 98, 98, 98, 110, 7000))
+    ],
+    "equal steps of 8 s": [(57.0, 9.9, 200, (8,))],
+    "25 fixes, equal steps of 5 s": [(57.0, 9.9, 25, (5,))],
+}
+
+
+def gpx_file(path, segments):
+    """Write a GPX file of segments: latitude and longitude of the start, number of fixes, the steps to draw from."""
+    rng, lines, clock = np.random.default_rng(5), [], np.datetime64("2024-05-03T10:00:00")
+    for lat, lon, number, steps in segments:
+        seconds = np.cumsum(rng.choice(steps, number))
+        x, z = np.zeros(4), np.empty((number, 2))
+        for row, step in enumerate(np.diff(seconds, prepend=seconds[0] - 1)):
+            axis = mpt.constant_velocity(dt=float(step), q=0.02, r=9.0)
+            axes = mpt.stack(axis, axis)
+            x = axes.F @ x + rng.multivariate_normal(np.zeros(4), axes.Q)
+            z[row] = axes.H @ x + 3.0 * rng.standard_normal(2)
+        degrees = z[:, ::-1] / 111_000 / [1, np.cos(np.radians(lat))] + [lat, lon]
+        lines.append("<trkseg>")
+        lines += [
+            f'<trkpt lat="{north:.6f}" lon="{east:.6f}"><time>{clock + np.timedelta64(second, "s")}Z</time></trkpt>'
+            for (north, east), second in zip(degrees, seconds, strict=True)
+        ]
+        lines.append("</trkseg>")
+        clock += np.timedelta64(seconds[-1] + 86400, "s")
+    head = '<gpx version="1.1" creator="test" xmlns="http://www.topografix.com/GPX/1/1"><trk>'
+    path.write_text(f"{head}{''.join(lines)}</trk></gpx>", encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", OTHER_STEPS)
+def test_the_blocks_run_as_they_stand_on_other_tracks(name, tmp_path):
+    """From Read to Go live with nothing but the name of the file replaced: no refusal, no empty picture."""
+    gpx_file(tmp_path / "other.gpx", OTHER_STEPS[name])
+    text = GUIDE.partition("## Two sensors")[0].replace("tracks/ride.gpx", str(tmp_path / "other.gpx"))
+    names, parts, pictures = ran(text)
+    printed = "".join(made for _, made in parts)
+    assert "fit: r: the likelihood does not fall" not in printed
+    assert "r" in names["fit"].values  # it is known, and stays
+    assert "nan" not in printed
+    assert list(pictures) == ["look", "band", "smooth"]
+    t, z, near = names["t"], names["z"], names["near"]
+    np.testing.assert_allclose(z[0], 0, atol=1e-9)
+    step = np.median(np.diff(t))
+    assert min(names["horizons"]) >= 0.8 * step
+    assert near == 10 or abs(near - step) <= 0.3 * step
+    assert f"{near:g} s after the end" in printed
+    assert len(names["due"]) > 5
+    assert names["hidden"][names["rows"]].any()
+    assert np.isfinite(names["expected"].half_width).all()
+    before = names["before"]
+    assert (t[before][1:] <= np.maximum(t[1:] - 10, t[0])).all()
+    assert (t[before + 1] > t - 10).all()
+
+
+def test_the_share_inside_a_smoothed_band_counts_the_noise_of_the_fixes():
+    """On tracks of the model: 95 % of 2,400 numbers that share their errors by tens, ± 1.5. Without it two thirds."""
+    r = 9.0
+    names = blocks("def model", names={"np": np, "mpt": mpt, "t": np.arange(7200.0), "z": np.zeros((7200, 2))})
+    model = names["model"](0.05, r)
+    _, z = mpt.simulate(model, N=7200, rng=np.random.default_rng(1))
+    names |= {"kf": mpt.KalmanFilter(model), "z": z, "r": r}
+    (code,) = (part["code"] for part in run_guide.PART.finditer(GUIDE) if "hidden = (" in (part["code"] or ""))
+    ((_, made),) = run_guide.run(f"```python\n{code}```", names)
+    shares = [int(share) for share in re.findall(r"m in the gaps, (\d+)% within 1.96 sigma", made)]
+    assert len(shares) == 2
+    assert all(91 <= share <= 99 for share in shares)
+
+
+def blocks_of_states(names):
+    (code,) = (part["code"] for part in run_guide.PART.finditer(GUIDE) if "known = {" in (part["code"] or ""))
+    own = dict(names)
+    exec(code.partition("for seconds in")[0], own)
+    return own["known"]
+
+
+def enough(a, band, where):
+    """The coverage of a state, or nothing where it rests on too few independent predictions to be judged."""
+    try:
+        return mpt.metrics.coverage(a, band, where).share
+    except UserWarning:
+        return []
+
+
+def test_what_the_short_guide_says_that_sparse_tracks_hide():
+    """How well a position is known without its own fix, a fix every 10 s; and what good fixes are off there."""
+    known, off = {}, {}
+    for name in ("hike_korita_11s", "hike_gpxo_2s", "ride", "ride_edge810_1hz", "paraglider_napret_1hz"):
+        t, z = recorded(name, False)
+        rows = np.unique(np.searchsorted(t, np.arange(0, t[-1], 10.0)))
+        c = tracks.clean(t[rows], z[rows])
+        each = cleaning.scale_of(t[rows], z[rows], 0.0)
+        x, P = cleaning._smoothed(c.line, cleaning.Noise(c.q, c.r, c.rounding), each)
+        left = np.maximum(c.r - P, cleaning.SMALLEST_DIFFERENCE * c.r)
+        known[name] = np.nanmedian(c.r / np.sqrt(left))
+        without = np.hypot(*((c.line.z - x) * c.r / left).T)
+        off[name] = np.nanquantile(without, 0.99)
+    assert [f"{known[name]:.0f}" for name in known] == ["1", "4", "5", "6", "21"]
+    assert (
+        "a walker's position without its own fix is known to 1 to 4 m, a cyclist's to 5 to 6 m, a paraglider's to 20 m"
+        in SHORT
+    )
+    assert f"{off['ride']:.0f}, {off['paraglider_napret_1hz']:.0f}" == "20, 79"
+    assert "on a bicycle one good fix in a hundred is off by 20 m, on a paraglider by 80 m" in SHORT

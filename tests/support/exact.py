@@ -1,0 +1,137 @@
+"""A pytest plugin, `-p tests.support.exact`: nbval holds each notebook to every committed byte, beside any other tests.
+
+nbval alone skips pictures and metadata, and the files that a notebook writes. With this plugin it compares them too:
+PNG and SVG, the alt text and the description of each figure, which must also change when anything drawn changes by one
+percent. The kernel works at the project's root, where `make reproduce` works in notebooks/: both must give the same.
+"""
+
+import os
+import re
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+TESTS = Path(__file__).parent
+NOT_SEEN = ("execution_count", "prompt_number", "traceback")  # the count is tested where nothing runs
+DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
+STARTUP = "startup.py"  # in this folder: what a kernel runs before its first cell
+# Ends of files whose tests need one kernel, or share what takes seconds to make: then one processor makes it, once.
+TOGETHER = (".ipynb", "test_exact.py", "test_fifth_paper.py", "test_guide.py", "test_recorded_2007.py", "test_types.py")
+
+
+def pytest_configure(config):
+    """Make the folder into which the kernels draw, and in it the code that each runs before its first cell."""
+    from tests.support.sockets import talk_through_files  # here: a kernel, which imports this file, needs none of it
+
+    talk_through_files()
+    drawn = tempfile.TemporaryDirectory(prefix="drawn-")
+    config.add_cleanup(drawn.cleanup)
+    os.environ[DRAWN] = drawn.name
+    Path(drawn.name, STARTUP).write_text('__import__("exact").watch()\n', encoding="utf-8")  # leaves no name behind
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Spread tests over processors one by one; those of a notebook stay together, and xdist runs them first."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduler(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return file if file.endswith(TOGETHER) else nodeid
+
+    return Scheduler(config, log)
+
+
+def is_cell(item):
+    """Say whether a test is a notebook's cell."""
+    return hasattr(item, "cell")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item):
+    """Let the kernel of a notebook, which its first cell starts, run `watch`; kernels of other tests must not."""
+    from reproduction.execute import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
+
+    with pytest.MonkeyPatch.context() as here:
+        if is_cell(item):
+            for name, value in settings_of_nobody(Path(os.environ[DRAWN])).items():
+                here.setenv(name, value)
+            here.setenv("PYTHONSTARTUP", os.path.join(os.environ[DRAWN], STARTUP))
+            here.setenv("PYTHONPATH", str(TESTS), prepend=os.pathsep)
+        return (yield)
+
+
+def pytest_collectstart(collector):
+    """Compare all of an output: nbval's own way to say what is skipped."""
+    if hasattr(collector, "skip_compare"):
+        collector.skip_compare = NOT_SEEN
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """Run a test; if it is a cell, compare the files of its figures with the committed ones."""
+    result = yield
+    names = re.findall(r'save_figure\([^"]+, "(\w+)"\)', item.cell.source) if is_cell(item) else []
+    for name in names:
+        for file in (f"{name}.png", f"{name}.svg"):
+            drawn, committed = Path(os.environ[DRAWN], file), item.config.rootpath / "figures" / file
+            assert drawn.read_bytes() == committed.read_bytes(), f"figures/{file} is not what this cell draws"
+    return result
+
+
+def watch():
+    """In the kernel: go to the project's root, test each figure that is saved, and save it elsewhere."""
+    from reproduction import figures
+
+    os.chdir(figures.project())
+    save = figures.save_figure
+
+    def save_figure(fig, name):
+        figures.project()  # is found from here too
+        every_change_is_described(fig, figures)
+        return save(fig, name, os.environ[DRAWN])
+
+    figures.save_figure = save_figure
+
+
+def every_change_is_described(fig, figures):
+    """Scale each line, area, bar and image by 1.01, one at a time: the description, which nbval compares, must change.
+
+    Drawn values below figures.QUANTUM are described with one digit, and left out here; of many bars, twenty are tried.
+    """
+    for outer in fig.axes:
+        alone = SimpleNamespace(axes=[outer], texts=[], legends=[])  # faster than the whole figure each time
+        before = figures.describe(alone)
+        for ax in (outer, *outer.child_axes):
+            for artist in (*ax.lines, *ax.collections, *ax.patches[:20], *ax.images):
+                for values, put in drawn_numbers(artist):
+                    if max(map(abs, values.ravel()), default=0) > figures.QUANTUM:
+                        put(1.01 * values)
+                        changed = figures.describe(alone) != before
+                        assert changed, f"1 % more is not described: {artist} {artist.get_label()}"
+                        put(values)
+        assert figures.describe(alone) == before
+
+
+def drawn_numbers(artist):
+    """Yield each array of numbers that an artist draws, and how to put another in its place."""
+    import numpy as np
+
+    if hasattr(artist, "get_data_3d"):
+        yield np.array(artist.get_data_3d()), lambda data: artist.set_data_3d(*data)
+    elif hasattr(artist, "get_xdata"):
+        yield np.array(artist.get_xdata(), float), artist.set_xdata
+        yield np.array(artist.get_ydata(), float), artist.set_ydata
+    elif hasattr(artist, "get_height"):
+        yield np.array(artist.get_height(), float), artist.set_height
+        yield np.array(artist.get_width(), float), artist.set_width
+    elif hasattr(artist, "get_offsets") and len(artist.get_offsets()) > 1:
+        yield np.array(artist.get_offsets(), float), artist.set_offsets
+    elif hasattr(artist, "get_paths"):
+        for path in artist.get_paths():
+            yield path.vertices.copy(), lambda vertices, path=path: setattr(path, "vertices", vertices)
+    if hasattr(artist, "get_array") and artist.get_array() is not None:
+        yield np.array(artist.get_array(), float), artist.set_array

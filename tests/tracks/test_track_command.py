@@ -1,0 +1,808 @@
+"""`python -m mpt_helpers track`: what it prints, what it writes, what it refuses, and that it says so in words."""
+
+import gzip
+import itertools
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import timedelta
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+import mpt_helpers as mpt
+from mpt_helpers import tracks
+from mpt_helpers.__main__ import main
+from mpt_helpers.tracks import __main__ as track_command
+from mpt_helpers.tracks import cleaning, report
+from mpt_helpers.tracks import readers as recordings
+
+RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
+HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<gpx version="1.1" creator="test" xmlns="http://www.topografix.com/GPX/1/1">'
+
+
+def positions(N=300, seed=1):
+    """Degrees of a mobile at some 10 m/s, with noise of 2 m."""
+    axis = mpt.constant_velocity(dt=1.0, q=0.05, r=4.0, x0=[0.0, 7.0])
+    _, z = mpt.simulate(mpt.stack(axis, axis), N, np.random.default_rng(seed))
+    return z, *tracks.degrees(z, (57.0, 9.9))
+
+
+def fix(lat, lon, second, inside=""):
+    clock = f"2024-05-03T{10 + second // 3600:02d}:{second // 60 % 60:02d}:{second % 60:02d}Z"
+    time = clock if not isinstance(second, str) else second
+    return f'<trkpt lat="{lat:.7f}" lon="{lon:.7f}"><ele>30.5</ele><time>{time}</time>{inside}</trkpt>'
+
+
+def gpx_of(*segments):
+    body = "".join(f"<trkseg>{''.join(fixes)}</trkseg>" for fixes in segments)
+    return f"{HEAD}<trk><name>Ålborg</name>{body}</trk></gpx>\n"
+
+
+@pytest.fixture
+def spoilt(tmp_path):
+    """A file of two segments with an outlier, a jump, heart rates, and a fix without a time."""
+    _, lat, lon = positions()
+    lat[50] += 0.01
+    lat[200:] += 0.01
+    hr = "<extensions><x:hr xmlns:x='urn:x'>{}</x:hr></extensions>"
+    fixes = [fix(*place, k, hr.format(100 + k)) for k, place in enumerate(zip(lat, lon, strict=True))]
+    fixes[20] = re.sub(r"<time>.*</time>", "", fixes[20])
+    path = tmp_path / "giro.gpx"
+    path.write_text(gpx_of(fixes[:100], fixes[100:]), encoding="utf-8")
+    return path
+
+
+def in_one_line(text):
+    return " ".join(text.split())
+
+
+def said(capsys, *arguments):
+    code = main(["track", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    assert max(map(len, out.splitlines()), default=0) <= 100 or "--json" in arguments or "written" in out
+    return code, in_one_line(out), err
+
+
+def test_the_report_needs_no_vocabulary_and_names_all_that_was_done(spoilt, capsys):
+    code, out, err = said(capsys, spoilt)
+    assert (code, err) == (0, "")
+    assert "giro.gpx: 299 fixes in 0:04:59, every 1 s" in out
+    assert "not used: 1 with no time" in out
+    assert "refused as faults: 1 fix (0.33%), 0:00:50 after the start" in out
+    assert "jumps that stay: 1, 0:03:20 after the start" in out
+    assert re.search(r"10 s ahead the position can be told to ± \d+", out)
+    assert "giro_smooth.gpx" in out
+    assert "giro.png" in out
+    assert "NIS" not in out
+    assert "in 2 parts (pauses, or segments of the file)" in out
+    assert (spoilt.parent / "giro.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_is_one_object_with_the_promised_names(spoilt, capsys):
+    code, out, _ = said(capsys, spoilt, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert (found["fixes"], found["refused"], found["starts"]) == (300, [50], [200])
+    assert found["left_out"] == {"no time": 1}
+    assert set(found["log_errors"]) == {"q", "r"}
+    assert {"seconds", "half_width", "asked", "held", "own"} <= set(found["ahead"])
+    assert found["ahead"]["seconds"] == 10
+    assert found["q"] == pytest.approx(0.05, rel=0.7)
+    assert found["r"] == pytest.approx(4.0, rel=0.3)
+    assert [path.rpartition("/")[2] for path in found["files"]] == ["giro_smooth.gpx", "giro.png"]
+
+
+def test_the_new_file_keeps_times_heights_segments_and_heart_rates_and_bridges_what_was_refused(spoilt, capsys):
+    said(capsys, spoilt)
+    text = (spoilt.parent / "giro_smooth.gpx").read_text(encoding="utf-8")
+    after = tracks.gpx(spoilt.parent / "giro_smooth.gpx", up=True)
+    assert [len(each.t) for each in after] == [99, 100, 100]  # a new one after the jump
+    assert text.count("<x:hr") == 299
+    assert "Ålborg" in text
+    assert text.count("<ele>30.5</ele>") == 299
+    z, _, _ = positions()
+    smooth = recordings.read_gpx(spoilt.parent / "giro_smooth.gpx")
+    seconds = ((smooth.time - smooth.time[0]) / 1e6).astype(int)
+    np.testing.assert_array_equal(seconds, np.delete(np.arange(300), 20))
+    there = tracks.local(smooth.lat, smooth.lon, (57.0, 9.9)) - z[seconds]
+    there[seconds >= 200] -= np.median(there[seconds >= 200], axis=0)
+    assert np.abs(there).max() < 12.0  # the outlier was 1100 m off
+    assert mpt.metrics.rms(there) < 2.0  # less than the noise of the fixes
+
+
+def test_nothing_of_others_is_overwritten_and_what_is_replaced_is_named(spoilt, capsys):
+    other = spoilt.parent / "giro_smooth.gpx"
+    other.write_text("mine")
+    code, out, err = said(capsys, spoilt)
+    assert (code, out) == (1, "")
+    assert "giro_smooth.gpx: exists and is not from this command; --overwrite replaces it" in err
+    assert other.read_text() == "mine"
+    assert not (spoilt.parent / "giro.png").exists()
+    code, out, _ = said(capsys, spoilt, "--overwrite")
+    assert "(replaced: giro_smooth.gpx)" in out
+    code, out, _ = said(capsys, spoilt)  # its own files
+    assert code == 0
+    assert "(replaced: giro_smooth.gpx, giro.png)" in out
+    assert not list(spoilt.parent.glob("*.part"))
+
+
+def test_out_names_the_folder(spoilt, tmp_path, capsys):
+    folder = tmp_path / "there"
+    code, _, err = said(capsys, spoilt, "--out", folder)
+    assert code == 1
+    assert f"there: needs a folder that exists, to write to; make it: mkdir -p {folder}" in err
+    folder.mkdir()
+    assert said(capsys, spoilt, "--out", folder)[0] == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["giro.png", "giro_smooth.gpx"]
+
+
+def test_a_csv_is_read_by_the_usual_names_of_its_columns_or_by_those_given(tmp_path, capsys):
+    z, lat, lon = positions()
+    rows = [f"2024-05-03T10:{k // 60:02d}:{k % 60:02d}Z" for k in range(300)]
+    path = tmp_path / "walk.csv"
+    path.write_text(
+        "Timestamp,Latitude,Longitude\n"
+        + "\n".join(f"{a},{b:.7f},{c:.7f}" for a, b, c in zip(rows, lat, lon, strict=True))
+    )
+    found = json.loads(said(capsys, path, "--json")[1])
+    assert (found["fixes"], found["refused"]) == (300, [])
+    assert found["files"][0].endswith("walk_smooth.gpx")
+    assert len(tracks.gpx(tmp_path / "walk_smooth.gpx")[0].t) == 300
+    path = tmp_path / "metres.csv"
+    path.write_text(
+        "when;a;b\n"
+        + "\n".join(f"{1.7e12 + 1000 * k:.0f};{x:.3f};{y:.3f}".replace(".", ",") for k, (x, y) in enumerate(z))
+    )
+    code, _, err = said(capsys, path)
+    assert code == 1
+    assert "needs columns of time and of latitude and longitude, or of metres" in err
+    assert "'when', 'a', 'b'" in err
+    found = json.loads(said(capsys, path, "--time", "when", "--east", "a", "--north", "b", "--json")[1])
+    assert "times taken for milliseconds since 1970" in found["notes"]
+    assert found["r"] == pytest.approx(4.0, rel=0.3)
+    assert found["files"][0].endswith("metres_smooth.csv")
+
+
+@pytest.mark.parametrize(
+    ("times", "why"),
+    [
+        (np.float32(1.7e9 + np.arange(1000)), "9 of 1000, 991 with a time that is not after .*have they lost digits"),
+        (np.arange(1000)[::-1], "1 of 1000, 999 with a time .*before them; if the file begins with the last fix"),
+        (np.where(np.arange(1000) < 8, np.arange(1000), np.nan), r"8 of 1000, 992 with no time$"),
+    ],
+)
+def test_why_too_few_fixes_are_left_is_told(tmp_path, times, why):
+    _, lat, lon = positions(N=1000)
+    path = tmp_path / "few.csv"
+    rows = [f"{'' if np.isnan(t) else f'{t:.0f}'},{a:.7f},{b:.7f}" for t, a, b in zip(times, lat, lon, strict=True)]
+    path.write_text("\n".join(["time,lat,lon", *rows]))
+    with pytest.raises(ValueError, match=f"few.csv: needs at least 10 fixes with a time and a position, got {why}"):
+        mpt.track(path)
+
+
+def test_the_command_reads_what_it_has_written(tmp_path, capsys):
+    z, _, _ = positions()
+    path = tmp_path / "metres.csv"
+    path.write_text("\n".join(["t,x,y", *(f"{k},{x:.3f},{y:.3f}" for k, (x, y) in enumerate(z))]))
+    assert said(capsys, path)[0] == 0
+    code, out, err = said(capsys, tmp_path / "metres_smooth.csv")
+    assert (code, err) == (0, "")
+    assert "300 fixes" in out
+
+
+def test_what_would_be_overwritten_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    z, lat, lon = positions()
+    tables = {"degrees": ("t,lat,lon", lat, lon, "gpx"), "metres": ("t,x,y", *z.T, "csv")}
+    for name, (head, first, second, kind) in tables.items():
+        path = tmp_path / f"{name}.csv"
+        rows = [f"{k},{a:.7f},{b:.7f}" for k, (a, b) in enumerate(zip(first, second, strict=True))]
+        path.write_text("\n".join([head, *rows]))
+        other = tmp_path / f"{name}_smooth.{'csv' if kind == 'gpx' else 'gpx'}"
+        other.write_text("mine")  # it does not stand in the way
+        assert said(capsys, path)[0] == 0
+        (tmp_path / f"{name}_smooth.{kind}").write_text("mine")
+        with monkeypatch.context() as patched:
+            patched.setattr(tracks, "track", None)
+            code, _, err = said(capsys, path)
+        assert code == 1
+        assert f"{name}_smooth.{kind}: exists and is not from this command" in err
+
+
+def test_a_word_beforehand_tells_time_and_memory_of_a_large_file_packed_or_not(tmp_path, capsys):
+    words = r"MB{}, some 1,0\d\d,000 fixes: about 1 min and 1\.\d GB of memory"
+    path = tmp_path / "large.gpx"
+    path.write_bytes(b" " * 101_000_000)
+    track_command._Progress(path)
+    assert re.search(words.format(""), capsys.readouterr().err)
+    packed = tmp_path / "large.gpx.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes(), 1))
+    assert packed.stat().st_size < 1e6
+    track_command._Progress(packed)
+    assert re.search(words.format(" unpacked"), capsys.readouterr().err)
+
+
+def test_help_says_what_a_pause_is(capsys):
+    with pytest.raises(SystemExit):
+        main(["track", "--help"])
+    assert "without a fix (60, or ten usual steps if these are longer)" in in_one_line(capsys.readouterr().out)
+
+
+def table(path, head, *columns):
+    rows = [",".join(map(str, each)) for each in zip(*columns, strict=True)]
+    path.write_text("\n".join([head, *rows]), encoding="utf-8")
+    return path
+
+
+CLOCK = [f"{(23 * 60 + 58 + k // 60) // 60 % 24:02d}:{(58 + k // 60) % 60:02d}:{k % 60:02d}" for k in range(300)]
+
+
+def test_a_date_and_a_time_in_two_columns_and_times_of_a_day_over_midnight_are_read(tmp_path):
+    _, lat, lon = positions()
+    dates = ["2025-05-03"] * 120 + ["2025/05/04"] * 180
+    path = tmp_path / "two.csv"
+    r = recordings.read(table(path, "Date,Time,lat,lon", dates, CLOCK, lat, lon))
+    assert recordings.moment_of(r.time[0]).isoformat() == "2025-05-03T23:58:00+00:00"
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    assert "date from 'Date'" in r.said[0]
+    r = recordings.read(table(path, "time,lat,lon", CLOCK, lat, lon))
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    assert (r.time[0], r.dated) == (recordings.microseconds("1970-01-01T23:58:00Z"), False)
+    assert "times of day without a date: they count from the first midnight" in r.said
+    whole = [f"{day}T{clock}" for day, clock in zip(dates, CLOCK, strict=True)]
+    r = recordings.read(table(path, "time,day,lat,lon", whole, dates, lat, lon))  # a date that is not needed
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    r = recordings.read(table(path, "date,lat,lon", whole, lat, lon))
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+
+
+def test_columns_of_ten_millionths_of_a_degree_are_read_by_their_names(tmp_path):
+    _, lat, lon = positions()
+    whole = [np.round(1e7 * each).astype(int) for each in (lat, lon)]
+    path = tmp_path / "e7.csv"
+    for head in ("t,latE7,lonE7", "t,latitudeE7,longitudeE7"):
+        r = recordings.read(table(path, head, range(300), *whole))
+        np.testing.assert_allclose([r.lat, r.lon], [lat, lon], atol=1e-7)
+    with pytest.raises(ValueError, match=r"are they 1e7 to a degree\? Columns of such are named latE7 and lonE7"):
+        mpt.track(table(path, "t,lat,lon", range(300), *whole))
+
+
+def test_dates_of_unknown_order_and_commas_among_commas_are_refused_with_what_was_seen(tmp_path):
+    _, lat, lon = positions()
+    path = tmp_path / "seen.csv"
+    seen = r"as '05/03/2025 23:58:00': is the day first, or the month\? Write dates as 2025-05-03"
+    times = [f"05/03/2025 {clock}" for clock in CLOCK]
+    with pytest.raises(ValueError, match=seen):
+        mpt.track(table(path, "time,lat,lon", times, lat, lon))
+    with pytest.raises(ValueError, match=seen):
+        mpt.track(table(path, "date,time,lat,lon", ["05/03/2025"] * 300, CLOCK, lat, lon))
+    quoted = [[f'"{value:.6f}"'.replace(".", ",") for value in each] for each in (lat, lon)]
+    with pytest.raises(ValueError, match=r"needs decimal points, .* got decimal commas in column 'lat', as '57,0000"):
+        mpt.track(table(path, "time,lat,lon", range(300), *quoted))
+
+
+def test_r_is_that_of_the_fixes_that_are_kept():
+    """With noise of Student's t, of so few degrees of freedom that some fixes are refused as faults."""
+    for seed in range(4):
+        z, _, _ = positions(N=1000, seed=seed)
+        rng = np.random.default_rng(seed)
+        noise = 2 * rng.standard_t(1.5, z.shape)
+        c = tracks.clean(np.arange(1000.0), z + noise)
+        assert len(c.refused) > 0
+        assert c.r == pytest.approx(4 + np.mean(noise[c.mask] ** 2), rel=0.05)
+        assert c.r < 0.5 * (4 + np.mean(noise**2))
+
+
+def test_hdop_weighs_the_fixes(tmp_path):
+    z, _, _ = positions()
+    hdop = np.where(np.arange(300) % 3 == 0, 5.0, 1.0)
+    noisy = z + (hdop[:, None] - 1) * 2 * np.random.default_rng(2).standard_normal(z.shape)
+    lat, lon = tracks.degrees(noisy, (57.0, 9.9))
+    fixes = [fix(*place, k, f"<hdop>{hdop[k]}</hdop>") for k, place in enumerate(zip(lat, lon, strict=True))]
+    path = tmp_path / "hdop.gpx"
+    path.write_text(gpx_of(fixes), encoding="utf-8")
+    weighed = mpt.track(path)
+    path.write_text(gpx_of([re.sub("<hdop>.*</hdop>", "", each) for each in fixes]), encoding="utf-8")
+    plain = mpt.track(path)
+    assert "fixes are weighed by their hdop" in in_one_line(weighed.report())
+    true, _, _ = positions()
+
+    def error(c):
+        there = tracks.local(*report.degrees_of(c), (57.0, 9.9))
+        return mpt.metrics.rms(there - true)
+
+    assert error(weighed) < 0.9 * error(plain)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda text: re.sub("<time>.*?</time>", "", text), "got 300 fixes and no times"),
+        (lambda text: re.sub("<time>.*?</time>", "<time>noon</time>", text), "times that cannot be read, as 'noon'"),
+        (
+            lambda text: re.sub("<time>.*?</time>", "<time>2024-05-03T10:00:00Z</time>", text),
+            "got 2024-05-03 10:00:00 in all",
+        ),
+        (lambda text: re.sub('lat="5', 'lat="95', text), "needs degrees of at most 90 and 360"),
+        (lambda text: re.sub('lat="5', 'lat="15', text), "are the two exchanged?"),
+        (lambda text: text[:5000], "needs a GPX file, got one that cannot be read"),
+        (lambda text: "", "needs columns"),
+        (lambda text: text.replace("<trkpt", "<rtept").replace("</trkpt", "</rtept"), "and no fixes"),
+        (lambda text: f"{HEAD}{'<a>' * 200_000}", "elements nested more than 100 deep"),
+        (
+            lambda text: re.sub('<trkpt lat="[^"]*" lon="[^"]*"', '<trkpt lat="57" lon="9"', text),
+            "needs a track that moves",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_words(tmp_path, capsys, spoil, words):
+    _, lat, lon = positions()
+    fixes = [fix(*place, k) for k, place in enumerate(zip(lat, lon, strict=True))]
+    path = tmp_path / "bad.gpx"
+    path.write_text(spoil(gpx_of(fixes)), encoding="utf-8")
+    code, out, err = said(capsys, path)
+    assert (code, out) == (1, "")
+    assert "bad.gpx" in err or "moves" in err
+    assert words in err
+    assert [each.name for each in tmp_path.iterdir()] == ["bad.gpx"]
+
+
+def test_unusual_numbers_are_named_and_absurd_ones_set_no_scale(tmp_path):
+    _, lat, lon = positions()
+    fixes = [fix(*place, k) for k, place in enumerate(zip(lat, lon, strict=True))]
+    path = tmp_path / "odd.gpx"
+    for height in ("-32768", "1e300"):
+        path.write_text(gpx_of([fixes[0].replace("30.5", height), *fixes[1:]]), encoding="utf-8")
+        assert tracks.gpx(path, up=True)[0].origin[2] == 30.5
+        assert in_one_line(mpt.track(path).report()).count("refused as faults: none") == 1
+    fast = [fix(57 + (k * 0.005), 9.9, k) for k in range(300)]
+    path.write_text(gpx_of(fast), encoding="utf-8")
+    assert "ATTENTION: one step in a hundred is faster than 55" in in_one_line(mpt.track(path).report())
+    far = [fixes[0], fix(-33.0, 151.0, 1), *fixes[2:]]
+    path.write_text(gpx_of(far), encoding="utf-8")
+    c = mpt.track(path)
+    np.testing.assert_array_equal(c.refused, [1])
+    path.write_text(gpx_of([fix(-33.0, 151.0, 0), *fixes[1:]]), encoding="utf-8")
+    c = mpt.track(path)  # nor is the first fix an origin for all
+    np.testing.assert_array_equal(c.refused, [0])
+    assert np.abs(c.x[1:, ::2]).max() < 10e3
+    again = [*fixes[:9], fixes[8], *fixes[9:]]
+    path.write_text(gpx_of(again), encoding="utf-8")
+    assert "not used: 1 with a time that is not after the one before" in in_one_line(mpt.track(path).report())
+
+
+SLOW = "ATTENTION: 99 of 100 steps are slower than"
+
+
+@pytest.mark.parametrize(
+    ("step", "metres", "words"),
+    [
+        (1, 1, None),
+        (1e3, 1, SLOW),  # milliseconds
+        (1, 1e-3, SLOW),  # kilometres
+        (1, 9e-6, SLOW),  # degrees
+        (1, 1e3, "ATTENTION: one step in a hundred is faster than"),  # millimetres
+        (1e3, 2, f"{SLOW} 0.03 m/s, with a fix every 1000 s"),  # a car in milliseconds
+        (4e3, 60, f"{SLOW} 0.2 m/s, with a fix every 4000 s"),  # an aircraft
+        (100, 0.3, f"{SLOW} 0.05 m/s, with a fix every 100 s"),  # a car ten times a second
+        (3600, 5 * 360, None),  # a ship
+        (3600, 60, SLOW),  # a ship that drifts: it is asked, and not refused
+        (60, 6, None),  # a walk, rarely
+    ],
+    ids=["s_m", "ms", "km", "degrees", "mm", "car_ms", "plane_ms", "10_Hz_ms", "ship", "drift", "walk"],
+)
+def test_other_units_are_asked_for_where_numbers_are_handed_in_too(step, metres, words):
+    z, _, _ = positions()
+    c = tracks.clean(step * np.arange(300.0), metres * z)
+    asked = " ".join(c.unusual)
+    assert in_one_line(c.report()).endswith(asked)
+    assert c.summary()["notes"] == c.unusual
+    if words is None:
+        assert asked == ""
+        return
+    assert words in asked
+    assert "are the times in seconds" in asked
+    assert "in metres, not" in asked
+    if words.startswith(SLOW):
+        assert "seconds, not milliseconds, and the positions in metres, not degrees or kilometres?" in asked
+
+
+def test_a_file_in_degrees_is_asked_for_its_times_only(tmp_path):
+    _, lat, lon = positions()
+    path = tmp_path / "car.csv"
+    rows = [f"{1000 * k},{place[0]:.7f},{place[1]:.7f}" for k, place in enumerate(zip(lat, lon, strict=True))]
+    path.write_text("\n".join(["t,lat,lon", *rows]))
+    c = mpt.track(path)
+    (asked,) = c.unusual
+    assert asked.endswith(", with a fix every 1000 s: are the times in seconds, not milliseconds?")
+    assert c.summary()["notes"][-1] == asked
+
+
+def test_so_many_refused_fixes_are_called_no_faults():
+    z, _, _ = positions()
+    c = tracks.clean(np.arange(300.0), z)
+    c.pieces[100:130] = -1
+    assert c.unusual == []
+    c.pieces[130] = -1
+    words = "10% of the fixes are refused. So many are hardly faults: are digits missing, or is the noise large?"
+    assert words in in_one_line(c.report())
+
+
+def test_a_track_of_too_few_digits_is_told_so():
+    z, _, _ = positions()
+    t = np.arange(300.0)
+    c = replace(tracks.clean(t, z), z=np.where(t[:, None] < 298, z[0], z))
+    assert c.unusual == ["ATTENTION: 99 of 100 fixes stand where the one before them stood: are digits missing?"]
+    with pytest.raises(ValueError, match=r"a track that moves, got 260 of 300 fixes standing .* are digits missing\?"):
+        tracks.clean(t, z.round(-2))
+
+
+def test_a_first_half_that_rests_tells_no_band():
+    z, _, _ = positions()
+    c = tracks.clean(np.arange(300.0), np.where(np.arange(300)[:, None] < 170, z[0], z))
+    assert c.band is None
+    assert c.stretches == 2
+
+
+def test_a_fix_that_is_left_out_counts_for_one_reason(tmp_path):
+    """Without a time, with one that cannot be read, without a position, and without both."""
+    _, lat, lon = positions()
+    fixes = [fix(*place, k) for k, place in enumerate(zip(lat, lon, strict=True))]
+    blank, noon = (lambda text: re.sub("<time>.*</time>", "", text)), (lambda text: re.sub("10:..:..Z", "noon", text))
+    nowhere = lambda text: text.replace('lat="5', 'lat="95')  # noqa: E731
+    fixes[20], fixes[30], fixes[40] = blank(fixes[20]), noon(fixes[30]), nowhere(noon(fixes[40]))
+    fixes[50], fixes[60] = nowhere(fixes[50]), nowhere(blank(fixes[60]))
+    path = tmp_path / "holes.gpx"
+    path.write_text(gpx_of(fixes), encoding="utf-8")
+    left_out = mpt.track(path).source.left_out
+    assert left_out == {"no position on the Earth": 3, "no time": 1, "a time that cannot be read": 1}
+
+
+@pytest.mark.parametrize("time", ["2024-05-03T10:00:60Z", "2024-05-03T10:01:00,0Z", " 2024-05-03T10:01:00Z"])
+def test_a_leap_second_a_comma_and_a_blank_are_read(time):
+    assert recordings.microseconds(time) == recordings.microseconds("2024-05-03T10:01:00Z")
+
+
+def test_a_time_that_cannot_be_read_is_said_to_be_one(tmp_path):
+    path = tmp_path / "track.gpx"
+    fixes = [fix(57, 9, 0), re.sub("10:00:01", "10:00:71", fix(57, 9, 1)), fix(57, 9, 2)]
+    path.write_text(gpx_of(fixes), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"a time that cannot be read \('2024-05-03T10:00:71Z'\) in fix 2"):
+        tracks.gpx(path)
+
+
+def test_what_was_taken_from_the_file_goes_back_into_any_encoding(spoilt, capsys):
+    text = spoilt.read_text(encoding="utf-8").replace("UTF-8", "UTF-16")
+    text = re.sub(r"(</?)(trk|gpx)", r"\1g:\2", text).replace("xmlns=", "xmlns:g=")
+    spoilt.write_bytes(text.encode("utf-16"))
+    assert said(capsys, spoilt)[0] == 0
+    after = tracks.gpx(spoilt.parent / "giro_smooth.gpx")
+    assert [len(each.t) for each in after] == [99, 100, 100]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r"><ele>30.5</ele><time>[^<]*</time></trkpt></trkseg>", "/></trkseg>"),  # of an element without content
+        ("<trkpt lat", "<trkpt name='north > south' lat"),
+        (r'" lon="', '" note="/>" lon="'),
+    ],
+)
+def test_fixes_written_in_any_way_that_xml_allows_are_replaced_in_place(tmp_path, capsys, old, new):
+    _, lat, lon = positions()
+    lat[50] += 0.01  # an outlier, which would stand in the new file if its numbers were not found
+    lon[50] += 0.01
+    fixes = [fix(*place, k) for k, place in enumerate(zip(lat, lon, strict=True))]
+    path = tmp_path / "walk.gpx"
+    path.write_text(re.sub(old, new, gpx_of(fixes[:100], fixes[100:])), encoding="utf-8")
+    before = recordings.read_gpx(path)
+    assert said(capsys, path)[0] == 0
+    after = recordings.read_gpx(tmp_path / "walk_smooth.gpx")
+    timed = before.time != recordings.NO_TIME  # others are left out
+    np.testing.assert_array_equal(after.time, before.time[timed])
+    np.testing.assert_array_equal(after.segment, before.segment[timed])
+    for change in (after.lat - before.lat[timed], after.lon - before.lon[timed]):
+        assert -0.011 < change[50] < -0.009
+        assert np.abs(np.delete(change, 50)).max() < 2e-4
+
+
+@pytest.mark.parametrize("distance", [1e3, 150e3, 1000e3])
+def test_degrees_are_the_inverse_of_local(distance):
+    angle = np.linspace(0, 2 * np.pi, 24)
+    z = distance * np.column_stack([np.cos(angle), np.sin(angle)])
+    for origin in ((57.0, 9.9), (-33.0, 179.9, 1200.0), (89.9, 0.0)):
+        lat, lon = tracks.degrees(z, origin)
+        np.testing.assert_allclose(tracks.local(lat, lon, origin), z, atol=1e-6)
+
+
+def test_degrees_and_metres_are_those_of_another_package():
+    pymap3d = pytest.importorskip("pymap3d")
+    rng = np.random.default_rng(0)
+    lat, lon = 57 + rng.uniform(-3, 3, 50), 9.9 + rng.uniform(-3, 3, 50)
+    east, north, _ = pymap3d.geodetic2enu(lat, lon, 200.0, 57.0, 9.9, 200.0)
+    z = tracks.local(lat, lon, (57.0, 9.9, 200.0))
+    np.testing.assert_allclose(z, np.column_stack([east, north]), atol=1e-6)
+    back = tracks.degrees(z, (57.0, 9.9, 200.0))
+    np.testing.assert_allclose(back, [lat, lon], atol=1e-11)
+    flat = pymap3d.enu2geodetic(east, north, np.zeros(50), 57.0, 9.9, 200.0)
+    assert np.abs(flat[0] - lat).max() * 111e3 > 10  # what up = 0 would be wrong by
+
+
+def test_q_and_r_are_those_of_fit():
+    """A search in one dimension and the general one, on one track of the model."""
+    z, _, _ = positions(N=600)
+    c = tracks.clean(np.arange(600.0), z, rounding=0.0)
+    make = lambda q, r: mpt.stack(*[mpt.constant_velocity(dt=1.0, q=q, r=r, P0=np.diag([1e4, 1e3]))] * 2)  # noqa: E731
+    f = mpt.fit(make, z, q=c.q, r=c.r)
+    assert c.q == pytest.approx(f.values["q"], rel=0.05)
+    assert c.r == pytest.approx(f.values["r"], rel=0.02)
+
+
+def test_errors_of_q_and_r_hold_on_simulated_tracks():
+    """The errors over those stated have an rms of 1: in 40 runs ± 0.11, and blocks tell their own size to some 20 %."""
+    off = {"q": [], "r": []}
+    for seed in range(40):
+        z, _, _ = positions(N=400, seed=seed)
+        c = tracks.clean(np.arange(400.0), z, rounding=0.0)
+        for name, true in (("q", 0.05), ("r", 4.0)):
+            off[name].append(np.log(getattr(c, name) / true) / c.log_errors[name])
+    for name, each in off.items():
+        assert 0.7 < mpt.metrics.rms(each) < 1.5, name
+
+
+def fitted_by_turns(seed):
+    """The q of half an hour that is calm and wild by turns, three minutes each at the mean, and its stated error."""
+    rng, N = np.random.default_rng(seed), 1800
+    calm = np.cumsum(rng.random(N) < 1 / 180) % 2
+    changes = rng.standard_normal((N, 2)) * np.sqrt(np.where(calm, 0.01, 1.0))[:, None]
+    z = np.cumsum(np.cumsum(changes, axis=0), axis=0) + 2 * rng.standard_normal((N, 2))
+    t = np.arange(float(N))
+    scale = cleaning.scale_of(t, z, 0.0)
+    guess = cleaning.first_guess(t, z, scale)
+    line = cleaning.on_one_line(t, z, None, np.zeros(N, dtype=int), guess, scale)
+    found = cleaning.fitted(line, guess, scale)
+    return found.q, cleaning.log_errors(line, found, scale)["q"]
+
+
+def test_errors_of_q_hold_on_half_an_hour_that_is_calm_and_wild_by_turns():
+    """Ten blocks of three minutes, with Student's factor, state five sixths of the scatter, blocks of 1 s a fifth."""
+    q, errors = np.transpose([fitted_by_turns(seed) for seed in range(24)])
+    assert 0.8 < np.std(np.log(q), ddof=1) / mpt.metrics.rms(errors) < 1.35
+
+
+@pytest.mark.parametrize(("stretches", "step", "blocks"), [(1, 1.0, 10), (3, 1.0, 10), (2, 60.0, 120), (1, 1e-3, 10)])
+def test_blocks_are_a_tenth_of_all_stretches_or_five_minutes_and_no_step_is_cut(stretches, step, blocks):
+    """But for one more in each stretch, which may begin within one and end within one."""
+    t, z = step * np.arange(600.0), np.random.default_rng(1).standard_normal((600, 2)).cumsum(axis=0)
+    scale = cleaning.scale_of(t, z, 0.0)
+    noise = cleaning.Noise(1e-6, 1.0, False)  # so still that stretches stand most of a day apart
+    line = cleaning.on_one_line(t, z, None, np.arange(600) * stretches // 600, noise, scale)
+    assert len(np.unique(cleaning._blocks_of(line, scale))) == pytest.approx(blocks, abs=stretches)
+
+
+def pieces_of(rng, N):
+    """The stretch of each of N fixes: 2 to 5 of them, with refused fixes inside and between."""
+    pieces = np.sort(rng.integers(0, rng.integers(2, 6), N))
+    pieces = np.unique(pieces, return_inverse=True)[1]
+    for k in range(pieces.max() + 1):
+        own = np.flatnonzero(pieces == k)
+        pieces[own[2:][rng.random(len(own[2:])) < 0.3]] = -1
+    return pieces
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_stretches_on_one_line_begin_where_the_one_before_has_ended_an_hour_later(seed):
+    """Moved as a whole, and told from which fixes their start is known."""
+    rng = np.random.default_rng(seed)
+    N = int(rng.integers(30, 80))
+    t, z, pieces = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 2)).cumsum(axis=0), pieces_of(rng, N)
+    relative = rng.uniform(0.5, 2.0, (N, 2)) if seed % 2 else None
+    noise, scale = cleaning.Noise(1.0, 1.0, False), cleaning.Scale(1.0, 2.0, 1e-6)
+    line = cleaning.on_one_line(t, z, relative, pieces, noise, scale)
+    before = None
+    for k in range(pieces.max() + 1):
+        own = np.flatnonzero(pieces == k)
+        here = np.flatnonzero(line.number == k)
+        span = np.arange(own[0], own[-1] + 1)
+        np.testing.assert_array_equal(line.rows[here], span)
+        np.testing.assert_allclose(np.diff(line.t[here]), np.diff(t[span]), rtol=1e-9, atol=1e-9)
+        kept = pieces[span] >= 0
+        np.testing.assert_allclose((line.z[here] - line.moved[here])[kept], z[span][kept], atol=1e-9)
+        assert np.isnan(line.z[here][~kept]).all()
+        assert np.ptp(line.moved[here], axis=0).max() == 0
+        np.testing.assert_array_equal(span[line.first[here]], own[:2])
+        if before is not None:
+            np.testing.assert_allclose(line.z[here[0]], line.z[before], atol=1e-9)
+            assert line.t[here[0]] - line.t[before] == pytest.approx(3600)
+        before = here[-1]
+    assert (relative is None) == (line.relative is None)
+    if relative is not None:
+        np.testing.assert_array_equal(line.relative, relative[line.rows])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_way_and_the_time_in_motion_are_those_within_stretches(seed):
+    """What lies between two stretches is no way, and the time of a pause is no motion."""
+    rng = np.random.default_rng(seed)
+    N = int(rng.integers(30, 80))
+    pieces = pieces_of(rng, N)
+    t, x, P = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 4)), np.zeros((N, 4, 4))
+    P[:, 1, 1] = rng.uniform(0.1, 2.0, N)
+    inside = np.zeros(N, bool)
+    metres = seconds = 0.0
+    for k in range(pieces.max() + 1):
+        own = np.flatnonzero(pieces == k)
+        inside[own[0] : own[-1] + 1] = True
+        for row in range(own[0] + 1, own[-1] + 1):
+            metres += np.hypot(x[row, 0] - x[row - 1, 0], x[row, 2] - x[row - 1, 2])
+            seconds += (t[row] - t[row - 1]) * (np.hypot(x[row, 1], x[row, 3]) > 0.5)
+    speed = np.hypot(x[inside, 1], x[inside, 3])
+    x[~inside] = np.nan
+    c = SimpleNamespace(t=t, x=x, P=P, pieces=pieces, stretches=pieces.max() + 1)
+    expected = [metres / 1000, seconds, 3.6 * np.median(speed[speed > 0.5]), 3.6 * np.quantile(speed, 0.999)]
+    expected.append(3.6 * np.sqrt(np.median(P[inside, 1, 1])))
+    np.testing.assert_allclose(report._numbers_of_the_way(c), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixes(seed, monkeypatch):
+    """As many stretches as fit, from the first fix to the last; the first two fixes of each tell where it begins."""
+    rng = np.random.default_rng(seed)
+    most, each, N = 60, 12, int(rng.integers(61, 300))
+    monkeypatch.setattr(cleaning, "MOST_FITTED", most)
+    monkeypatch.setattr(cleaning, "FITTED_AT_A_TIME", each)
+    z = rng.standard_normal((N, 2)).cumsum(axis=0)
+    z[rng.random(N) < 0.2] = np.nan
+    z[[0, -1]] = 0.0
+    first = np.zeros(N, bool)
+    first[[0, 1, N // 2, N // 2 + 1]] = True
+    number = np.arange(N) // (N // 2)
+    line = cleaning.Stretches(np.arange(N), np.arange(N) * 1.0, z, 0 * z, first, number, None)
+    part = cleaning._sample(line)
+    starts = np.linspace(0, N - each, most // each).astype(int)
+    rows = sorted({row for start in starts for row in range(start, start + each)})
+    np.testing.assert_array_equal(part.rows, rows)
+    np.testing.assert_array_equal(part.z, z[rows])
+    due = first.copy()
+    for start in starts:
+        left = 2
+        for row in range(start, N):
+            if left and not np.isnan(z[row]).all():
+                due[row], left = True, left - 1
+    np.testing.assert_array_equal(part.first, due[rows])
+    assert cleaning._sample(line.part(slice(most))).first.sum() == first[:most].sum()
+
+
+def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
+    c = mpt.track(RIDE)
+    assert c.rounding
+    assert c.r == pytest.approx((111e3 * 8.4e-8) ** 2 / 12, rel=0.05)  # half a circle over 2^31
+    assert np.isinf(c.log_errors["r"])
+    assert "the recorder had smoothed them already" in in_one_line(c.report())
+    assert "(r = 7.2e-06 m²)" in c.report()  # with blanks as a terminal knows them
+    assert c.summary()["log_errors"]["r"] is None
+
+
+def test_the_track_of_the_guide_as_a_whole_process(tmp_path):
+    run = [sys.executable, "-m", "mpt_helpers", "track", str(RIDE), "--out", str(tmp_path)]
+    done = subprocess.run(run, capture_output=True, text=True, cwd=ROOT, check=True)
+    out = in_one_line(done.stdout)
+    assert "4,559 fixes in 1:15:58" in out
+    assert re.search(r": 9[456]% of 2,\d\d\d fixes lay within", out)
+    assert done.stderr == ""
+
+
+def test_the_moved_commands_are_still_named(capsys):
+    assert main(["reproduce"]) == 2
+    assert "python -m reproduction reproduce" in capsys.readouterr().err
+
+
+def walked(seed=5, N=2000):
+    """Latitudes of a mobile that is driven north at 2.6 m/s, so that no two of them are alike."""
+    return 57 + (2.6 * np.arange(N) + 0.02 * np.random.default_rng(seed).standard_normal(N)) / 111e3
+
+
+@pytest.mark.parametrize(
+    "grid", [1e-5, 1e-6, 1e-7, 1 / 60e3, 1 / 60e4, 1 / 36e3, 180 / 2**31], ids=lambda grid: f"{grid:.3g}"
+)
+def test_the_grid_of_a_file_is_found_beside_faults_and_where_the_track_was_moved(grid):
+    rng = np.random.default_rng(1)
+    lat = 57 + grid * np.round(np.cumsum(rng.uniform(-1, 2, 2000)) * 1e-5 / grid)
+    assert cleaning.grid_of(lat, tracks.GRIDS) == pytest.approx(grid)
+    lat[rng.choice(2000, 40)] += rng.standard_normal(40) * 1e-3  # they are written with more digits
+    lat[900:] += 0.00123456
+    assert cleaning.grid_of(lat.round(9), tracks.GRIDS) == pytest.approx(grid)
+
+
+def test_one_fix_of_more_digits_does_not_change_the_rounding_of_a_file(tmp_path):
+    text = RIDE.read_text(encoding="utf-8")
+    for name in ("lat", "lon"):  # a number that stands there twice, so that the least difference becomes another
+        degrees = re.findall(rf'{name}="([^"]*)"', text)
+        twice = next(each for k, each in enumerate(degrees) if each in degrees[:k])
+        text = text.replace(f'{name}="{twice}"', f'{name}="{float(twice) + 3e-9:.10f}"', 1)
+    path = tmp_path / "ride.gpx"
+    path.write_text(text, encoding="utf-8")
+    assert mpt.track(path).r == pytest.approx(mpt.track(RIDE).r)
+
+
+def test_the_step_of_a_straight_way_is_not_the_grid():
+    assert cleaning.grid_of(walked().round(7), tracks.GRIDS) == pytest.approx(1e-7)
+    assert cleaning.grid_of(walked(), tracks.GRIDS) < 1e-6  # on none
+    assert cleaning.grid_of(np.array([57.0, 57.0, np.nan]), tracks.GRIDS) == 0
+    assert cleaning.grid_of(np.cumsum([0.0, 1.2, 0.1, 2.4] * 9), tracks.GRIDS_OF_METRES) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (0.084, "known to 8%"),
+        (0.31, "known to a factor of 1.4"),
+        (1.7, "known to a factor of 5.5"),
+        (2.4, "hardly known"),
+    ],
+)
+def test_an_error_of_a_logarithm_is_said_in_words(error, words):
+    assert report._known(error) == words
+
+
+def test_the_picture_shows_jumps_and_the_end_and_counts_hours_of_long_tracks():
+    z, _, _ = positions()
+    z[200:] += 1000
+    c = tracks.clean(40 * np.arange(300.0), z)
+    above, below = c.plot().axes
+    labels = [line.get_label() for line in above.get_lines()]
+    assert {"smoothed", "jumps", "start", "end"} <= set(labels)
+    jump = above.get_lines()[labels.index("jumps")].get_xydata()
+    np.testing.assert_allclose(jump, c.x[[199, 200]][:, ::2] / 1000)
+    assert below.get_xlabel() == "time (h)"
+    assert tracks.clean(np.arange(300.0), z).plot().axes[1].get_xlabel() == "time (min)"
+
+
+@pytest.mark.parametrize("wide", [1.0, 40.0])
+def test_all_text_of_the_picture_lies_inside_it_and_numbers_stand_apart(wide):
+    z, _, _ = positions()
+    z = 130e3 + z * [wide, 1]
+    z[50] += 9e4  # off the map
+    z[100] += [30, 60]
+    z[200:] += 1000
+    fig = tracks.clean(np.arange(300.0), z).plot()
+    fig.draw_without_rendering()
+    (legend,) = fig.legends
+    assert len(legend.get_texts()) == 6
+    texts = [legend, *legend.get_texts()]
+    for ax in fig.axes:
+        texts += [ax.xaxis.label, ax.yaxis.label, ax._left_title]
+        along, up = (
+            [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+            for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim()))
+        )
+        texts += along + up
+        ends = [each.get_window_extent() for each in along]
+        for one, following in itertools.pairwise(ends):
+            assert following.x0 - one.x1 > 4  # points of 1/100 inch
+    for each in texts:
+        extent = each.get_window_extent()
+        assert fig.bbox.x0 <= extent.x0, each
+        assert extent.x1 <= fig.bbox.x1, each
+        assert fig.bbox.y0 <= extent.y0, each
+        assert extent.y1 <= fig.bbox.y1, each
+
+
+def test_lengths_of_time_are_taken_for_what_they_are(tmp_path):
+    z, lat, lon = positions()
+    t = np.arange(300.0)
+    t[150:] += 100
+    kinds = (90.0, timedelta(minutes=1.5), np.timedelta64(90, "s"))
+    for pause in kinds:
+        c = tracks.clean(t, z, pause=pause, seconds=timedelta(seconds=20))
+        assert (c.stretches, c.band.seconds) == (2, 20.0)
+    path = tmp_path / "pause.gpx"
+    path.write_text(gpx_of([fix(*place, int(k)) for *place, k in zip(lat, lon, t, strict=True)]), encoding="utf-8")
+    assert [[len(each.t) for each in tracks.gpx(path, pause=pause)] for pause in kinds] == [[150, 150]] * 3
+    axis = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0)
+    models = [mpt.lasting_error(axis, sigma=1.0, tau=tau) for tau in kinds]
+    assert models[0].F[2, 2] == models[1].F[2, 2] == models[2].F[2, 2]
