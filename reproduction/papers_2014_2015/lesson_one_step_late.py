@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 import mpt_helpers as mpt
-from mpt_helpers import plots
+from reproduction import plots
 
 PRINTED = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)  # Example 1 of the paper: H = [1 dt]
 NOISE = np.sqrt(PRINTED.R[0, 0])  # sigma of a measured position (m)
