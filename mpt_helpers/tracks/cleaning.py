@@ -30,8 +30,8 @@ from .._checks import Array, Seconds
 from ..fitting import covariance_of_scores
 from ..kalman import KalmanFilter
 from ..model import constant_velocity, stack
-from . import gate, report
-from .files import write_whole
+from . import gate, report, writers
+from .files import write_together
 from .readers import Recording
 
 if TYPE_CHECKING:
@@ -497,7 +497,7 @@ class Source:
     said: what was taken for what, in words
     """
 
-    path: Path
+    path: Path | str
     recording: Recording
     rows: NDArray[np.intp]
     left_out: dict[str, int]
@@ -570,14 +570,24 @@ class Cleaned:
         """Return a figure: a map with the refused fixes, and the speed with its band."""
         return report.figure(self)
 
-    def gpx(self, path: str | PathLike[str]) -> None:
+    def gpx(self, path: str | PathLike[str], overwrite: bool = False) -> None:
         """Write the smoothed track as a GPX file.
 
         Times, heights, segments and all else that the file of the track holds are kept. A fix that was refused within a
         stretch lies on the smoothed line; one between stretches is left out, and after a jump a new segment begins, so
-        that a map draws no line over the jump. Raises ValueError for a track in metres that is from no file.
+        that a map draws no line over the jump. Raises ValueError for a track in metres, and FileExistsError for a file
+        that exists, unless `overwrite` is True; the source is never written over.
         """
-        write_whole(Path(path), report.gpx_bytes(self))
+        write_together({Path(path): writers.gpx_bytes(self)}, overwrite, self.source.path)
+
+    def to_frame(self) -> Any:
+        """Return the track as a pandas frame with a row for each fix that was used.
+
+        It has `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y`
+        (m/s), `sigma` and `sigma_v`, the standard deviations of each axis of these, `kept`, and the number of the
+        stretch; NaN and -1 outside of stretches. The rows have the labels of the frame that the track is from.
+        """
+        return writers.frame_of(self)
 
     @property
     def starts(self) -> NDArray[np.intp]:

@@ -6,14 +6,13 @@ The words need no knowledge of filters; what a specialist looks for stands in br
 from __future__ import annotations
 
 import math
-import re
+from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import geodesy
-from .readers import moment_of, places_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,8 +34,6 @@ VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
 RARELY = 100.0  # s
 MANY = 0.1
 NUMBERS = 5  # steps of an axis at most: six numbers of five digits fit
-# The tag that a fix begins with. A value in quotes may hold a >.
-START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 
 
 def text(c: Cleaned) -> str:
@@ -137,7 +134,7 @@ def _count(number, one, many=None):
 
 
 def _heading(c):
-    name = "" if c.source is None else f"{c.source.path.name}: "
+    name = "" if c.source is None else f"{Path(c.source.path).name}: "
     steps = np.diff(c.t[np.isfinite(c.z).any(axis=1)])
     usual = float(np.median(steps))
     every = f"every {usual:g} s" if np.mean(steps == usual) > 0.99 else f"mostly every {usual:g} s"
@@ -226,7 +223,7 @@ def _numbers_of_the_way(c):
         north = np.zeros_like(east)
     speed = np.hypot(east[:, 1], north[:, 1])
     steps = np.hypot(np.diff(east[:, 0]), np.diff(north[:, 0]))
-    number = _stretch_of_rows(c)[rows]
+    number = stretch_of_rows(c)[rows]
     same = np.diff(number) == 0
     seconds = np.diff(c.t[rows])
     moving = (speed[1:] > MOVING) & same
@@ -250,7 +247,7 @@ def _way(c):
     )
 
 
-def _stretch_of_rows(c):
+def stretch_of_rows(c: Cleaned) -> np.ndarray:
     """Return the stretch of every row that lies in one, refused ones too, and -1 of others."""
     number = np.full(len(c.t), -1)
     for k in range(c.stretches):
@@ -264,86 +261,6 @@ def _digits(value):
     if value == 0 or not 1e-4 <= abs(value) < 1e6:
         return f"{value:.1e}"
     return f"{value:.{max(0, 1 - math.floor(math.log10(abs(value))))}f}"
-
-
-def degrees_of(c: Cleaned) -> tuple[np.ndarray, np.ndarray]:
-    """Return latitudes and longitudes (N,) of the smoothed track, NaN outside of stretches."""
-    lat, lon = np.full(len(c.t), np.nan), np.full(len(c.t), np.nan)
-    inside = np.isfinite(c.x[:, 0])
-    for k, origin in enumerate(c.source.origins):
-        own = inside & (c.source.plane == k)
-        lat[own], lon[own] = geodesy.from_plane(c.x[own, :4:2], origin)
-    recorded = c.source.recording.lon[c.source.rows]
-    return lat, lon + 360 * np.round((recorded - lon) / 360)  # as the file counts them
-
-
-def gpx_bytes(c: Cleaned) -> bytes:
-    """Return the smoothed track as the bytes of a GPX file."""
-    if c.source is None or c.source.recording.metres is not None:
-        raise ValueError("gpx: needs a track in degrees, from a file; this one has metres only")
-    lat, lon = degrees_of(c)
-    new_segments = set(c.starts.tolist())
-    if c.source.recording.places is None:
-        return _plain_gpx(c, lat, lon, new_segments)
-    data, places = places_of(c.source.path, c.source.recording)
-    row_of = {int(fix): row for row, fix in enumerate(c.source.rows)}
-    pieces, at = [], 0
-    for fix, (begin, end) in enumerate(places.tolist()):
-        pieces.append(data[at:begin])
-        opening = START_TAG.match(data, begin)[0]
-        # Of an element without content, <trkpt .../>, the end is that of its tag.
-        at = begin + len(opening) if opening.endswith(b"/>") else data.index(b">", end) + 1
-        row = row_of.get(fix)
-        if row is None or math.isnan(lat[row]):
-            continue
-        if row in new_segments:
-            prefix = re.match(rb"<([\w.-]+:)?trkpt", opening)[1] or b""
-            pieces.append(b"</%strkseg><%strkseg>" % (prefix, prefix))
-        pieces.append(_with_number(_with_number(opening, b"lat", lat[row]), b"lon", lon[row]))
-        pieces.append(data[begin + len(opening) : at])
-    pieces.append(data[at:])
-    return _signed(b"".join(pieces))
-
-
-def _with_number(tag, name, value):
-    return re.sub(rb"(\s%s\s*=\s*)(\"[^\"]*\"|'[^']*')" % name, rb'\g<1>"%.8f"' % value, tag, count=1)
-
-
-def _signed(data):
-    """Return a GPX file with a line that says what made it, after the declaration."""
-    said = b"<!-- smoothed by mpt_helpers: refused fixes lie on the smoothed line, or are left out -->\n"
-    declaration = re.match(rb"\s*(\xef\xbb\xbf)?<\?xml.*?\?>\s*", data, re.DOTALL)
-    at = declaration.end() if declaration else 0
-    return data[:at] + said + data[at:]
-
-
-def _plain_gpx(c, lat, lon, new_segments):
-    recording = c.source.recording
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>']
-    lines.append('<gpx version="1.1" creator="mpt_helpers" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>')
-    for row in np.flatnonzero(np.isfinite(lat)).tolist():
-        if row in new_segments:
-            lines.append("</trkseg><trkseg>")
-        fix = c.source.rows[row]
-        height = recording.height[fix]
-        ele = f"<ele>{height:.2f}</ele>" if math.isfinite(height) else ""
-        time = moment_of(recording.time[fix]).isoformat().replace("+00:00", "Z")
-        lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
-    lines.append("</trkseg></trk></gpx>\n")
-    return _signed("\n".join(lines).encode())
-
-
-def csv_bytes(c: Cleaned) -> bytes:
-    """Return the smoothed track of a file in metres as a table, with a line of names."""
-    recording = c.source.recording
-    lines = ["# smoothed by mpt_helpers", "t_s,east_m,north_m,v_east,v_north,refused"]
-    number = _stretch_of_rows(c)
-    for row in np.flatnonzero(number >= 0).tolist():
-        seconds = recording.time[c.source.rows[row]] / 1e6
-        x = c.x[row]
-        refused = int(c.pieces[row] < 0)
-        lines.append(f"{seconds:.6f},{x[0]:.4f},{x[2]:.4f},{x[1]:.4f},{x[3]:.4f},{refused}")
-    return "\n".join([*lines, ""]).encode()
 
 
 def figure(c: Cleaned) -> Figure:
@@ -387,7 +304,7 @@ def _draw_map(ax, c, line, refused, start):
     position = _on_one_map(c, c.x[:, :4:2])
     if position.shape[1] < 2:
         position = np.column_stack([position, np.zeros(len(position))])
-    number = _stretch_of_rows(c)
+    number = stretch_of_rows(c)
     for k in range(c.stretches):
         rows = _thinned(np.flatnonzero(number == k))
         ax.plot(*position[rows].T, color=line, linewidth=1.4, label="smoothed" if k == 0 else None)
@@ -409,12 +326,12 @@ def _draw_map(ax, c, line, refused, start):
     ax.plot(*position[last], "s", color="0.2", markersize=6, linestyle="none", label="end")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("east (km)")
-    ax.set_title(_title(c), loc="left")
+    ax.set_title(_title(c), loc="left", parse_math=False)  # a name may have $ in it
     ax.set_ylabel("north (km)")
 
 
 def _title(c):
-    name = "track" if c.source is None else c.source.path.name
+    name = "track" if c.source is None else Path(c.source.path).name.encode(errors="replace").decode()
     name = name if len(name) <= 26 else f"{name[:23]}..."
     return f"{name}: {_numbers_of_the_way(c)[0]:.1f} km"
 
@@ -424,7 +341,7 @@ def _draw_speed(ax, c, line, refused, band):
     sigma = np.sqrt(c.P[:, 1, 1])
     unit, seconds = ("h", 3600) if c.t[-1] - c.t[0] > LONG else ("min", 60)
     time = (c.t - c.t[0]) / seconds
-    number = _stretch_of_rows(c)
+    number = stretch_of_rows(c)
     for k in range(c.stretches):
         rows = _thinned(np.flatnonzero(number == k))
         low, high = (np.maximum(speed[rows] + sign * 1.96 * sigma[rows], 0) * KM_H for sign in (-1, 1))
