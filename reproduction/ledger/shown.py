@@ -78,7 +78,7 @@ class Grid:
 
     def html(self) -> str:
         """Return the table in HTML."""
-        caption = f"<caption>{escape(self.caption)}</caption>\n" if self.caption else ""
+        caption = f'<caption style="text-align:left">{escape(self.caption)}</caption>\n' if self.caption else ""
         head, *rows = self.lines
         heads = "".join(cell.tag("th") for cell in head)
         body = "\n".join(f"<tr>{''.join(cell.tag('td') for cell in row)}</tr>" for row in rows)
