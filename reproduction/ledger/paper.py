@@ -12,7 +12,7 @@ import numpy as np
 
 from .contents import Row
 from .items import About, Cause, Item, printed_of
-from .shown import Grid, Layout, Shown, beside, laid_out, mark, shortened
+from .shown import Grid, Layout, Shown, beside, laid_out, mark, place, shortened
 from .tables import gap_text
 from .verdicts import (
     BASES,
@@ -174,24 +174,25 @@ class Paper:
             size = gap_text(gap)
             evidence = f"{what}: largest gap {size}" if what else f"largest gap {size}"
             given = self.claim(id, bool(gap < below), evidence, basis=self._item(id).basis or "identity", reason=reason)
-            rows.append([f"{mark(given.verdict)} {given.where}", shortened(given.printed), size])
-        return self._shown(Grid(["", "the paper says", "largest gap" + (f" to {what}" if what else "")], rows))
+            rows.append([place(given), shortened(given.printed), size])
+        head = ["", "the paper says", "largest gap" + (f" to {what}" if what else "")]
+        return self._shown(Grid(head, rows, sentences=True))
 
     def claims(self, found: Mapping[str, tuple], *, basis: str = "") -> Shown:
         """Record claims and formulas, and show them in a table: {id: (holds, evidence[, beyond])}, as in `claim`."""
         rows = []
         for id, (holds, evidence, *beyond) in found.items():
             given = self.claim(id, holds, evidence, basis=basis, beyond=" ".join(beyond))
-            rows.append([f"{mark(given.verdict)} {given.where}", given.printed, evidence])
-        return self._shown(Grid(["", "the paper says", "what we find"], rows))
+            rows.append([place(given), given.printed, evidence])
+        return self._shown(Grid(["", "the paper says", "what we find"], rows, sentences=True))
 
     def lacking(self, missing: Mapping[str, str]) -> Shown:
         """Record what cannot be checked, {id: what is missing}, and show it in a table."""
         rows = []
         for id, what in missing.items():
             given = self.cannot_check(id, what, cause=self._item(id).cause or None)
-            rows.append([f"? {given.where}", given.printed, what])
-        return self._shown(Grid(["", "what cannot be checked", "why"], rows))
+            rows.append([place(given), given.printed, what])
+        return self._shown(Grid(["", "what cannot be checked", "why"], rows, sentences=True))
 
     def _cell(self, item, value, basis, grid, decimals):
         """Check one cell of a table, and return it as it is shown."""

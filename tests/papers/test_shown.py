@@ -8,7 +8,7 @@ from conftest import PAPER
 
 from reproduction.ledger import Item, Verdicts, read_paper
 from reproduction.ledger.contents import Row, contents, in_words, write_contents
-from reproduction.ledger.shown import Grid
+from reproduction.ledger.shown import Cell, Grid
 from reproduction.ledger.verdicts import MIME
 
 TABLES = """
@@ -158,6 +158,8 @@ def test_the_cells_of_a_table_in_html_keep_their_signs():
     html = Grid(["a", "b"], [["<", "1 ✗"]], "c & d").html()
     assert "c &amp; d</caption>" in html
     assert "<td>&lt;</td><td>1 ✗</td>" in html
+    sentences = Grid(["a"], [[Cell("b", wrong=True)]], sentences=True).html()
+    assert "<td style='text-align:left; background:#fbe0d2'>b</td>" in sentences
 
 
 @pytest.fixture
