@@ -16,7 +16,7 @@ GPSBABEL = "gpsbabel -t -i {} -f FILE -o gpx -F track.gpx"
 KINDS = (
     (rb"PK\x03\x04", "a zip archive", "unpack it; a workbook: pandas.read_excel(FILE).to_csv('track.csv')"),
     (rb"BZh|\xfd7zXZ|\x28\xb5\x2f\xfd|7z\xbc\xaf|Rar!", "a packed file", "unpack it"),
-    (rb"[\x0c\x0e].{7}\.FIT", "a FIT file", f"{GPSBABEL.format('garmin_fit')}, or the package fitdecode"),
+    (rb"(?s)[\x0c\x0e].{7}\.FIT", "a FIT file", f"{GPSBABEL.format('garmin_fit')}, or the package fitdecode"),
     (rb"\s*[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
     (rb"A[A-Z]{3}.*[\r\n]+H", "an IGC file", GPSBABEL.format("igc")),
     (rb".{60}(C?RINEX) VERS", "a RINEX file", "it holds ranges: make fixes of them first"),

@@ -41,7 +41,7 @@ def require_free(paths: list[Path], overwrite: bool, source: Path | str | None =
     for path in paths:
         if path.is_dir():
             raise IsADirectoryError(f"a folder is in the place of the file {path}")
-        if source is not None and path.exists() and Path(source).exists() and path.samefile(source):
+        if isinstance(source, Path) and path.exists() and source.exists() and path.samefile(source):
             raise FileExistsError(f"{path}: is the recording itself, which is not written over")
         if not overwrite and (path.exists() or path.is_symlink()):
             raise FileExistsError(f"{path}: exists; to replace it give overwrite=True, in the command --overwrite")

@@ -334,10 +334,10 @@ def _numbers(name, column, values):
     others = [text for text, number in zip(texts, numbers, strict=True) if math.isnan(number)]
     others = [text for text in others if text.strip().lower() not in MISSING]
     if len(others) > MANY * len(texts):
-        way = "convert it with pandas"
+        way = "degrees + minutes / 60 + seconds / 3600, negative south and west"
         if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", others[0]):
             way = "pandas.read_csv(FILE, decimal=',')"
-        elif re.search(r"[NSEW]\s*$", others[0], re.IGNORECASE):
+        elif re.fullmatch(r"\s*[\d.]+\s*[NSEW]\s*", others[0], re.IGNORECASE):
             sign = "map({'N': 1, 'S': -1, 'E': 1, 'W': -1})"
             way = f"frame[{column!r}] = frame[{column!r}].str[:-1].astype(float) * frame[{column!r}].str[-1].{sign}"
         raise ValueError(f"{name}: needs decimal numbers in column {column!r}, got {others[0]!r:.40}: {way}")
