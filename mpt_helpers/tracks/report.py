@@ -11,6 +11,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from . import geodesy
 from .readers import moment_of, places_of
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
+REST, REST_STEP = 60.0, 2.0  # s: a rest lasts a minute, which is looked at in steps
 KM_H = 3.6
 COLUMNS = 100  # of a terminal
 TOGETHER = "\u00a0"  # a blank at which no line is broken
@@ -79,7 +81,7 @@ def summary(c: Cleaned) -> dict[str, Any]:
 
 def _notes(c):
     """Return what was taken for what, and what is unusual, in words."""
-    return [*([] if c.source is None else c.source.said), *c.unusual]
+    return [*([] if c.source is None else c.source.said), *c.said, *c.unusual]
 
 
 def unusual(c: Cleaned) -> list[str]:
@@ -89,11 +91,11 @@ def unusual(c: Cleaned) -> list[str]:
     track that hardly moves is asked about, and one with rare fixes that would be no faster than a usual one.
     """
     found = []
-    fixes = np.isfinite(c.z).all(axis=1)
+    fixes = np.isfinite(c.z).all(axis=1) & c.mask
     seconds, moved = np.diff(c.t[fixes]), np.linalg.norm(np.diff(c.z[fixes], axis=0), axis=1)
     later = seconds > 0
     if later.any():
-        in_degrees = c.source is not None and bool(c.source.origins)
+        in_degrees = c.source is not None and bool(c.source.charts)
         found += _of_speeds(moved[later] / seconds[later], float(np.median(seconds[later])), in_degrees)
     share = _share_refused(c)
     if share > MANY:
@@ -139,9 +141,10 @@ def _count(number, one, many=None):
 def _heading(c):
     name = "" if c.source is None else f"{c.source.path.name}: "
     steps = np.diff(c.t[np.isfinite(c.z).any(axis=1)])
+    steps = steps[steps >= 0]
     usual = float(np.median(steps))
     every = f"every {usual:g} s" if np.mean(steps == usual) > 0.99 else f"mostly every {usual:g} s"
-    parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(c.t[-1] - c.t[0])}, {every}"]
+    parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(np.ptp(c.t))}, {every}"]
     if len(c.recordings) > 1:
         parts.append(f"in {len(c.recordings)} parts (pauses, or segments of the file)")
     return "; ".join(parts)
@@ -164,7 +167,7 @@ def _faults(c):
 
 def _moments(c, rows):
     """Say when the first few of some rows were recorded."""
-    when = ", ".join(_clock(c.t[row] - c.t[0]) for row in rows[:LISTED])
+    when = ", ".join(_clock(c.t[row] - c.t.min()) for row in rows[:LISTED])
     return f"{when}{', ...' if len(rows) > LISTED else ''} after the start"
 
 
@@ -218,44 +221,75 @@ def _prediction(c):
 
 
 def _numbers_of_the_way(c):
-    """Return km, seconds in motion, the median speed in motion, the fastest but 0.1 %, and their error (km/h)."""
-    there = np.isfinite(c.x[:, 0])
-    rows = np.flatnonzero(there)
-    east, north = c.x[rows][:, :2], c.x[rows][:, 2:4]
-    if north.shape[1] == 0:
-        north = np.zeros_like(east)
-    speed = np.hypot(east[:, 1], north[:, 1])
-    steps = np.hypot(np.diff(east[:, 0]), np.diff(north[:, 0]))
-    number = _stretch_of_rows(c)[rows]
-    same = np.diff(number) == 0
+    """Return km, seconds in motion or None, the median speed in motion, the fastest but 0.1 %, and their error (km/h).
+
+    Of a track with charts the way is that on the Earth; of a rest it is the straight line from its start to its end. In
+    motion is a row that is faster than MOVING and does not lie
+    in a minute at rest (`_at_rest`); it is not known where the error of the speed is as large as MOVING.
+    """
+    rows = c.line.rows
+    position, velocity = c.x[rows][:, :4:2], c.x[rows][:, 1:4:2]
+    speed, on_earth = np.linalg.norm(velocity, axis=1), position.T
+    if c.source is not None and c.source.charts:
+        for k, chart in enumerate(c.source.charts):
+            own = c.source.plane[rows] == k
+            speed[own] = chart.speed(position[own], velocity[own])
+        lat, lon = degrees_of(c)
+        on_earth = geodesy.earth_centred(lat[rows], lon[rows], 0.0)
+    rest = _at_rest(c.line, position, speed)
+    same = np.diff(c.line.number) == 0
+    kept = np.ones(len(rows), dtype=bool)
+    kept[1:-1] = ~(rest[1:-1] & rest[:-2] & rest[2:] & same[:-1] & same[1:])
+    steps = np.linalg.norm(np.diff(on_earth[:, kept], axis=1), axis=0)
     seconds = np.diff(c.t[rows])
-    moving = (speed[1:] > MOVING) & same
+    moving = (speed > MOVING) & ~rest
     error = math.sqrt(float(np.median(c.P[rows, 1, 1])))
-    fast = speed[speed > MOVING]
-    median = float(np.median(fast)) if len(fast) else 0.0
+    median = float(np.median(speed[moving])) if moving.any() else 0.0
     return (
-        float(steps[same].sum()) / 1000,
-        float(seconds[moving].sum()),
+        float(steps[np.diff(c.line.number[kept]) == 0].sum()) / 1000,
+        float(seconds[moving[1:] & same].sum()) if error < MOVING else None,
         median * KM_H,
         float(np.quantile(speed, 0.999)) * KM_H,
         error * KM_H,
     )
 
 
+def _at_rest(line, position, speed):
+    """Tell which rows of a line lie in a minute at rest.
+
+    The error of a receiver that stands wanders, at the speed of a slow walk. But it leads nowhere: such a minute stays
+    within the way that MOVING makes in it, and half of its speeds are below twice MOVING.
+    """
+    rest = np.zeros(len(position), dtype=bool)
+    half = REST / REST_STEP / 2
+    for k in range(line.number[-1] + 1):
+        own = np.flatnonzero(line.number == k)
+        t = line.t[own]
+        grid = np.arange(t[0], t[-1], REST_STEP)
+        size = int(2 * half) + 1
+        if len(grid) < size or len(grid) > 100 * len(own):
+            continue
+        windows = [sliding_window_view(np.interp(grid, t, each), size) for each in (*position[own].T, speed[own])]
+        extent = np.linalg.norm([np.ptp(each, axis=1) for each in windows[:-1]], axis=0)
+        calm = (extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING)
+        among = np.convolve(calm, np.ones(size))[: len(grid)] > 0.5  # the steps of the grid that a calm minute holds
+        rest[own] = among[np.minimum(np.searchsorted(grid, t), len(grid) - 1)]
+    return rest
+
+
 def _way(c):
     kilometres, moving, speed, fastest, error = _numbers_of_the_way(c)
+    motion = "" if moving is None else f", in motion for {_clock(moving)}"
     return (
-        f"way: {kilometres:.2f} km, in motion for {_clock(moving)}. Speed in motion: {speed:.1f} km/h at the median, "
-        f"{fastest:.1f} at most, but for one fix in a thousand; standard error {_digits(error)} km/h"
+        f"way: {kilometres:.2f} km{motion}. Speed in motion: {speed:.1f} km/h at the median, {fastest:.1f} at most, "
+        f"but for one fix in a thousand; standard error {_digits(error)} km/h"
     )
 
 
 def _stretch_of_rows(c):
-    """Return the stretch of every row that lies in one, refused ones too, and -1 of others."""
+    """Return the segment of every row that lies in one, refused ones too, and -1 of others."""
     number = np.full(len(c.t), -1)
-    for k in range(c.stretches):
-        own = np.flatnonzero(c.pieces == k)
-        number[own[0] : own[-1] + 1] = k
+    number[c.line.rows] = c.line.number
     return number
 
 
@@ -270,9 +304,9 @@ def degrees_of(c: Cleaned) -> tuple[np.ndarray, np.ndarray]:
     """Return latitudes and longitudes (N,) of the smoothed track, NaN outside of stretches."""
     lat, lon = np.full(len(c.t), np.nan), np.full(len(c.t), np.nan)
     inside = np.isfinite(c.x[:, 0])
-    for k, origin in enumerate(c.source.origins):
+    for k, chart in enumerate(c.source.charts):
         own = inside & (c.source.plane == k)
-        lat[own], lon[own] = geodesy.from_plane(c.x[own, :4:2], origin)
+        lat[own], lon[own] = chart.degrees(c.x[own, :4:2])
     recorded = c.source.recording.lon[c.source.rows]
     return lat, lon + 360 * np.round((recorded - lon) / 360)  # as the file counts them
 
@@ -369,13 +403,12 @@ def figure(c: Cleaned) -> Figure:
 
 def _on_one_map(c, z):
     """Return positions (N, 2) in km in one plane."""
-    if c.source is None or len(c.source.origins) <= 1:
+    if c.source is None or len(c.source.charts) <= 1:
         return z / 1000
     far = np.empty_like(z)
-    for k, origin in enumerate(c.source.origins):
+    for k, chart in enumerate(c.source.charts):
         own = c.source.plane == k
-        lat, lon = geodesy.from_plane(np.nan_to_num(z[own]), origin)
-        far[own] = geodesy.to_plane(lat, lon, c.source.origins[0]) / 1000
+        far[own] = c.source.charts[0].metres(*chart.degrees(np.nan_to_num(z[own]))) / 1000
     return np.where(np.isnan(z), np.nan, far)
 
 
@@ -422,8 +455,8 @@ def _title(c):
 def _draw_speed(ax, c, line, refused, band):
     speed = np.hypot(c.x[:, 1], c.x[:, 3]) if c.x.shape[1] >= 4 else np.abs(c.x[:, 1])
     sigma = np.sqrt(c.P[:, 1, 1])
-    unit, seconds = ("h", 3600) if c.t[-1] - c.t[0] > LONG else ("min", 60)
-    time = (c.t - c.t[0]) / seconds
+    unit, seconds = ("h", 3600) if np.ptp(c.t) > LONG else ("min", 60)
+    time = (c.t - c.t.min()) / seconds
     number = _stretch_of_rows(c)
     for k in range(c.stretches):
         rows = _thinned(np.flatnonzero(number == k))
