@@ -1,5 +1,6 @@
 """How Sphinx builds the site from what pages.py has put together."""
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -16,7 +17,21 @@ import pages
 logger = logging.getLogger(__name__)
 project = "mpt_helpers"
 release = mpt_helpers.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_design", "sphinx_copybutton"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "sphinx_design",
+    "sphinx_copybutton",
+]
+if os.environ.get("INTERSPHINX"):  # links to numpy and scipy: their lists of names come from the network
+    extensions.append("sphinx.ext.intersphinx")
+    intersphinx_mapping = {
+        "python": ("https://docs.python.org/3", None),
+        "numpy": ("https://numpy.org/doc/stable", None),
+        "scipy": ("https://docs.scipy.org/doc/scipy", None),
+    }
 nb_execution_mode = "off"
 nb_code_prompt_show = nb_code_prompt_hide = "code"  # the bar above folded code
 # Verdicts for machines; the full notebooks; names such as P that several classes have.
@@ -27,6 +42,9 @@ default_role = "py:obj"
 add_module_names = False
 toc_object_entries_show_parents = "hide"
 autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the sections of a docstring say shapes and units
+autosummary_generate = True
+numpydoc_show_class_members = False  # the page of a class shows them whole
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}
 copybutton_selector = ":not(.highlight-text, .highlight-myst-ansi) > div.highlight pre"
 copybutton_prompt_text = r">>> |\.\.\. "
@@ -50,7 +68,7 @@ html_theme_options = {
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
 html_context = {"default_mode": "auto"}
-html_sidebars = {"index": [], "values": []}
+html_sidebars = {"index": [], "ledger": []}
 templates_path = ["templates/theme"]
 html_static_path = ["_static", "_build/static"]
 html_extra_path = ["_build/extra"]
@@ -68,7 +86,7 @@ def name_parts(app, doctree):
         cell["ids"].append(f"cell-{about['id']}")
         for image in list(cell.findall(nodes.image)):
             if "figure" in about:
-                image.replace_self(raw(pages.picture(about["figure"], root="../")))
+                image.replace_self(raw(pages.picture(about["figure"], root="../" * app.env.docname.count("/"))))
     for head in doctree.findall(nodes.thead):
         for empty in [each for each in head.findall(nodes.entry) if not each.astext()]:
             empty += raw('<span class="visually-hidden">row</span>')  # or a screen reader has no name for it
@@ -126,11 +144,14 @@ def mathml(tex, block):
 
 
 def plain_docstring(app, what, name, obj, options, lines):
-    """Read docstrings as plain text: an indented part is a formula, as it stands; stars and bars are no markup.
+    """Read the text of a docstring above its sections as plain text: an indented part is a formula, as it stands.
 
-    A formula that writes a matrix as [a b; c d] is set as math. Lines that continue indented are the items of a list.
+    Stars and bars are no markup. A formula that writes a matrix as [a b; c d] is set as math. Lines that continue
+    indented are the items of a list. numpydoc reads the sections.
     """
-    parts = "\n".join(lines).split("\n\n")
+    heads = [i for i, line in enumerate(lines) if i and re.fullmatch("-{3,}", line.strip())]
+    end = heads[0] - 1 if heads else len(lines)
+    parts = "\n".join(lines[:end]).rstrip().split("\n\n")
     for i, part in enumerate(parts):
         if part.startswith("    ") and MATRIX.search(part):
             parts[i] = ", ".join(f":math:`{as_tex(each)}`" for each in re.split(r",?\s{2,}", part.strip()))
@@ -139,7 +160,7 @@ def plain_docstring(app, what, name, obj, options, lines):
         elif not part.startswith(">>>"):
             plain = re.sub(r"([*|])|(?<=\w)_(?!\w)", r"\\\g<0>", part)
             parts[i] = as_list(plain) if "\n    " in plain else plain
-    lines[:] = "\n\n".join(parts).splitlines()
+    lines[:] = [*"\n\n".join(parts).splitlines(), "", *lines[end:]]
 
 
 def as_list(text):
@@ -173,9 +194,10 @@ def as_tex(formula):
     return formula
 
 
-def short_signature(app, what, name, obj, options, signature, returns):
-    """Leave `ArrayLike` one word: Sphinx 9.0 spells it TypeAliasForwardRef('ArrayLike') in a union."""
-    return tuple(text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in (signature, returns))
+def named_by_its_text(app, pagename, templatename, context, doctree):
+    """Leave folded code its text for a name: MyST-NB gives it another one that nobody reads."""
+    if "body" in context:
+        context["body"] = context["body"].replace(' aria-label="Toggle hidden content"', "")
 
 
 def setup(app):
@@ -184,5 +206,5 @@ def setup(app):
     app.connect("doctree-read", name_parts)
     app.connect("doctree-read", size_pictures)
     app.connect("html-page-context", lean_code)
-    app.connect("autodoc-process-docstring", plain_docstring)
-    app.connect("autodoc-process-signature", short_signature)
+    app.connect("html-page-context", named_by_its_text)
+    app.connect("autodoc-process-docstring", plain_docstring, priority=400)  # before numpydoc

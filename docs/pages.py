@@ -1,16 +1,13 @@
 """Put together what Sphinx builds the site from: run as `python docs/pages.py` in the project's folder.
 
-Everything that says what the papers print and what was computed comes from the verdicts in the executed notebooks. The
-few sentences per paper are in papers.toml, where each number is looked up in a verdict; home.py computes what the home
-page says, corrections.py writes the corrections. The HTML is in templates/.
+The notebooks are pages as they are. Everything else that says what the papers print and what was computed comes from
+their verdicts; what papers are called stands in the ledger, the words of a few pages in papers.toml, where each number
+is looked up in a verdict. The HTML is in templates/.
 """
 
 import ast
 import base64
-import builtins
 import csv
-import doctest
-import importlib
 import inspect
 import json
 import re
@@ -18,11 +15,9 @@ import shutil
 import subprocess
 import tomllib
 import zlib
-from functools import cached_property
 from pathlib import Path
 from textwrap import shorten
 from typing import NamedTuple
-from urllib.parse import urlencode
 
 import break_sensor
 import corrections
@@ -37,7 +32,7 @@ from markupsafe import Markup, escape
 
 import mpt_helpers as mpt
 from reproduction import figures, plots
-from reproduction.ledger import Verdicts, keys, stored_verdicts
+from reproduction.ledger import Verdicts, keys, published, stored_verdicts
 from reproduction.ledger.verdicts import (
     BASES,
     CANNOT_BE_CHECKED,
@@ -46,7 +41,6 @@ from reproduction.ledger.verdicts import (
     ERRATUM,
     FIELDS,
     IN_PART,
-    OF_CLAIMS,
     REPRODUCED,
     VERDICTS,
     WITHIN_BAND,
@@ -55,10 +49,10 @@ from reproduction.ledger.verdicts import (
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 BUILD = DOCS / "_build"
+LESSONS = ROOT / "notebooks" / "lessons"
 SAVED = re.compile(r'save_figure\([^"]+, "(\w+)"\)')
 # More verdicts than this that share their table, outcome and cause become one row, or one chip, that opens.
 FOLD = 4
-PART_2 = re.compile(r"(?m)^## Part II\b")
 # What the filter of the values calls all that did not come out as printed.
 NOT_REPRODUCED = "not reproduced"
 # What a reader of the values comes for, first.
@@ -75,9 +69,7 @@ GUIDES = ("guide", "by_hand")
 BELOW_GUIDE = {
     "by_hand": "Every step by hand",
     "small_processor": "A small processor",
-    "lasting": "Errors that last",
     "other_packages": "From another package",
-    "rinex": "From RINEX files",
 }
 
 
@@ -96,9 +88,13 @@ class Group(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A figure of a notebook: its file's name, what it is called, its section, its caption, its finding."""
+    """A figure of a notebook: its file's name, what it is called, its section, its caption, its finding.
+
+    numbered says whether it is a figure of the paper, under its number.
+    """
 
     name: str
+    numbered: bool
     label: str
     section: str
     caption: str
@@ -140,18 +136,6 @@ def worst_first(verdicts):
     return sorted(verdicts, key=lambda each: WORST_FIRST.index(each.verdict))
 
 
-def by_cause(given, kind):
-    """Return the verdicts whose cause is of this kind."""
-    return [each for each in given if each.cause and given.causes[each.paper, each.cause].kind == kind]
-
-
-def claims(given, *outcomes):
-    """Return the claims with one of these verdicts, one verdict after the other, and what else fails by a finding."""
-    findings = by_cause(given, "finding")
-    listed = [each for each in given if each.kind == "claim" or each in findings]
-    return [each for outcome in outcomes for each in listed if each.verdict == outcome]
-
-
 def cause_options(given):
     """Return (id, sentence) of the causes that verdicts name; of an id that papers share, the first sentence."""
     named = {(each.paper, each.cause) for each in given if each.cause}
@@ -160,13 +144,6 @@ def cause_options(given):
         if (paper, id) in named:
             sentences.setdefault(id, cause.sentence)
     return sorted(sentences.items(), key=lambda option: option[1])
-
-
-def common(members):
-    """Return the filter of the values page that shows these verdicts: all the fields in which they agree."""
-    values = {name: {getattr(each, name) for each in members} for name in ("paper", "kind", "verdict", "cause")}
-    values["place"] = {place(each) for each in members}
-    return urlencode({name: min(found) for name, found in values.items() if len(found) == 1 and found != {""}})
 
 
 def figures_of(key, cells):
@@ -181,16 +158,21 @@ def figures_of(key, cells):
         if cell["cell_type"] == "markdown":
             section = [section, *re.findall(r"(?m)^#{1,3} (?:\d+\. )?(.*)", source(cell))][-1]
         for name in SAVED.findall(source(cell)) if cell["cell_type"] == "code" else []:
-            own = name.removeprefix(f"{key}_")
-            label = f"Figure {own[3:]}" if re.fullmatch(r"fig\d+", own) else f"Figure `{own}`"
+            paper, own = next((each, name.removeprefix(f"{each}_")) for each in keys() if name.startswith(f"{each}_"))
+            numbered = paper == key and re.fullmatch(r"fig\d+", own) is not None
+            label = f"Figure {own[3:]}" if numbered else f"Figure `{own}`"
             captions = [part for part in prose if label in names_of(part)]
             (shown,) = (out for out in cell["outputs"] if "image/png" in out.get("data", {}))
             alt = shown["metadata"]["image/png"]["alt"]
             above, only = drawn_titles("".join(shown["data"].get("text/plain", "")))
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
-            caption = re.sub(r"\]\((\w+\.ipynb)", r"](notebooks/\1", captions[0]) if captions else ""
+            caption = (
+                re.sub(r"\]\((?!https?:|#)(?:\.\./)?([\w/]+\.ipynb)", r"](notebooks/\1", captions[0])
+                if captions
+                else ""
+            )
             finding = above or only or conclusion(caption) or section
-            drawn.append(Drawn(name, label, section, caption, finding, cell["id"], alt, width, height))
+            drawn.append(Drawn(name, numbered, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
 
 
@@ -253,36 +235,40 @@ def unbroken(text):
     )
 
 
-def home_page(about, given, drawn):
-    """Return the contents of the home page: the words of papers.toml with the numbers of home.py in them.
-
-    drawn maps names of figures to Drawn. Raises ValueError for a mistake whose figure no notebook draws.
-    """
-    numbers, costs = home.choice() | given.checked(), home.mistakes()
-
-    def said(mistake):
-        if mistake["figure"] not in drawn:
-            known = ", ".join(sorted(drawn))
-            raise ValueError(
-                f"docs/papers.toml: the figure of the mistake {mistake['name']!r} must be one of {known}; "
-                f"it is {mistake['figure']!r}"
-            )
-        words = {name: unbroken(text.format(**costs[mistake["name"]])) for name, text in mistake.items()}
-        return words | {"drawn": drawn[mistake["figure"]], "key": key_of(mistake["figure"])}
-
-    return {
-        **{name: unbroken(text.format(**numbers)) for name, text in about["home"].items()},
-        "choice": [{name: unbroken(text.format(**numbers)) for name, text in row.items()} for row in about["choice"]],
-        "mistakes": [said(each) for each in about["mistakes"]],
-        "lost": numbers["lost"],
-        "claims": sum(each.kind == "claim" for each in given),
-    }
+def home_page(about, given):
+    """Return the words of the home page, with the numbers of home.py and the counts of the verdicts in them."""
+    numbers = home.answer() | given.checked()
+    return {name: unbroken(text.format(**numbers)) for name, text in about["home"].items()} | {"lost": numbers["lost"]}
 
 
-def key_of(figure):
-    """Return the paper to which a figure belongs."""
-    (key,) = (each for each in keys() if figure.startswith(f"{each}_"))
-    return key
+class Lesson(NamedTuple):
+    """A lesson: its file's name, its title, its first sentence, and the paper of whose notebook it speaks."""
+
+    name: str
+    title: str
+    question: str
+    paper: str
+
+
+def lessons():
+    """Return {name: the notebook} of all lessons."""
+    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(LESSONS.glob("*.ipynb"))}
+
+
+def described_lesson(name, cells):
+    """Return a lesson as the home page and the page of its paper list it."""
+    first = source(cells[0])
+    prose = [
+        part.strip() for part in first.split("\n\n")[1:] if part.strip() and not part.lstrip().startswith(("*", "<"))
+    ]
+    question = re.split(r"(?<=[.?!])\s", " ".join(prose[0].split()))[0] if prose else ""
+    linked = re.findall(r"\]\(\.\./(\w+)\.ipynb", "\n".join(map(source, cells)))
+    return Lesson(name, title(cells), question, next((key for key in linked if key in keys()), ""))
+
+
+def parts_of(about, kind):
+    """Return the tables or figures of a paper, [(number, anchor on its page)]."""
+    return [(each.partition(" ")[2], slug(each)) for each in about.numbered if each.startswith(kind)]
 
 
 def draw_sensor(folder):
@@ -315,40 +301,57 @@ def citations():
     return cff, own, papers
 
 
-def prepared(key, notebook, page, whole):
-    """Return a notebook as it is rendered, whole or as an article: there without cells of the ledger.
+def prepared(notebook, drawn, top):
+    """Return a notebook as the site renders it: `top`, as HTML, after its title, and its links to pages of the site.
 
-    page maps what stands between the cells: "top" after the title, "live" (figure, HTML) after that figure or else
-    before Part II, and "verdicts", a function from a ledger cell to the HTML of its verdicts.
+    drawn are its figures; the cell of each is marked, so that the page shows its SVG.
     """
-    drawn = {each.cell: each for each in figures_of(key, notebook["cells"])}
-    figure, live = page["live"]
-    last_of_part_1 = None
-    if not whole and figure.startswith(key):
-        last_of_part_1 = end_of_part_1(notebook["cells"], {each.cell for each in drawn.values() if each.name == figure})
-    cells, evidence = [], False
+    figure_of = {each.cell: each for each in drawn}
+    cells = []
     for i, cell in enumerate(notebook["cells"]):
-        text = source(cell)
-        if cell["cell_type"] == "markdown":
-            # In a checkout, docs/ and benchmarks/ stand beside notebooks/; on the site, their pages stand above it.
-            text = text.replace("](../docs/", "](../").replace("](../benchmarks/README.md", "](../speed.md")
-        made = {**cell, "source": text, "metadata": {**cell["metadata"], "id": cell["id"]}}
-        ledger = "ledger" in cell["metadata"].get("tags", ())
-        evidence = evidence or PART_2.search(text) is not None
-        if made["cell_type"] == "code":
+        made = {**cell, "source": links_of_the_site(source(cell)), "metadata": {**cell["metadata"], "id": cell["id"]}}
+        if cell["cell_type"] == "code":
+            made["source"] = source(cell)
             made["outputs"] = [with_named_headers(each) for each in cell["outputs"]]
-        made["metadata"]["tags"] = [] if whole or is_open(cell, evidence) else ["hide-input"]
-        if ledger and not whole:
-            cells.append(raw_cell(page["verdicts"](cell["id"])))
-        else:
-            if each := drawn.get(cell["id"]):
+            if each := figure_of.get(cell["id"]):
                 made["metadata"] |= {"figure": each._asdict()}
-            cells.append(made)
+        cells.append(made)
         if i == 0:
-            cells.append(raw_cell(page["top"]))
-        if i == last_of_part_1:
-            cells.append(raw_cell(live))
+            cells.append(raw_cell(top))
     return {**notebook, "cells": cells}
+
+
+def links_of_the_site(text):
+    """Return the Markdown of a notebook with links as the site has them.
+
+    In a checkout docs/ and benchmarks/ stand beside notebooks/; on the site, their pages stand above it. JupyterLab and
+    nbviewer keep the capitals of a heading in its anchor, MyST does not.
+
+    >>> links_of_the_site("[Table 4](#Table-4), [the guide](../docs/guide.md), [a lesson](lessons/one_step_late.ipynb)")
+    '[Table 4](#table-4), [the guide](../guide.md), [a lesson](lessons/one_step_late.ipynb)'
+    """
+    text = re.sub(r"\]\(((?:\.\./)+)docs/", r"](\1", text)
+    text = re.sub(r"\]\(((?:\.\./)+)benchmarks/README\.md", r"](\1speed.md", text)
+    return re.sub(r"\]\((?:[\w./]+\.ipynb)?#[^)]*\)", lambda link: anchor(link[0]), text)
+
+
+def anchor(link):
+    """Return a link to a heading with the anchor that MyST gives it.
+
+    >>> anchor("](../2014_gsm_2d.ipynb#Section-3:-time-invariant-filters)")
+    '](../2014_gsm_2d.ipynb#section-3-time-invariant-filters)'
+    """
+    target, _, heading = link[2:-1].partition("#")
+    return f"]({target}#{slug(heading)})"
+
+
+def slug(heading):
+    """Return the anchor that MyST gives a heading.
+
+    >>> slug("Table 4"), slug("Eqs. 5-6: Lainiotis")
+    ('table-4', 'eqs-5-6-lainiotis')
+    """
+    return re.sub(r"[^\w\u4e00-\u9fff\- ]", "", heading.strip().lower()).replace(" ", "-")
 
 
 def with_named_headers(output):
@@ -357,23 +360,6 @@ def with_named_headers(output):
         return output
     html = "".join(output["data"]["text/html"]).replace("<th></th>", "<td></td>")
     return {**output, "data": {**output["data"], "text/html": html}}
-
-
-def end_of_part_1(cells, figure):
-    """Return the cell after which the figure with sliders stands: its figure's, else the last one before Part II."""
-    for i, cell in enumerate(cells):
-        if cell["id"] in figure:
-            return i
-    ends = [i for i, cell in enumerate(cells) if PART_2.search(source(cell))]
-    return ends[0] - 1 if ends else len(cells) - 1
-
-
-def is_open(cell, evidence):
-    """Tell whether the code of a cell stays open on the page: not that of a figure, and in Part II only functions."""
-    hidden = "hide-input" in cell["metadata"].get("tags", ())
-    if hidden or SAVED.search(source(cell)):
-        return False
-    return not evidence or re.search(r"(?m)^def ", source(cell)) is not None
 
 
 def raw_cell(html):
@@ -426,174 +412,40 @@ def picture(figure, root="", folder="figures"):
     return str(environment().get_template("figures.html").module.picture(figure, root, folder)).strip()
 
 
-# Modules that no page shows: those behind the doors. Others are listed as the package has them, so that a new one is.
-NOT_SHOWN = []
-# Modules of which a user of the filters needs nothing: they stand below the others.
-INSIDE = ["equations", "kalman", "lainiotis", "predictor", "search"]
-# What a reader comes to a class for, in this order; the rest follows as the source has it.
-FOR_USERS = [
-    "from_kalman",
-    "from_lainiotis",
-    "from_steady_state",
-    "filter",
-    "estimates",
-    "covariances",
-    "smooth",
-    "step",
-]
-# What the engine asks of a filter: told once, in `_base`.
-FOR_THE_ENGINE = ["as_tracks", "epochs_of", "estimates_of", "in_columns", "innovations_of", "next_step", "next_steps"]
-FOR_THE_ENGINE += ["optimal", "parts", "run", "shared_steps", "times_of"]
-# How modules are used whose first example shows something else, or that have none.
-KF = "kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))"
-USES = {
-    "metrics": [KF, "z = [[0.1], [1.3], [9.9]]", "metrics.nis(kf, z), metrics.suspicious(kf, z)"],
-    "search": ["value, gradient, curvature = differences(lambda point: (point**2).sum(), np.array([1.0, 2.0]))"],
+# The headings of the page on the filters, with the modules in which what stands below them is defined.
+CHAPTERS = {
+    "Models": ("model", "motion"),
+    "Filters": ("kalman", "lainiotis", "steady", "combined", "predictor"),
+    "What a filter is worth": ("metrics", "fit", "fitting", "bands", "forecasts", "study", "monte_carlo", "riccati"),
+    "A recorded track": ("tracks",),
 }
 
 
-class Described(NamedTuple):
-    """A page of the package's interface: a class or a module, its name, how it is used, and what stands elsewhere.
-
-    members are the members of a class as (name of autodoc's directive, name), in the order of the page.
-    """
-
-    name: str
-    path: str
-    use: str
-    summary: str
-    elsewhere: list
-    members: list
-
-    @property
-    def inside(self):
-        """Say whether it is a module of which a user needs nothing."""
-        return self.name in INSIDE
-
-
 def interface():
-    """Return the pages of the package, (classes, modules), as lists of Described.
+    """Return [(heading, names)] of the classes and functions that the package exports, in the order of `__all__`."""
+    left = [name for name in mpt.__all__ if not inspect.ismodule(getattr(mpt, name))]
+    made = []
+    for heading, modules in CHAPTERS.items():
+        names = [name for name in left if module_of(name) in modules]
+        left = [name for name in left if name not in names]
+        made.append((heading, names))
+    if left:
+        raise ValueError(f"docs/pages.py: CHAPTERS needs the modules of {', '.join(left)}")
+    return made
 
-    Classes are those that `mpt_helpers` exports; a module's page has its functions and the other classes.
-    """
-    exported = [getattr(mpt, name) for name in mpt.__all__]
-    classes = [each for each in exported if inspect.isclass(each)]
-    names = sorted(path.stem for path in (ROOT / "mpt_helpers").glob("[a-z]*.py"))
-    modules = [importlib.import_module(f"mpt_helpers.{name}") for name in names if name not in NOT_SHOWN]
-    return (
-        [described(each, f"{each.__module__}.{each.__name__}", []) for each in classes],
-        [
-            described(each, each.__name__, [one.__name__ for one in classes if one.__module__ == each.__name__])
-            for each in modules
-        ],
+
+def module_of(name):
+    """Return the first part, below mpt_helpers, of the module in which an exported name is defined."""
+    return getattr(mpt, name).__module__.split(".")[1]
+
+
+def public_modules():
+    """Return the names of the package's modules, those for use inside (`_engine`, `_checks`) left out."""
+    found = [path.relative_to(ROOT).with_suffix("") for path in (ROOT / "mpt_helpers").rglob("*.py")]
+    parts = [each.parts[:-1] if each.name == "__init__" else each.parts for each in found]
+    return sorted(
+        ".".join(each) for each in parts if len(each) > 1 and not any(part.startswith("_") for part in each[1:])
     )
-
-
-def described(thing, path, elsewhere):
-    """Return the page of a class or a module."""
-    summary = " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
-    members = members_of(thing) if inspect.isclass(thing) else []
-    return Described(path.rpartition(".")[2], path, lines_of_use(thing, path), summary, elsewhere, members)
-
-
-def members_of(described):
-    """Return the documented members of a class, (directive of autodoc, name): first those that a user comes for."""
-    found = {}
-    for each in described.__mro__[:-1]:
-        for name, member in vars(each).items():
-            if not name.startswith("_") and name not in FOR_THE_ENGINE:
-                found.setdefault(name, member)
-    directives = {
-        name: "autoproperty" if isinstance(member, property | cached_property) else "automethod"
-        for name, member in found.items()
-        if isinstance(member, property | cached_property | classmethod) or inspect.isfunction(member)
-    }
-    first = [name for name in FOR_USERS if name in directives]
-    return [(directives[name], name) for name in [*first, *(name for name in directives if name not in first)]]
-
-
-def lines_of_use(thing, path):
-    """Return lines that use a class or a module: they run as they stand, and import no more than they use.
-
-    Those of a module are its own of USES, or those of what the package exports of it, or of its first function with
-    an example: the first example of the docstring, as far as the first line that uses the name.
-
-    >>> print(lines_of_use(mpt.FIRFilter, "mpt_helpers.steady.FIRFilter"))
-    import mpt_helpers as mpt
-    <BLANKLINE>
-    steady = mpt.SteadyStateFilter.from_kalman(mpt.gsm_axis(dt=1.0, q=0.01, r=0.1))
-    mpt.FIRFilter.from_steady_state(steady, tol=1e-3).order
-    """
-    if inspect.isclass(thing):
-        used = [thing]
-    elif (name := path.rpartition(".")[2]) in USES:
-        return with_imports(USES[name], vars(mpt) | vars(thing))
-    else:
-        own = [each for each in vars(thing).values() if getattr(each, "__module__", "") == path]
-        used = [*(each for each in own if exported(each)), *public_functions(thing)]
-    for each in used:
-        lines = []
-        for example in doctest.DocTestParser().get_examples(inspect.getdoc(each) or ""):
-            lines.append(example.source.rstrip())
-            if re.search(rf"\b{each.__name__}[.(]", lines[-1]):
-                return with_imports(lines, vars(importlib.import_module(each.__module__)))
-    raise ValueError(f"docs/pages.py: USES needs lines that use {path}, which has no example")
-
-
-def exported(thing):
-    """Say whether the package exports a function, a class or a module under its name."""
-    name = getattr(thing, "__name__", "").rpartition(".")[2]
-    return name in mpt.__all__ and getattr(mpt, name) is thing
-
-
-def with_imports(lines, names):
-    """Return lines of an example with what they need: numpy, the package as `mpt`, and what it does not export.
-
-    names are those of the module in which the example stands.
-    """
-    text = "\n".join(lines)
-    parsed = ast.parse(text)
-    brought = {}
-    exec("\n".join(ast.unparse(each) for each in parsed.body if isinstance(each, ast.Import | ast.ImportFrom)), brought)
-    known = {**names, **brought}
-    rows = text.splitlines()
-    imports, others, places = set(), {}, []
-    bound = {each.id for each in ast.walk(parsed) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}
-    bound |= {each.arg for each in ast.walk(parsed) if isinstance(each, ast.arg)}
-    bound |= {each.name for each in ast.walk(parsed) if isinstance(each, ast.FunctionDef)}
-    for each in ast.walk(parsed):
-        if not isinstance(each, ast.Name) or each.id in bound or each.id not in known or hasattr(builtins, each.id):
-            continue
-        thing = known[each.id]
-        module = getattr(thing, "__module__", "")
-        if each.id == "np":
-            imports.add("import numpy as np\n")
-        elif thing is mpt:
-            imports.add(PACKAGE)
-        elif exported(thing):
-            imports.add(PACKAGE)
-            places.append((each.lineno, each.col_offset, "mpt."))
-        elif exported(importlib.import_module(module)):
-            imports.add(PACKAGE)
-            places.append((each.lineno, each.col_offset, f"mpt.{module.rpartition('.')[2]}."))
-        else:
-            others.setdefault(module, set()).add(each.id)
-    for row, column, before in sorted(places, reverse=True):
-        rows[row - 1] = f"{rows[row - 1][:column]}{before}{rows[row - 1][column:]}"
-    skipped = {each.lineno for each in parsed.body if isinstance(each, ast.Import | ast.ImportFrom)}
-    said = [row for i, row in enumerate(rows, 1) if i not in skipped]
-    first = sorted(imports, key=lambda line: line == PACKAGE)  # numpy, then the package
-    first += [f"from {module} import {', '.join(sorted(own))}" for module, own in sorted(others.items())]
-    return "\n".join([*first, "", *said])
-
-
-PACKAGE = "import mpt_helpers as mpt"
-
-
-def public_functions(module):
-    """Return the functions that a module defines, in its order, without those of its own use."""
-    own = [each for each in vars(module).values() if inspect.isfunction(each) and each.__module__ == module.__name__]
-    return [each for each in own if not each.__name__.startswith("_")]
 
 
 def guide_as_notebook(text, pictures, archive):
@@ -701,14 +553,11 @@ def environment():
         "VERDICTS": VERDICTS,
         "BASES": BASES,
         "CAUSE_KINDS": CAUSE_KINDS,
-        "OF_CLAIMS": OF_CLAIMS,
         "FAILS": FAILS,
         "grouped": grouped,
         "worst_first": worst_first,
-        "claims": claims,
-        "cause_options": cause_options,
         "outcomes": home.outcomes,
-        "common": common,
+        "cause_options": cause_options,
         "shorten": shorten,
         "NOT_REPRODUCED": NOT_REPRODUCED,
     }
@@ -734,7 +583,7 @@ def write_tables(given, folder):
 def main():
     """Write docs/_build afresh: source, static and extra."""
     shutil.rmtree(BUILD, ignore_errors=True)
-    for part in ("source/notebooks", "source/corrections", "source/api", "source/modules", "static", "extra/notebooks"):
+    for part in ("source/notebooks/lessons", "static", "extra/notebooks/lessons"):
         (BUILD / part).mkdir(parents=True)
     notebooks = {key: stored_notebook(key) for key in keys()}
     stored = [stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb") for key in notebooks]
@@ -746,39 +595,34 @@ def main():
     draw_still(about["live"]["presets"][about["live"]["shown"]], BUILD / "static")
     draw_accuracy((DOCS / "accuracy.md").read_text(encoding="utf-8").partition("<!-- digits -->")[2], BUILD / "static")
     cff, own, references = citations()
-    name = f"mpt_helpers-{cff['version']}"
+    name = f"mpt_helpers-{mpt.__version__}"
     size = write_archive(BUILD / "extra" / f"{name}.tar.gz", name)
-    drawn = {key: figures_of(key, each["cells"]) for key, each in notebooks.items()}
-    classes, modules = interface()
-    corrected = {key: corrections.read(given.of(key), about["corrected"].get(key, {})) for key in notebooks}
-    asked = {key: about["questions"].get(key, {}) for key in notebooks}
+    told = {each: described_lesson(each, notebook["cells"]) for each, notebook in lessons().items()}
+    pages = notebooks | {f"lessons/{each}": notebook for each, notebook in lessons().items()}
     env.globals |= {
         "given": given,
         "texts": about,
-        "home": home_page(about, given, {each.name: each for own in drawn.values() for each in own}),
+        "papers": {key: published(key).about for key in notebooks},
+        "parts_of": parts_of,
+        "home": home_page(about, given),
         "sensor": draw_sensor(BUILD / "static"),
         "archive": name if size else "",
         "archive_size": f"{size / 1e6:.1f} MB",
+        "version": mpt.__version__,
+        "released": cff,
         "citation": own,
-        "citation_of": lambda key: references.get(key[:4], about["papers"][key]["authors"]),
+        "citation_of": lambda key: references[key[:4]],
         "accuracy": svg_size(BUILD / "static" / "accuracy.svg"),
-        "titles": {key: title(each["cells"]) for key, each in notebooks.items()},
-        "figures": drawn,
-        "contents": {key: corrections.contents(given.of(key), corrected[key], asked[key]) for key in notebooks},
-        "remarks": {key: corrections.remarks(given.of(key), asked[key]) for key in notebooks},
-        "classes": classes,
-        "modules": modules,
+        "lessons": told,
+        "figures": {key: figures_of(key, notebook["cells"]) for key, notebook in pages.items()},
+        "corrections": {key: corrections.of(given.of(key), about, key) for key in notebooks},
         "speed": speed,
+        "interface": interface(),
+        "modules": public_modules(),
     }
     write_pages(env)
-    # Two folders: on a disk that ignores case, Predictor and predictor are one file.
-    for folder, described in (("api", classes), ("modules", modules)):
-        for each in described:
-            text = env.get_template("interface.md").render(each=each, of_class=folder == "api")
-            (BUILD / "source" / folder / f"{each.name}.md").write_text(text, encoding="utf-8")
-    for key, notebook in notebooks.items():
-        write_article(env, key, notebook, given.of(key), about["live"]["after"])
-        write_corrections(env, key, given.of(key), corrected[key], asked[key])
+    for key, notebook in pages.items():
+        write_notebook(env, key, notebook)
     shutil.copytree(ROOT / "figures", BUILD / "extra" / "figures")
     shutil.copytree(DOCS / "tracks", BUILD / "extra" / "tracks")
     for page in [DOCS / f"{name}.md" for name in GUIDES if (DOCS / f"{name}.md").exists()]:
@@ -843,52 +687,25 @@ def toctree(pages):
     return f"\n```{{toctree}}\n:hidden:\n\n{entries}\n```\n"
 
 
-def write_article(env, key, notebook, own, live):
-    """Write the article and the full notebook of one paper."""
-    shutil.copy(ROOT / "notebooks" / f"{key}.ipynb", BUILD / "extra" / "notebooks")
-    here = {"key": key, "root": "../"}
-    about = env.globals["texts"]["papers"][key]
-
-    def verdicts(cell):
-        chosen = [each for each in own if each.cell == cell]
-        return env.get_template("chips.html").render(here, cell=cell, verdicts=chosen)
-
-    html = {"live": (live, env.get_template("live.html").render(here)), "verdicts": verdicts}
-    for name, whole in ((key, False), (f"{key}-full", True)):
-        first = source(notebook["cells"][0])
-        page = html | {"top": env.get_template("top.html").render(here, whole=whole, first=first)}
-        made = prepared(key, notebook, page, whole)
-        made["metadata"] = made["metadata"] | {"myst": described_as(f"{about['authors']}, checked. {about['outcome']}")}
-        if whole:  # what is searched is found in the article
-            made["metadata"]["nosearch"] = True
-            made["cells"][0] |= {"source": re.sub(r"\A# ", "# The full notebook: ", made["cells"][0]["source"])}
-        text = json.dumps(made, ensure_ascii=False)
-        (BUILD / "source" / "notebooks" / f"{name}.ipynb").write_text(text, encoding="utf-8")
+def write_notebook(env, key, notebook):
+    """Write the page of a notebook, the reproduction of a paper or a lesson, and the file to download."""
+    shutil.copy(ROOT / "notebooks" / f"{key}.ipynb", BUILD / "extra" / "notebooks" / f"{key}.ipynb")
+    lesson = env.globals["lessons"].get(key.removeprefix("lessons/"))
+    root = "../../" if lesson else "../"
+    top = env.get_template("top.html").render(key=key, root=root, lesson=lesson)
+    made = prepared(notebook, env.globals["figures"][key], top)
+    if lesson:
+        description = f"{lesson.title}: a lesson of ten minutes. {lesson.question}"
+    else:
+        paper = env.globals["papers"][key]
+        description = f"{paper.authors} ({paper.year}), reproduced: every table and figure, printed beside computed."
+    made["metadata"] = made["metadata"] | {"myst": described_as(description)}
+    (BUILD / "source" / "notebooks" / f"{key}.ipynb").write_text(json.dumps(made, ensure_ascii=False), encoding="utf-8")
 
 
 def described_as(text):
     """Return front matter of MyST that says what a page is about, for search engines and previews."""
     return {"html_meta": {"description": text}}
-
-
-def write_corrections(env, key, own, corrected, asked):
-    """Write the page of corrections to one paper: corrected is {id: text or Patch}, asked {id: question}."""
-    html = env.get_template("correction.html").render(
-        key=key,
-        root="../",
-        rows=corrections.names_of_rows(own),
-        sections=corrections.sections(own, corrected),
-        in_text=corrections.in_text(own, corrected),
-        if_printed=corrections.if_printed(own, corrected),
-        cells_if_printed=corrections.cells_if_printed(own, corrected),
-        lost=corrections.lost(own),
-        questions=corrections.questions(own, asked),
-        unchecked=corrections.unchecked(own, asked, corrected),
-    )
-    paper = env.globals["texts"]["papers"][key]
-    front = yaml.safe_dump({"myst": described_as(f"Corrections to {paper['authors']}. {paper['outcome']}")})
-    text = f"---\n{front}---\n# Corrections to {paper['authors']}\n\n{raw_html(html)}\n"
-    (BUILD / "source" / "corrections" / f"{key}.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

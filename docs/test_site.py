@@ -5,7 +5,6 @@ import json
 import re
 import threading
 from functools import cache, partial
-from html import unescape
 from html.parser import HTMLParser
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -24,12 +23,13 @@ import pytest
 import mpt_helpers as mpt
 import reproduction
 from reproduction.ledger import keys, shipped_verdicts
-from reproduction.ledger.verdicts import CAUSE_KINDS, FAILS, HOLDS
+from reproduction.ledger.verdicts import CAUSE_KINDS, HOLDS
 
 HTML = Path(__file__).parent / "_build" / "html"
 PAGES = [str(path.relative_to(HTML)) for path in sorted(HTML.rglob("*.html")) if "_static" not in path.parts]
 INTERFACE = [place for place in PAGES if re.match(r"api|modules", place)]
 ARTICLES = [place for place in PAGES if re.match(r"notebooks/\w+\.html", place)]
+LESSONS = [place for place in PAGES if place.startswith("notebooks/lessons/")]
 SHORTEST = "2015_mpt_3d"
 WIDTHS = {1280: 800, 390: 844}
 AXE = (Path(axe_playwright_python.__file__).parent / "axe.min.js").read_text(encoding="utf-8")
@@ -174,15 +174,14 @@ SMALL = r"""async () => {
 
 
 def test_there_is_a_site():
-    assert {"index.html", "values.html", "figures.html", "guide.html", "api.html"} < set(PAGES)
+    assert {"index.html", "ledger.html", "figures.html", "guide.html", "api.html"} < set(PAGES)
     assert len(ARTICLES) == 4
+    assert len(LESSONS) == 5
 
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("place", PAGES)
 def test_a_page_loads_whole_and_everybody_can_read_it_in_light_and_dark(visit, place, width):
-    if place.endswith("-full.html") and (width, place) != (1280, f"notebooks/{SHORTEST}-full.html"):
-        pytest.skip("the full notebooks are for looking things up: one is enough")
     page = visit(place, width, color_scheme="light")
     checks = {"math": TYPESET, "pictures": PICTURES, "sideways": SIDEWAYS, "small": SMALL}
     assert {name: page.evaluate(check) for name, check in checks.items()} == {name: [] for name in checks}
@@ -221,7 +220,7 @@ def test_every_internal_link_leads_somewhere(records):
             followed += 1
             if path == "index.html" and anchor.startswith("sensor="):
                 found = anchor.partition("=")[2] in break_sensor.SCENES
-            elif path == "values.html" and "=" in anchor:
+            elif path == "ledger.html" and "=" in anchor:
                 chosen = {name: value for name, (value,) in parse_qs(anchor).items()}
                 found = any(chosen.items() <= row.items() for row in rows)
             elif path in parsed:
@@ -234,36 +233,15 @@ def test_every_internal_link_leads_somewhere(records):
     assert followed > len(records)
 
 
-def test_a_link_that_says_how_many_opens_as_many_values(visit):
-    links = {
-        (unescape(link), int(count))
-        for place in PAGES
-        for link, count in COUNTED.findall((HTML / place).read_text(encoding="utf-8"))
-    }
-    assert links
-    page = visit("values.html")
-    for link, count in links:
-        page.evaluate(FOLLOW, link)
-        assert shown(page)[0] == count, link
-
-
 @pytest.mark.parametrize("width", WIDTHS)
-def test_the_first_screen_says_what_it_is_for_whom_and_where_the_doors_are(visit, width):
+def test_the_first_screen_asks_the_question_and_says_for_whom_and_what_was_found(visit, width):
     page = visit("index.html", width)
-    assert page.locator("h1").inner_text().startswith("We checked four papers on tracking a position")
-    about = page.locator("p.about").inner_text()
-    assert "Python package" in about
-    assert "reproduction" in about
-    for reader in ("students", "recorded track", "readers of the papers"):
+    assert page.locator("h1").inner_text().startswith("Do four papers on tracking a position hold?")
+    for reader in ("students", "recorded track", "readers of the papers", "Python package"):
         assert reader in page.locator("p.for").inner_text()
-    assert page.locator(".bd-article .sd-btn").count() == 1
-    doors = [f".doors .sd-card >> nth={i}" for i in range(3)]
-    seen = ["p.about", "p.for", ".sd-btn", *doors]
-    for each in [*seen, ".sensor h2", ".board", ".sensor .said"] if width == 1280 else seen:
+    for each in ("p.about", "p.for", ".paper-row h3 >> nth=0"):
         box = page.locator(each).bounding_box()
         assert box["y"] + box["height"] <= WIDTHS[width], each
-    assert page.locator(".navbar-brand").is_visible()
-    assert page.locator(".search-button:visible").count() == 1
     for place in ("index.html", "guide.html"):  # a page with a list of its sections has a button more
         page = visit(place, width)
         brand, search = (page.locator(each).bounding_box() for each in (".logo__title", ".search-button:visible"))
@@ -271,67 +249,80 @@ def test_the_first_screen_says_what_it_is_for_whom_and_where_the_doors_are(visit
         assert page.locator(".logo__title").evaluate("each => each.scrollWidth <= each.clientWidth + 1")
     if width == 1280:
         assert page.locator(".bd-header .navbar-nav .nav-link:visible").all_inner_texts() == [
-            "Papers",
+            "Papers and figures",
+            "Lessons",
             "Your own track",
             "Filters",
-            "Values and corrections",
+            "Reference",
         ]
 
 
-DOORS = ["Your own track", "Filters", "Values and corrections"]
+@pytest.mark.parametrize("key", keys())
+def test_each_table_and_figure_of_a_paper_is_one_click_from_home(visit, key):
+    """The link lands on its heading, which names it, near the top of the screen."""
+    about = reproduction.published(key).about
+    page = visit("index.html")
+    row = page.locator(".paper-row", has=page.locator(f"a[href='notebooks/{key}.html']"))
+    links = row.locator(".links a:not(.lesson)").evaluate_all("all => all.map((each) => each.getAttribute('href'))")
+    assert len(links) == len(about.numbered)
+    page = visit(f"notebooks/{key}.html")
+    for link, name in zip(links, about.numbered, strict=True):
+        heading = page.locator(f"section#{link.partition('#')[2]} > :is(h2, h3)")
+        assert re.match(rf"{name}\b", heading.inner_text()), link
+
+
+@pytest.mark.parametrize("key", keys())
+def test_the_contents_of_a_notebook_lead_to_its_headings(visit, key):
+    page = visit(f"notebooks/{key}.html")
+    links = page.locator(".bd-article table a[href^='#']").evaluate_all(
+        "all => all.map((each) => [each.textContent, each.hash])"
+    )
+    assert len(links) >= len(reproduction.published(key).about.numbered)
+    for text, anchor in links:
+        assert page.locator(f"section{anchor} > :is(h2, h3)").first.inner_text().startswith(text), text
+
+
+def test_each_figure_of_each_paper_stands_on_one_page_under_its_number(visit):
+    page = visit("figures.html")
+    headings = page.locator(".bd-article h3").all_inner_texts()
+    assert len(headings) == page.locator("a.figure img").count()
+    for key in keys():
+        about = reproduction.published(key).about
+        for n in range(1, about.figures + 1):
+            assert sum(each.startswith(f"Figure {n} of {about.year}: ") for each in headings) == 1, (key, n)
+            assert page.locator(f"img[src='figures/{key}_fig{n}.svg']").count() == 1
+
+
+@pytest.mark.parametrize("place", LESSONS)
+def test_a_lesson_is_linked_from_home_and_leads_to_its_paper(visit, place):
+    page = visit("index.html")
+    assert page.locator(f".bd-article a[href^='{place}']").count() >= 1
+    top = visit(place).locator("p.top a", has_text="reproduced")
+    assert top.count() == 1
+
+
+DOORS = {"Your own track": "guide.html", "The filters": "api.html", "Run it all": "index.html#run"}
 
 
 @pytest.mark.parametrize("door", DOORS)
-def test_a_door_has_one_name_on_its_card_in_the_navigation_on_its_page_and_to_a_screen_reader(visit, door):
+def test_a_door_leads_where_its_card_says(visit, door):
     page = visit("index.html")
-    assert page.locator(".doors .sd-card-title").all_inner_texts() == DOORS
-    assert page.locator(".bd-header .navbar-nav").get_by_role("link", name=door, exact=True).count() == 1
+    assert page.locator(".doors .sd-card-title").all_inner_texts() == list(DOORS)
     assert page.locator(".doors").get_by_role("link", name=door, exact=True).count() == 1
     page.locator(".doors .sd-card", has_text=door).click()
-    page.wait_for_url("**/*.html")
-    assert page.locator("h1").evaluate("each => each.firstChild.data") == door
+    page.wait_for_url(f"**/{DOORS[door]}")
 
 
 def test_a_door_is_reached_by_keyboard_and_seen_to_be(visit):
     page = visit("index.html")
-    page.locator(".bd-article .sd-btn").focus()
+    page.locator(".paper-row a").last.focus()
     outline = "each => getComputedStyle(each).outlineStyle + parseFloat(getComputedStyle(each).outlineWidth)"
     for i, door in enumerate(DOORS):
         card = page.locator(".doors .sd-card").nth(i)
         assert card.evaluate(outline).startswith("none")
-        for _ in range(10):  # what lies between: the card before, the figure
-            page.keyboard.press("Tab")
-            if card.evaluate("each => each.contains(document.activeElement)"):
-                break
+        page.keyboard.press("Tab")
         assert page.evaluate("document.activeElement.textContent") == door
         assert card.evaluate(outline) == "solid3"
-    page.keyboard.press("Enter")
-    page.wait_for_url("**/values.html")
-
-
-def test_corrections_are_one_link_away_from_their_door(visit):
-    page = visit("values.html")
-    first = page.locator("h1 + p.links, h1 ~ p.links").first
-    assert first.bounding_box()["y"] < page.locator(".bd-article p:not(.links)").first.bounding_box()["y"]
-    assert first.get_by_role("link").first.inner_text() == "Corrections"
-    links = first.get_by_role("link").evaluate_all("all => all.map((each) => each.getAttribute('href'))")
-    assert set(links) >= {"corrections.html", *(f"corrections/{key}.html" for key in keys())}
-
-
-def test_the_navigation_of_the_filters_has_what_users_need_first_and_the_inside_below(visit):
-    page = visit("filters.html")
-    captions = page.locator(".bd-sidebar-primary .caption-text").all_inner_texts()
-    assert captions == ["Filters and what they need", "Inside"]
-    above, inside = page.locator(".bd-sidebar-primary nav.bd-links ul.nav").all()
-    assert "KalmanFilter" in above.inner_text().split()
-    assert inside.inner_text().split() == pages.INSIDE
-
-
-def test_the_articles_have_titles_of_one_kind_in_the_navigation(visit):
-    labels = visit("papers.html").locator(".bd-sidebar-primary nav.bd-links a").all_inner_texts()
-    titles = [visit(place).locator("h1").evaluate("each => each.firstChild.data") for place in ARTICLES]
-    years = [re.search(r"\d{4}", place)[0] for place in ARTICLES]
-    assert labels[:4] == [f"{year}: {title}" for year, title in zip(years, titles, strict=True)]
 
 
 def test_what_a_reader_searches_is_found(visit):
@@ -340,16 +331,6 @@ def test_what_a_reader_searches_is_found(visit):
     page.locator("input[type=search]:visible").fill("Lainiotis")
     page.keyboard.press("Enter")
     page.locator("#search-results li a", has_text="LainiotisFilter").first.wait_for()
-
-
-def test_an_article_is_found_once(visit):
-    page = visit("search.html?q=one+step+late")
-    page.locator("#search-results li a").first.wait_for()
-    page.wait_for_function("document.querySelector('#search-results p')?.textContent.includes('found')")
-    found = page.locator("#search-results li > a").evaluate_all("all => all.map((each) => new URL(each.href).pathname)")
-    assert found.count("/notebooks/2014_gsm_2d.html") == 1
-    whole = page.locator("#search-results li > a[href*='-full.html']").all_inner_texts()
-    assert all(each.startswith("The full notebook: ") for each in whole)
 
 
 def test_code_without_a_span_has_the_colour_that_the_span_had():
@@ -364,7 +345,7 @@ def test_code_without_a_span_has_the_colour_that_the_span_had():
 
 
 def test_code_is_copied_without_prompts_and_outputs(visit):
-    page = visit("filters.html", permissions=["clipboard-read", "clipboard-write"])
+    page = visit("api.html", permissions=["clipboard-read", "clipboard-write"])
     block = page.locator("div.highlight", has_text="import mpt_helpers as mpt").first
     block.hover()
     block.locator("button.copybtn").click()
@@ -372,7 +353,7 @@ def test_code_is_copied_without_prompts_and_outputs(visit):
     names = {}
     exec(copied, names)
     assert names["x"].shape == (4, 2)
-    page = visit("api/KalmanFilter.html", permissions=["clipboard-read", "clipboard-write"])
+    page = visit("api/mpt_helpers.KalmanFilter.html", permissions=["clipboard-read", "clipboard-write"])
     block = page.locator("div.highlight", has_text=">>> ").first
     block.hover()
     block.locator("button.copybtn").click()
@@ -381,42 +362,22 @@ def test_code_is_copied_without_prompts_and_outputs(visit):
     assert "array(" not in copied
 
 
-@pytest.mark.parametrize("place", ["index.html", "papers.html"])
-def test_the_bars_of_the_papers_add_up_to_its_verdicts(visit, records, place):
-    cards = visit(place).locator(".paper-card").all()
+def test_the_bars_of_the_papers_add_up_to_its_verdicts(visit, records):
+    cards = visit("index.html").locator(".paper-row").all()
     assert len(cards) == 4
     for card in cards:
         key = re.search(r"notebooks/(\w+)\.html", card.inner_html())[1]
         own = [each for each in records if each["paper"] == key]
-        claims, values = (re.findall(r"\d+", each.inner_text()) for each in card.locator(".outcome").all())
-        of_claims = [each["verdict"] for each in own if each["kind"] == "claim"]
-        of_values = [each["verdict"] for each in own if each["kind"] != "claim"]
-        assert sum(map(int, claims)) == len(of_claims)
-        assert int(claims[0]) == of_claims.count("reproduced")
-        assert sum(map(int, values)) == len(of_values)
-        assert int(values[0]) == sum(each in HOLDS for each in of_values)
+        said = re.findall(r"(\d+) ([a-z ]+)", card.locator(".outcome").inner_text())
+        counts = {words.strip(): int(count) for count, words in said}
+        assert sum(counts.values()) == len(own)
+        assert counts["hold"] == sum(each["verdict"] in HOLDS for each in own)
+        assert counts.get("fail", 0) == sum(each["verdict"] in ("differs", "erratum") for each in own)
 
 
-def test_a_mistake_can_be_tried_in_the_figure_and_its_picture_is_that_of_the_article(visit):
-    page = visit("index.html")
-    assert page.locator(".mistakes section").count() == 3
-    links = page.locator(".mistakes a", has_text="Try it")
-    assert links.count() == 2
-    for link in links.all():
-        link.click()
-        scene = link.get_attribute("href").partition("=")[2]
-        page.wait_for_function(f"document.querySelector('[aria-pressed=true]')?.dataset.scene === '{scene}'")
-        assert page.locator(".sensor .said").inner_text() == break_sensor.said(scene)
-        assert page.locator(".scenes button").first.is_visible()
-    article = page.locator(".mistakes a", has_text="Read the article").first.get_attribute("href")
-    picture = page.locator(".mistakes img").first.get_attribute("src")
-    read = visit(article)
-    assert read.locator(f"img[src='../{picture}']").count() == 1
-    outlines = "all => all.filter((each) => getComputedStyle(each).outlineStyle === 'solid').length"
-    assert read.locator(".cell, .won").evaluate_all(outlines) == 1
-
-
-@pytest.mark.parametrize("place", ["guide.html", "speed.html", "api/LinearModel.html", f"notebooks/{SHORTEST}.html"])
+@pytest.mark.parametrize(
+    "place", ["guide.html", "speed.html", "api/mpt_helpers.LinearModel.html", f"notebooks/{SHORTEST}.html"]
+)
 def test_code_on_a_phone_has_13_pixels_and_what_scrolls_is_reached_by_keyboard(visit, place):
     page = visit(place, 390)
     sizes = page.locator(".highlight pre").evaluate_all(
@@ -428,72 +389,40 @@ def test_code_on_a_phone_has_13_pixels_and_what_scrolls_is_reached_by_keyboard(v
     assert page.locator(".bd-article *").evaluate_all(unreached) == []
 
 
-def test_claims_that_fail_stand_first_then_those_under_a_condition_and_each_opens(visit, records):
-    page = visit("papers.html")
-    listed = page.locator("details.claim .verdict").all_inner_texts()
-    order = ["erratum", "differs", "holds in part", "cannot be checked"]
-    ranks = [order.index(each) for each in listed]
-    assert ranks == sorted(ranks)
-    assert {"erratum", "holds in part", "cannot be checked"} <= set(listed)
-    headings = page.locator(".bd-article :is(h2, h3, details.claim .verdict)").all_inner_texts()
-    for verdict, heading in {
-        "erratum": "Claims that fail",
-        "holds in part": "Claims and formulas that hold under a condition",
-        "cannot be checked": "Claims that cannot be checked",
-    }.items():
-        assert headings[headings.index(verdict) - 1].startswith(heading)
-    own = [row for row in records if row["kind"] == "claim" and row["verdict"] not in HOLDS]
-    findings = {
-        (key, cause.id)
-        for key in {row["paper"] for row in records}
-        for cause in reproduction.published(key).causes.values()
-        if cause.kind == "finding"
-    }
-    others = [
-        row
-        for row in records
-        if row["kind"] != "claim" and (row["paper"], row["cause"]) in findings and row["verdict"] in FAILS
-    ]
-    assert len(listed) == len(own) + len(others) > 10
-    first = page.locator("details.claim").first
-    assert first.locator("p").first.is_hidden()
-    first.locator("summary").click()
-    assert "Computed:" in first.inner_text()
-    assert first.get_by_role("link", name="proof").get_attribute("href").startswith("notebooks/")
-    assert "“" not in page.locator("details.claim summary").all_inner_texts()[0]
-
-
-def test_a_link_to_the_words_shows_what_each_verdict_basis_and_kind_of_cause_means(visit, records):
-    page = visit(visit("papers.html").get_by_role("link", name="What the words mean").get_attribute("href"))
+def test_the_ledger_says_what_each_verdict_basis_and_kind_of_cause_means(visit, records):
+    page = visit("ledger.html")
+    page.locator("details.words summary").click()
     words = page.locator("#words dt:visible").all_inner_texts()
     assert set(words) >= {row[name] for row in records for name in ("verdict", "basis")} | set(CAUSE_KINDS)
     assert all(page.locator("#words dd").all_inner_texts())
 
 
-def test_an_article_has_no_calls_to_the_ledger_and_every_verdict_as_a_chip(visit, records):
-    for place in ARTICLES:
-        page = visit(place)
-        assert not CALLS.search(page.locator(".bd-article").inner_text())
-        own = [row for row in records if f"notebooks/{row['paper']}.html" == place]
-        counts = page.locator(".won summary").evaluate_all(
-            r"all => all.map((each) => Number(each.textContent.match(/: (\d+) ×/)?.[1] ?? 1))"
-        )
-        assert sum(counts) == len(own)
-        chip = page.locator(".chip").first
-        assert chip.locator("dl").first.is_hidden()
-        chip.locator("summary").click()
-        assert {"computed", "basis"} < set(chip.locator("dl").first.locator("dt").all_inner_texts())
-
-
-def test_code_of_figures_is_folded_and_opens_and_the_full_notebook_has_every_call(visit):
+def test_folded_code_opens_and_is_named_by_its_text(visit):
     page = visit(ARTICLES[0])
     folded = page.locator("details.hide").first
     assert folded.locator("pre").first.is_hidden()
+    assert folded.locator("summary").get_attribute("aria-label") is None
     folded.locator("summary").click()
     assert folded.locator("pre").first.is_visible()
-    page.get_by_role("link", name="The full notebook").click()
-    assert page.url.endswith("-full.html")
-    assert CALLS.search(page.locator(".bd-article").inner_text())
+
+
+def test_the_words_to_correct_are_struck_beside_what_is_right_and_questions_are_asked(visit):
+    page = visit("ledger.html")
+    given, said = shipped_verdicts(), pages.texts(shipped_verdicts())
+    own = [corrections.of(given.of(key), said, key) for key in keys()]
+    patches = [patch for each in own for patch, _ in (*each.in_text, *each.if_printed)]
+    assert sorted(page.locator(".corrections del").all_inner_texts(), key=bare) == sorted(
+        map(bare, (each.printed for each in patches))
+    )
+    assert page.locator(".corrections ins").count() == len(patches) > 3
+    text = bare(page.locator(".bd-article").inner_text())
+    for question in (question for each in own for question in each.questions):
+        assert bare(question.text) in text
+
+
+def bare(text):
+    """Return a text without what is typeset: indices, powers, brackets around them, and breaks."""
+    return " ".join(re.sub(r"[_^()]", "", text).split())
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -502,15 +431,6 @@ def test_a_link_to_a_cell_shows_the_cell(visit, records, width):
     page = visit(f"notebooks/{last['paper']}.html#cell-{last['cell']}", width)
     place = f"document.getElementById('cell-{last['cell']}').getBoundingClientRect().top"
     page.wait_for_function(f"0 <= {place} && {place} < innerHeight", timeout=5000)
-
-
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_link_to_verdicts_shows_what_stands_above_them(visit, records, width):
-    (proved,) = (row for row in records if (row["paper"], row["id"]) == ("2014_gsm_2d", "behaviour.3"))
-    page = visit(f"notebooks/{proved['paper']}.html#cell-{proved['cell']}", width)
-    page.evaluate(f"document.getElementById('cell-{proved['cell']}').scrollIntoView({{behavior: 'instant'}})")
-    top = page.evaluate(f"document.getElementById('cell-{proved['cell']}').getBoundingClientRect().top / innerHeight")
-    assert 0.5 < top < 0.9
 
 
 # Open another address of the same page, and wait until it has been read.
@@ -537,7 +457,7 @@ def shown(page):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_filter_of_the_values_works(visit, records, width):
-    page = visit("values.html", width)
+    page = visit("ledger.html", width)
     assert shown(page)[0] == len([row for row in records if row["verdict"] not in HOLDS])
     if width == 390:
         page.locator(".filter summary").click()
@@ -571,7 +491,7 @@ def test_the_filter_of_the_values_works(visit, records, width):
 
 @pytest.mark.parametrize("width", [1280, 800, 390])
 def test_the_filter_and_the_header_stay_in_view_and_the_columns_stay_where_they_are(visit, width):
-    page = visit("values.html", width)
+    page = visit("ledger.html", width)
     columns = (
         "() => [...document.querySelectorAll('#values thead th')].map((each) => each.getBoundingClientRect().left)"
     )
@@ -595,7 +515,7 @@ def test_the_filter_and_the_header_stay_in_view_and_the_columns_stay_where_they_
 
 
 def test_what_fails_stands_before_what_holds_under_a_condition_and_beyond_has_its_column(visit, records):
-    page = visit("values.html#all=")
+    page = visit("ledger.html#all=")
     order = ["erratum", "differs", "holds in part", "cannot be checked", "within band", "reproduced"]
     for key in {row["paper"] for row in records}:
         verdicts = page.locator(f"#values tr.item[data-paper='{key}']").evaluate_all(
@@ -612,12 +532,12 @@ def test_what_fails_stands_before_what_holds_under_a_condition_and_beyond_has_it
 
 def test_a_link_to_one_value_opens_its_row(visit, records):
     folded = [row for row in records if row["paper"] == "2014_gsm_2d" and row["verdict"] == "reproduced"][-1]
-    page = visit(f"values.html#{folded['paper']}.{folded['id']}")
+    page = visit(f"ledger.html#{folded['paper']}.{folded['id']}")
     assert page.locator(f'[id="{folded["paper"]}.{folded["id"]}"]').is_visible()
 
 
 def test_the_values_are_a_plain_table_without_javascript(visit, records):
-    page = visit("values.html", java_script_enabled=False)
+    page = visit("ledger.html", java_script_enabled=False)
     assert page.locator("#values tr.item:visible").count() == len(records)
     assert page.locator(".filter").is_hidden()
 
@@ -627,7 +547,7 @@ def test_the_tables_for_machines_say_the_same(records):
         assert list(csv.DictReader(file)) == records
 
 
-LIVE = "notebooks/2016_prediction.html"
+LIVE = "small_processor.html"
 MAKE = {"cv": mpt.constant_velocity, "gsm": mpt.gsm_axis}
 
 
@@ -672,7 +592,7 @@ def test_the_live_figure_follows_keyboard_presets_and_address(visit, width):
     page.keyboard.press("Tab")
     assert page.locator(".live .said").inner_text() != said
     assert slider.get_attribute("aria-valuetext").endswith(" s")
-    again = visit("notebooks/" + page.url.partition("/notebooks/")[2], width)
+    again = visit(page.url.rpartition("/")[2], width)
     assert again.locator(".live .said").inner_text() == page.locator(".live .said").inner_text()
     for preset in again.locator(".presets button").all():
         preset.click()
@@ -986,21 +906,10 @@ def test_on_paper_nothing_covers_the_text_and_bars_are_printed(visit):
 
 @pytest.mark.parametrize("place", ["guide.html", *ARTICLES])
 def test_a_long_page_has_a_list_of_its_sections_beside_it_and_on_a_phone_behind_a_button(visit, place):
-    if place.endswith("-full.html"):
-        pytest.skip("the full notebooks are for looking things up")
     assert visit(place).locator("#pst-page-toc-nav a:visible, .page-toc a:visible").count() >= 3
     page = visit(place, 390)
     page.locator("button.secondary-toggle:visible").click()
     assert page.locator(".page-toc a:visible").count() >= 3
-
-
-def test_each_figure_is_large_and_has_a_heading_that_is_no_name(visit):
-    page = visit("figures.html")
-    headings = page.locator(".bd-article h3").all_inner_texts()
-    pictures = page.locator("a.figure img")
-    assert len(headings) == pictures.count() > 10
-    assert not [each for each in headings if re.match(r"Figure|What we found", each)]
-    assert pictures.first.bounding_box()["width"] > 500
 
 
 # What is weighed and counted.
@@ -1018,24 +927,11 @@ def words_of(place):
 LONGEST = "modules/cleaning.html"
 
 
-@pytest.mark.parametrize("place", INTERFACE)
-def test_a_page_of_the_interface_is_short_and_begins_with_a_line_of_use(place):
-    text = (HTML / place).read_text(encoding="utf-8")
-    longest = 5000 if place == LONGEST else 3000
-    assert words_of(place) < longest
-    assert "TypeAliasForwardRef" not in text
-    if place != "api.html":
-        article = text.partition("</h1>")[2]
-        assert article.index('class="highlight-python') < (
-            article.find('class="py ') if 'class="py ' in article else len(article)
-        )
-
-
 WEIGHT = """() => [...performance.getEntriesByType("navigation"), ...performance.getEntriesByType("resource")]
   .map(({ name, decodedBodySize }) => [new URL(name).pathname.slice(1), decodedBodySize])"""
 
 
-@pytest.mark.parametrize("place", [each for each in ARTICLES if "-full" not in each])
+@pytest.mark.parametrize("place", ARTICLES)
 def test_an_article_weighs_less_than_800_kilobytes_when_it_is_opened(visit, place):
     """Without what all pages share by the theme; pictures further down come when they are scrolled to."""
     docs = Path(__file__).parent
@@ -1067,67 +963,3 @@ def test_a_guide_is_a_notebook_that_runs_and_prints_where_it_says_so(tmp_path, n
     assert [bool(each) for each in printed] == said
     pictures = [sum("image/png" in out.get("data", {}) for out in each.outputs) for each in code]
     assert pictures == draws
-
-
-# Corrections.
-
-CORRECTIONS = [place for place in PAGES if place.startswith("corrections/")]
-
-
-@pytest.fixture(scope="session")
-def about():
-    """Return papers.toml as the site reads it, with the corrections of each paper by their ids."""
-    given = shipped_verdicts()
-    said = pages.texts(given)
-    return said | {
-        "corrected": {key: corrections.read(given.of(key), said["corrected"].get(key, {})) for key in keys()}
-    }
-
-
-def bare(text):
-    """Return a text without what is typeset: indices, powers, brackets around them, and breaks."""
-    return " ".join(re.sub(r"[_^()]", "", text).split())
-
-
-@pytest.mark.parametrize("place", CORRECTIONS)
-def test_a_page_of_corrections_strikes_only_what_is_printed_beside_what_is_right(visit, records, about, place):
-    page = visit(place)
-    key = Path(place).stem
-    kinds = {cause.id: cause.kind for cause in reproduction.published(key).causes.values()}
-    own = {row["id"]: row for row in records if row["paper"] == key}
-    wrong = [
-        id for id, row in own.items() if row["verdict"] in FAILS and kinds.get(row["cause"]) in ("slip", "wording")
-    ]
-    patches = {id: each for id, each in about["corrected"][key].items() if isinstance(each, corrections.Patch)}
-    unread = [id for id in patches if own[id]["verdict"] == "cannot be checked"]
-    printed = [patches[id].printed if id in patches else own[id]["printed"] for id in (*wrong, *unread)]
-    struck = page.locator(".corrections del").all_inner_texts()
-    assert sorted(map(bare, struck)) == sorted(map(bare, printed))
-    assert page.locator(".corrections ins").count() == len(struck)
-    text = bare(page.locator(".corrections").inner_text())
-    assert "“" not in text
-    for id in wrong:
-        if own[id]["kind"] == "number":
-            assert re.search(rf"{re.escape(own[id]['printed'])}\s+{re.escape(own[id]['computed'][:3])}", text)
-    for id in (*wrong, *unread):
-        if id in patches and own[id]["printed"] != "?":
-            patch = patches[id]
-            where = own[id]["where"].split(";")[0]
-            line = f"{where}: {patch.before} {patch.printed} → {patch.right} {patch.after}".strip()
-            assert f"{bare(line).replace(' ,', ',')}." in text
-    assert not [row["id"] for row in own.values() if row["beyond"] and bare(row["beyond"]) in text]
-    page.emulate_media(media="print")
-    assert 1 <= len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4"))) <= 2
-
-
-def test_each_remark_stands_once_on_its_page_with_its_claim_unless_it_is_asked(visit, records, about):
-    page = visit("beyond.html")
-    for key in keys():
-        text = bare(page.locator(f"section:has(> .remarks):has(a[href*='{key}'])").inner_text())
-        asked = about["questions"].get(key, {})
-        found = [row for row in records if row["paper"] == key and row["beyond"]]
-        told = [row for row in found if row["id"] not in asked]
-        for row in found:  # items may share a remark
-            assert text.count(bare(row["beyond"])) == (row["beyond"] in [each["beyond"] for each in told]), row["id"]
-        for row in told:
-            assert bare(f"{row['where'].split(';')[0]}: {row['printed']}") in text, row["id"]

@@ -3,7 +3,6 @@
 import argparse
 import csv
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -15,17 +14,10 @@ from mpt_helpers.tracks.files import write_whole
 
 from .execute import tidied
 from .ledger import keys, shipped_verdicts
-from .ledger.tables import Table
-from .ledger.verdicts import CANNOT_BE_CHECKED, FIELDS, OF_CLAIMS, OF_VALUES, WRONG
+from .ledger.verdicts import FIELDS
 from .project import FIGURES, LEDGER, NOTEBOOKS, CommandError, chosen, chosen_notebooks, project
+from .readme import write_readme
 from .runner import reproduce
-
-# The sentence of the README's opening with the counts, as it is written and as it is found.
-COUNTS = (
-    "{all} numbers, formulas, claims and figures, {checked} could be checked: {hold} hold, {part} in part, {fail} fail"
-)
-WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
-BLOCK = re.compile(r"(<!-- verdicts: [^\n]* -->\n).*?(<!-- end of verdicts -->)", re.DOTALL)
 
 
 def reproduce_and_say(some):
@@ -108,43 +100,6 @@ def show_verdicts(some, form, every):
     else:
         print(as_text(verdicts, every, shutil.get_terminal_size().columns))
     sys.stdout.flush()
-
-
-def readme(verdicts):
-    """Return the README's block on Verdicts: what was found in words, then what holds, a row for each paper."""
-    tally = verdicts.tally()
-    lost = tally.causes["copy"].total()
-    unchecked = tally.claims[CANNOT_BE_CHECKED] + tally.values[CANNOT_BE_CHECKED]
-    sentences = [
-        f"**What we found: {tally.wrong_text()}.**",
-        f"Of the {unchecked} cells that cannot be checked, {lost} are missing or illegible in our copy;",
-        f"for {unchecked - lost} the paper leaves something out.",
-    ]
-    claims, values = [], []
-    for paper in [*dict.fromkeys(each.paper for each in verdicts), "all"]:
-        own = tally if paper == "all" else verdicts.of(paper).tally()
-        name = paper if paper == "all" else f"[{paper}]({NOTEBOOKS}/{paper}.ipynb)"
-        claims.append([name, own.claims.total(), *(own.claims[verdict] for verdict in OF_CLAIMS)])
-        causes = [f"{len(own.causes[kind])} ({own.causes[kind].total()})" for kind in WRONG]
-        values.append([name, own.values.total(), *own.outcomes_of_values().values(), *causes])
-    of_causes = [f"{kind}s (cells)" for kind in WRONG]
-    tables = [
-        Table(["paper", "claims", *OF_CLAIMS.values()], claims),
-        Table(["paper", "numbers, formulas, figures", *OF_VALUES.values(), *of_causes], values),
-    ]
-    return "\n\n".join([" ".join(sentences), *(table.markdown() for table in tables)])
-
-
-def write_readme():
-    """Write the counts and the verdicts into the README; raises CommandError where they have no place."""
-    path = project() / "README.md"
-    verdicts = shipped_verdicts()
-    block = readme(verdicts)
-    text = WRITTEN_COUNTS.sub(COUNTS.format(**verdicts.checked()), path.read_text(encoding="utf-8"))
-    text, places = BLOCK.subn(lambda old: f"{old[1]}\n{block}\n\n{old[2]}", text)
-    if places != 1:
-        raise CommandError(f"{path.name}: needs one place for the verdicts, got {places}")
-    write_whole(path, text.encode())
 
 
 def main(arguments=None):

@@ -9,7 +9,10 @@ KINDS = ("number", "formula", "claim", "figure")
 
 @dataclass(frozen=True)
 class About:
-    """A paper: its name here, its citation, and how many tables and figures it has; doi is "" if our copy has none."""
+    """A paper: its name here, its citation, how many tables and figures it has, what it asks, and whether it holds.
+
+    doi is "" if our copy has none. question and answer are what the README and the home page say, in a few words.
+    """
 
     name: str
     title: str
@@ -19,6 +22,8 @@ class About:
     doi: str
     tables: int
     figures: int
+    question: str = ""
+    answer: str = ""
 
     @property
     def numbered(self) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from .contents import Row
 from .items import About, Cause, Item, printed_of
-from .shown import Grid, Layout, Shown, beside, laid_out, mark, shortened
+from .shown import Grid, Layout, Shown, beside, laid_out, mark, place, shortened
 from .tables import gap_text
 from .verdicts import (
     BASES,
@@ -145,11 +145,11 @@ class Paper:
     def table(self, id: str, computed, *, basis: str = "", extra: Mapping[str, Iterable] | None = None) -> Shown:
         """Check all cells of a table of the paper; return it as the paper lays it out, printed beside computed.
 
-        computed maps the items' ids to values, or has the values in reading order (of a grid, the whole array). A value
-        is a number; (number, (low, high)) with the band of simulations; (whether it holds, what is right, how that was
-        seen) for a formula or a text, or a function of the printed text that returns these; or a text that says why it
-        cannot be checked. Cells that our copy has lost are shown and not judged. extra has columns of ours for the
-        right, {head: cells}.
+        computed maps the items' ids to values, or has the values in reading order (of a grid, the whole array).
+        A value is a number; (number, (low, high)) with the band of simulations; for a formula or a text (whether it
+        holds, as in `claim`, what is right, how that was seen), or a function of the printed text that returns these;
+        or a text that says why it cannot be checked. Cells that our copy has lost are shown and not judged. extra has
+        columns of ours for the right, {head: cells}.
         """
         layout = self.layouts[id]
         if not isinstance(computed, Mapping):
@@ -160,11 +160,7 @@ class Paper:
         cells = {item.id: self._cell(item, computed[item.id], basis, layout.grid, decimals) for item in items}
         caption = layout.title
         if layout.ids:
-            verdicts = Counter(each.verdict for each in self._to_report)
-            checked = len(self._to_report) - verdicts[CANNOT_BE_CHECKED]
-            agree = sum(verdicts[each] for each in HOLDS)
-            caption += f". {agree} of {checked} agree"
-            caption += f"; {verdicts[CANNOT_BE_CHECKED]} cannot be checked." if checked < len(self._to_report) else "."
+            caption += f". {_agreeing(self._to_report)}."
         head, *rows = laid_out(layout, cells, extra)
         return self._shown(Grid(head, rows, caption), self._told(layout))
 
@@ -178,24 +174,25 @@ class Paper:
             size = gap_text(gap)
             evidence = f"{what}: largest gap {size}" if what else f"largest gap {size}"
             given = self.claim(id, bool(gap < below), evidence, basis=self._item(id).basis or "identity", reason=reason)
-            rows.append([f"{mark(given.verdict)} {given.where}", shortened(given.printed), size])
-        return self._shown(Grid(["", "the paper says", "largest gap" + (f" to {what}" if what else "")], rows))
+            rows.append([place(given), shortened(given.printed), size])
+        head = ["", "the paper says", "largest gap" + (f" to {what}" if what else "")]
+        return self._shown(Grid(head, rows, sentences=True))
 
     def claims(self, found: Mapping[str, tuple], *, basis: str = "") -> Shown:
         """Record claims and formulas, and show them in a table: {id: (holds, evidence[, beyond])}, as in `claim`."""
         rows = []
         for id, (holds, evidence, *beyond) in found.items():
             given = self.claim(id, holds, evidence, basis=basis, beyond=" ".join(beyond))
-            rows.append([f"{mark(given.verdict)} {given.where}", given.printed, evidence])
-        return self._shown(Grid(["", "the paper says", "what we find"], rows))
+            rows.append([place(given), given.printed, evidence])
+        return self._shown(Grid(["", "the paper says", "what we find"], rows, sentences=True))
 
     def lacking(self, missing: Mapping[str, str]) -> Shown:
         """Record what cannot be checked, {id: what is missing}, and show it in a table."""
         rows = []
         for id, what in missing.items():
             given = self.cannot_check(id, what, cause=self._item(id).cause or None)
-            rows.append([f"? {given.where}", given.printed, what])
-        return self._shown(Grid(["", "what cannot be checked", "why"], rows))
+            rows.append([place(given), given.printed, what])
+        return self._shown(Grid(["", "what cannot be checked", "why"], rows, sentences=True))
 
     def _cell(self, item, value, basis, grid, decimals):
         """Check one cell of a table, and return it as it is shown."""
@@ -204,9 +201,9 @@ class Paper:
         if isinstance(value, str):
             given, right = self.cannot_check(item.id, value, cause=item.cause or None), ""
         elif item.lost:
-            given = self.cannot_check(item.id, "our copy has lost this cell", cause=item.cause, counted=float(value))
             right = f"{value:.{decimals}f}"
-        elif isinstance(value, tuple) and isinstance(value[0], (bool, np.bool_)):
+            given = self.cannot_check(item.id, "our copy has lost this cell", cause=item.cause, counted=float(right))
+        elif isinstance(value, tuple) and isinstance(value[0], (bool, np.bool_, Mapping)):
             holds, right, how = value
             evidence = how if right == item.printed else f"{right}: {how}"
             given = self.claim(item.id, holds, evidence, basis=basis or item.basis or "arithmetic")
@@ -220,14 +217,16 @@ class Paper:
 
     def _told(self, layout):
         """Return what is wrong in a table, a sentence for each cause or one for all; none is told twice."""
-        causes = Counter(each.cause for each in self._to_report if each.verdict in FAILS)
+        failing = [each for each in self._to_report if each.verdict in FAILS]
+        causes = Counter(each.cause for each in failing)
+        sign = mark(IN_PART) if all(each.verdict == IN_PART for each in failing) else mark(DIFFERS)
         if layout.wrong and causes:
-            return [f"✗ {counted(causes.total(), 'cell')}: {layout.wrong}"]
+            return [f"{sign} {counted(causes.total(), 'cell')}: {layout.wrong}"]
         told = []
         for id, count in causes.items():
             told_at = self._told_at.setdefault(id, layout.name)
             why = self.causes[id].sentence if told_at == layout.name else f"as in {told_at}."
-            told.append(f"✗ {counted(count, 'cell')}: {why}")
+            told.append(f"{sign} {counted(count, 'cell')}: {why}")
         return told
 
     def _shown(self, grid, told=None):
@@ -319,6 +318,20 @@ class Paper:
 
     def _error(self, id, problem):
         return ValueError(f"{self.key}, {id!r}: {problem}")
+
+
+def _agreeing(verdicts):
+    """Return in words how many of a table's cells agree."""
+    times = Counter(each.verdict for each in verdicts)
+    unchecked, lost = times[CANNOT_BE_CHECKED], sum(each.printed == "?" for each in verdicts)
+    said = f"{sum(times[each] for each in HOLDS)} of {len(verdicts) - unchecked} agree"
+    if times[IN_PART]:
+        said += f", {times[IN_PART]} in part"
+    if lost:
+        said += f"; our copy has lost {lost}"
+    if unchecked > lost:
+        said += f"; {unchecked - lost} cannot be checked"
+    return said
 
 
 def _where_items_stand(layout, lines):

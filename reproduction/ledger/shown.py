@@ -11,6 +11,8 @@ from .verdicts import CANNOT_BE_CHECKED, FAILS, HOLDS, IN_PART, Verdict, Verdict
 
 ITEM = re.compile(r"\{([^{}]+)\}")
 WRONG_STYLE = "background:#fbe0d2"  # beside a sign: GitHub shows no colours
+LEFT = "text-align:left"
+SHORT = 12  # letters of a place such as "Eq. 12" that is not broken
 
 
 def mark(verdict: str) -> str:
@@ -55,18 +57,27 @@ class Cell:
     html: str = ""
     wrong: bool = False
 
-    def tag(self, name: str) -> str:
+    def tag(self, name: str, style: str = "") -> str:
         """Return the cell in HTML, as a td or th."""
-        style = f' style="{WRONG_STYLE}"' if self.wrong else ""
-        return f"<{name}{style}>{self.html or escape(self.text)}</{name}>"
+        styles = "; ".join(each for each in (style, WRONG_STYLE if self.wrong else "") if each)
+        return f"<{name}{f' style={styles!r}' if styles else ''}>{self.html or escape(self.text)}</{name}>"
 
 
 class Grid:
-    """Cells under a header, with a caption; a text stands for the Cell of that text."""
+    """Cells under a header, with a caption; a text stands for the Cell of that text.
 
-    def __init__(self, head: Iterable[Cell | str], rows: Iterable[Iterable[Cell | str]], caption: str = ""):
+    Notebooks align tables at the right; a table of sentences is aligned at the left.
+    """
+
+    def __init__(
+        self,
+        head: Iterable[Cell | str],
+        rows: Iterable[Iterable[Cell | str]],
+        caption: str = "",
+        sentences: bool = False,
+    ):
         self.lines = [[cell if isinstance(cell, Cell) else Cell(str(cell)) for cell in line] for line in (head, *rows)]
-        self.caption = caption
+        self.caption, self.style = caption, LEFT if sentences else ""
 
     def __repr__(self):
         widths = [max(len(cell.text) for cell in column) for column in zip(*self.lines, strict=True)]
@@ -78,10 +89,10 @@ class Grid:
 
     def html(self) -> str:
         """Return the table in HTML."""
-        caption = f"<caption>{escape(self.caption)}</caption>\n" if self.caption else ""
+        caption = f'<caption style="{LEFT}">{escape(self.caption)}</caption>\n' if self.caption else ""
         head, *rows = self.lines
-        heads = "".join(cell.tag("th") for cell in head)
-        body = "\n".join(f"<tr>{''.join(cell.tag('td') for cell in row)}</tr>" for row in rows)
+        heads = "".join(cell.tag("th", self.style) for cell in head)
+        body = "\n".join(f"<tr>{''.join(cell.tag('td', self.style) for cell in row)}</tr>" for row in rows)
         return f"<table>\n{caption}<thead><tr>{heads}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
 
 
@@ -123,6 +134,18 @@ def beside(given: Verdict, right: str, grid: bool) -> Cell:
     if right == printed and given.kind != "number":
         right = "the same"
     return Cell(f"{printed} | {right}")
+
+
+def place(given: Verdict) -> Cell:
+    """Return where an item stands, with the sign of its verdict.
+
+    >>> place(Verdict("p", "t", "Eq. 4", "formula", "A = B", "gap 0", "reproduced", "", "identity", ""))
+    Cell(text='✓ Eq. 4', html='✓&nbsp;Eq.&nbsp;4', wrong=False)
+    """
+    where = escape(given.where)
+    if len(given.where) <= SHORT:
+        where = where.replace(" ", "&nbsp;")
+    return Cell(f"{mark(given.verdict)} {given.where}", f"{mark(given.verdict)}&nbsp;{where}")
 
 
 def shortened(text: str, most: int = 60) -> str:

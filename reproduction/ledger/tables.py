@@ -65,9 +65,24 @@ class Table:
         rule = "|" + "---|" * len(self.header)
         return "\n".join([header, rule, *rows])
 
+    def folded(self, summary: str) -> Folded:
+        """Return the table to be shown folded under a summary."""
+        return Folded(self.header, self.rows, summary)
+
     def _repr_html_(self):
         def line(cells, tag):
             return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 
         body = "\n".join(line(row, "td") for row in self.rows)
         return f"<table>\n<thead>{line(self.header, 'th')}</thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+
+
+class Folded(Table):
+    """A table that a notebook shows under a line of its own, to be opened."""
+
+    def __init__(self, header: Iterable[object], rows: Iterable[Iterable[object]], summary: str):
+        super().__init__(header, rows)
+        self.summary = summary
+
+    def _repr_html_(self):
+        return f"<details><summary>{escape(self.summary)}</summary>\n{super()._repr_html_()}\n</details>"

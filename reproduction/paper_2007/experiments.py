@@ -37,21 +37,27 @@ def random_sky(rng):
     return positioning.sky(x, rng.uniform(0, positioning.SIDEREAL_DAY)), np.append(x, 0.0)
 
 
-def rough_errors(offset, sigma, steps, rng, M):
-    """Return the errors of the rough position over the iteration (2007 Fig. 1), (steps + 1, M), in M random runs.
+def rough_errors(start, sigma, steps, rng, M, anew=True):
+    """Return the errors (steps + 1, M) of the rough position over the iteration (2007 Figs. 1, 2), in M random runs.
 
-    Each run has a `random_sky`, independent range errors of standard deviation sigma, and a start that is off by
-    `offset`, [x y z D']. The errors are distances to the true position, at the start and after each step.
+    Each run has a `random_sky`, and range errors of standard deviation sigma: others at each step, or the same for all
+    steps. start takes the true [x y z D'] to the known one. The errors are distances to the true position, at the start
+    and after each step.
 
-    >>> rough_errors(np.array([3e5, 0, 0, 5e3]), 1.0, 3, np.random.default_rng(0), 2)[0]
+    >>> def off(X):
+    ...     return X + np.array([3e5, 0, 0, 5e3])
+    >>> rough_errors(off, 1.0, 3, np.random.default_rng(0), 2)[0]
     array([300000., 300000.])
     """
     errors = []
     for _ in range(M):
         satellites, X = random_sky(rng)
-        ranges = positioning.pseudoranges(satellites, X) + sigma * rng.standard_normal(len(satellites))
-        path = positioning.position_steps(satellites, ranges, X + offset, steps)
-        errors.append(np.linalg.norm((path - X)[:, :3], axis=1))
+        exact = positioning.pseudoranges(satellites, X)
+        noise = sigma * rng.standard_normal((steps if anew else 1, len(satellites)))
+        path = [start(X)]
+        for each in np.broadcast_to(noise, (steps, len(satellites))):
+            path.append(positioning.position_steps(satellites, exact + each, path[-1], 1)[1])
+        errors.append(np.linalg.norm((np.array(path) - X)[:, :3], axis=1))
     return np.transpose(errors)
 
 

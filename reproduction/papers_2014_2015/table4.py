@@ -1,4 +1,4 @@
-"""Table 4 of 2014: from which numbers it was made, and a map of which of its cells are right.
+"""Table 4 of 2014: from which numbers it was made.
 
 The cells are {(i, j): item}. An item is what the ledger knows of the printed ratio of number i over number j:
 `item.printed` is its text, `item.lost` says whether our copy has lost it, and `item.agrees(value)` whether a value
@@ -6,11 +6,8 @@ rounds to it.
 """
 
 import numpy as np
-from matplotlib.colors import ListedColormap
-from matplotlib.patches import Patch, Rectangle
 
-RIGHT, WRONG, LOST, NONE = range(4)
-COLOURS = {RIGHT: "#d2e4ee", WRONG: "#d55e00", LOST: "white", NONE: "0.88"}
+MOST = 8  # vectors, symmetric and full matrices that a join is allowed
 
 
 def numbers_behind(cells, known):
@@ -36,58 +33,34 @@ def numbers_behind(cells, known):
     return behind
 
 
-def compare(cells, numbers):
-    """Return the state of each cell of a table of ratios, and the cells that reverse a comparison.
+def cells_of(paper):
+    """Return the items of Table 4 as {(row, column): item}, counted from 0.
 
-    A wrong ratio reverses a comparison if it is above 1 and the right one below, or the other way round.
-
-    >>> from reproduction.ledger import Item
-    >>> cells = {(0, 1): Item("t.1", "Table", "number", "0.50"), (1, 0): Item("t.2", "Table", "number", "0.90")}
-    >>> compare(cells, numbers=[1, 2])
-    (array([[3, 0],
-           [1, 3]]), [(1, 0)])
+    >>> from reproduction import published
+    >>> cells_of(published("2014_gsm_2d"))[0, 1].printed
+    '0.760'
     """
-    states = np.full((len(numbers), len(numbers)), NONE)
-    reversing = []
-    for (row, column), item in cells.items():
-        ratio = numbers[row] / numbers[column]
-        if item.lost:
-            states[row, column] = LOST
-        elif item.agrees(ratio):
-            states[row, column] = RIGHT
-        else:
-            states[row, column] = WRONG
-            if (float(item.printed) - 1) * (ratio - 1) < 0:
-                reversing.append((row, column))
-    return states, reversing
+    places = {id: id.removeprefix("table4.").split(".") for id in paper.layouts["table4"].ids}
+    return {(int(row) - 1, int(column) - 1): paper.items[id] for id, (row, column) in places.items()}
 
 
-def draw(ax, states, names, notes, framed):
-    """Draw a table as a map: a square for each cell, coloured by its state, and a legend below.
+def joins_tried(behind, counts):
+    """Return, for both joins, which sums of vectors and matrices fit the counts behind Table 4 in both models.
 
-    states is a square array of RIGHT, WRONG, LOST and NONE, names are those of its rows and columns. notes maps some of
-    the names to what is written at the right of their row; these names have the colour of a wrong cell. framed lists
-    the (row, column) of cells that get a black frame.
+    behind maps a join's index to its count in the table, counts are those of all twelve. A row is: the join, what its
+    count leaves over the two filters in model A, how often the filters are taken in model B, what is left there, and
+    the joins that fit both.
     """
-    size = len(names)
-    edges = np.arange(size + 1) - 0.5
-    colours = ListedColormap(list(COLOURS.values()))
-    ax.pcolormesh(edges, edges, states, cmap=colours, vmin=RIGHT, vmax=NONE, edgecolors="white", linewidth=1.5)
-    for row, column in np.argwhere(states == LOST):
-        ax.text(column, row, "?", ha="center", va="center", color="0.4")
-    for row, column in framed:
-        ax.add_patch(Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, fill=False, linewidth=2.5))
-    ax.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), aspect="equal")
-    ax.xaxis.tick_top()
-    ax.set_xticks(range(size), names, rotation=90)
-    ax.set_yticks(range(size), names)
-    for label in [*ax.get_xticklabels(), *ax.get_yticklabels()]:
-        label.set_color(COLOURS[WRONG] if label.get_text() in notes else "black")
-    for name, note in notes.items():
-        ax.text(size - 0.3, names.index(name), note, va="center", color=COLOURS[WRONG])
-    ax.tick_params(length=0)
-    ax.grid(False)
-    ax.spines[:].set_visible(False)
-    meanings = {RIGHT: "right", WRONG: "wrong", LOST: "missing from our copy"}
-    handles = [Patch(facecolor=COLOURS[state], edgecolor="0.7", label=text) for state, text in meanings.items()]
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3)
+    rows = []
+    for name, join in (("JKLF", 2), ("JSSKLF", 5)):
+        filters_a, filters_b = (sum(counts[join - 2 + model : join + model]) for model in (0, 6))
+        over_a = behind[join] - filters_a
+        for taken in (1, 2):
+            over_b = behind[join + 6] - taken * filters_b
+            fitting = []
+            for times, a, b, c in np.ndindex(5, MOST + 1, MOST + 1, MOST + 1):
+                cost = {n: a * n + b * n * (n + 1) // 2 + c * n**2 for n in (4, 2)}
+                if times and (cost[4], times * cost[2]) == (over_a, over_b):
+                    fitting.append(f"{times} times {a} vectors, {b} symmetric, {c} full")
+            rows.append([name, over_a, taken, over_b, "; ".join(fitting) or "none"])
+    return rows

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from counting import Counted
 
-from reproduction import burden, figures, plots
+from reproduction import burden
 from reproduction.ledger import Item
 from reproduction.papers_2014_2015 import table4
 
@@ -127,20 +127,3 @@ def test_the_numbers_behind_ratios_are_all_that_fit():
     assert ties == [number for number in range(1, 10_001) if 0.495 <= 1000 / number <= 0.505]
     assert numbers_behind({(2, 1): "2.00", (1, 2): "?"}, known={1: 1000})[2] == list(range(1995, 2006))
     assert numbers_behind(ratios | {(2, 1): "2.341"}, known={1: 509, 3: 44})[2] == []
-
-
-def test_the_description_of_the_map_tells_its_states():
-    fig, ax = plots.panels([["map"]])
-    states = np.array([[table4.NONE, table4.WRONG], [table4.LOST, table4.NONE]])
-    table4.draw(ax["map"], states, ["KF", "JKLF"], {"JKLF": "1, not 2"}, framed=[(0, 1)])
-    told = figures.describe(fig)
-    assert all(text in told for text in ("'?'", "'1, not 2'", "patch"))
-    other, ax = plots.panels([["map"]])
-    table4.draw(
-        ax["map"],
-        np.where(states == table4.WRONG, table4.RIGHT, states),
-        ["KF", "JKLF"],
-        {"JKLF": "1, not 2"},
-        [(0, 1)],
-    )
-    assert figures.describe(other) != told

@@ -25,12 +25,26 @@ def test_random_skies_are_of_all_places_and_times():
     assert not any(np.isclose(satellites[:, None], at_epoch, atol=1.0).all(axis=2).any() for satellites, _ in drawn)
 
 
+def off(X):
+    return X + np.array([3e5, 0, 0, 5e3])
+
+
 def test_rough_errors_are_those_of_the_iteration():
-    errors = runs.rough_errors(np.array([3e5, 0, 0, 5e3]), 0.0, 4, np.random.default_rng(7), 20)
+    errors = runs.rough_errors(off, 0.0, 4, np.random.default_rng(7), 20)
     assert errors.shape == (5, 20)
     np.testing.assert_allclose(errors[0], 3e5)
     assert (np.diff(errors[:3], axis=0) < 0).all()
     assert errors[4].max() < 1e-6
+
+
+def test_ranges_are_new_at_each_step_or_stay_the_same():
+    """With the same ranges least squares repeats its position; with new ones the error is new, and as large."""
+    anew, same = (runs.rough_errors(lambda X: X, 1.0, 6, np.random.default_rng(7), 400, each) for each in (True, False))
+    np.testing.assert_allclose(same[2:], same[1:-1], atol=1e-3)  # m: from 2 m away the second step moves by microns
+    assert np.abs(np.diff(anew[1:], axis=0)).min(axis=0).max() > 1e-3
+    # The errors of 400 skies differ between the two by their own luck: an rms of 400 is known to some 5 %.
+    np.testing.assert_allclose(mpt.metrics.rms(anew[1:], axis=1), mpt.metrics.rms(same[1], axis=0), rtol=0.2)
+    assert (anew[0] == 0).all()
 
 
 @pytest.mark.parametrize("seconds", [0, 0.5, 1, 3, 10])

@@ -1,12 +1,9 @@
 """The recorded days of three receivers: their tables, what is made of them, and what the article says of it."""
 
-import ast
 import gzip
 import re
-import symtable
 import sys
 import warnings
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,9 +13,8 @@ from scipy.signal import lfilter
 from scipy.special import erf
 
 import mpt_helpers as mpt
-from reproduction import figures, ledger
 from reproduction.lasting import fit_lasting, lasting_error
-from reproduction.paper_2007 import article, experiments, positioning, recorded
+from reproduction.paper_2007 import article, positioning, recorded
 from reproduction.paper_2007.positioning import line_sigma
 
 sys.path.insert(0, str(ROOT / "notebooks" / "data"))
@@ -1202,58 +1198,3 @@ def test_the_mean_of_fixes_at_rest_is_compared_with_one():
 
     assert of_one(errors, 25) == pytest.approx(1 / 5, rel=0.1)  # 600 independent errors: 4 %
     assert of_one(np.cumsum(errors, axis=0), 2) == pytest.approx(1, abs=1e-3)  # errors that last
-
-
-def what_verdicts_need(cells):
-    """The code cells that give verdicts, and those that bind a name that one of these takes from elsewhere.
-
-    Tables and figures are left out: nothing depends on them, and they take most of the time.
-    """
-    needed, kept = set(), []
-    for text in reversed([source(cell) for cell in cells if cell["cell_type"] == "code"]):
-        tree = ast.parse(text)
-        top = symtable.symtable(text, "cell", "exec").get_symbols()
-        bound = {each.get_name() for each in top if each.is_assigned() or each.is_imported()}
-        if "paper." in text or bound & needed:
-            names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
-            stored = {node.id for node in names if isinstance(node.ctx, ast.Store)} | bound
-            needed = (needed - bound) | ({node.id for node in names} - stored)
-            kept.append(text)
-    return kept[::-1]
-
-
-def test_what_verdicts_need():
-    cells = ["import a", "b = a.c", "d = b + 1", "e = b - 1", "print(e)", "paper.claim(d)"]
-    cells = [{"cell_type": "code", "source": [text]} for text in cells]
-    assert what_verdicts_need(cells) == ["import a", "b = a.c", "d = b + 1", "paper.claim(d)"]
-
-
-def test_the_verdicts_are_the_same_with_the_stations_exchanged(cells, monkeypatch):
-    """What Part II's verdicts need runs once more, on the same tables in the other order."""
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(recorded, "TABLES", dict(reversed(recorded.TABLES.items())))
-    monkeypatch.setattr(figures, "save_figure", lambda fig, name: None)
-    names = {}
-    for text in what_verdicts_need(cells[1]):
-        exec(text, names)
-    assert next(iter(names["days"])) == "NYA1"
-    shipped = ledger.shipped_verdicts("2007_mms_kalman")
-    assert names["paper"]._outcomes == {each.id: each.verdict for each in shipped}
-
-
-def test_the_filter_makes_less_than_a_tenth_of_the_error_of_a_line_through_a_change_of_velocity():
-    """By simulated tracks and numpy's line, with a diagonal Q, which is the worse one: to 2.2 m/s within a second."""
-    (given,) = (each for each in ledger.stored_verdicts(NOTEBOOK) if each.id == "kalman.changing")
-    assert (given.verdict, given.basis, given.cause) == ("reproduced", "exact", "")
-    assert float(re.search(r"in each case at most (0\.\d+) of that line's", given.computed)[1]) < 0.1
-    N, tracks, rng = 200, 200, np.random.default_rng(1)
-    moves = experiments.change(0.2, 2.2, 1, N)
-    noise = rng.normal(size=(N, 2, tracks)) * [[1.0], [0.01]]
-    z = (moves + np.array([0, 1.0]))[..., None] + noise
-    model = replace(mpt.gps_ins(1.0, 0.01, (1.0, 1e-4)), P0=np.diag([100.0, 1, 1]), Q=np.diag([0, 0.01, 0]))
-    off = mpt.KalmanFilter(model).filter(z)[:, 0] - moves[:, :1]
-    steps = np.arange(100)
-    k = range(N // 2, N // 2 + 50)
-    slopes = [np.polyfit(steps, z[j - 99 : j + 1, 0], 1) for j in k]
-    line = np.array([slope * 99 + first for slope, first in slopes]) - moves[k, :1]
-    assert mpt.metrics.rms(off[k]) < 0.1 * mpt.metrics.rms(line)

@@ -14,7 +14,6 @@ import sys
 import time
 import warnings
 from contextlib import chdir
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,10 +23,11 @@ from nbformat.v4 import new_output
 
 import mpt_helpers as mpt
 from reproduction import runner
-from reproduction.__main__ import as_text, main, readme
+from reproduction.__main__ import as_text, main
 from reproduction.execute import through_files
-from reproduction.ledger import Verdicts, keys, shipped_verdicts, stored_verdicts
+from reproduction.ledger import keys, shipped_verdicts, stored_verdicts
 from reproduction.ledger.verdicts import FIELDS, MIME
+from reproduction.readme import block
 
 PLOTS = """\
 from reproduction import plots
@@ -584,60 +584,45 @@ def test_after_jupyter_execute_tidy_leaves_outputs_only(project):
     assert files(project) == before
 
 
+ABOUT = """\
+paper = { name = "Small", title = "T", authors = "A", journal = "J", year = 1960, doi = "", tables = 2, figures = 1,
+    question = "Is it?", answer = "It is." }
+"""
+
+
 def test_the_readme_gets_the_counts(shipped, project, capsys):
-    path = project / "README.md"
+    path, ledger = project / "README.md", project / "reproduction/ledger/small.toml"
+    ledger.write_text(ABOUT.replace("\n    ", " ") + ledger.read_text())
     assert main(["readme"]) == 1
     assert re.search("error: .*No such file .*README.md", capsys.readouterr().err)
     path.write_text("words\n")
     assert main(["readme"]) == 1
-    assert "README.md: needs one place for the verdicts, got 0" in capsys.readouterr().err
+    assert "README.md: needs one place for the papers, got 0" in capsys.readouterr().err
     assert path.read_text() == "words\n"
-    path.write_text("above\n<!-- verdicts: here -->\nold\n<!-- end of verdicts -->\nbelow\n")
+    path.write_text("above\n<!-- papers: here -->\nold\n<!-- end of papers -->\nbelow\n")
     assert main(["readme"]) == 0
+    tables = " ".join(f"[{n}](notebooks/small.ipynb#Table-{n})" for n in (1, 2))
+    figure = "[1](figures/small_fig1.png)"
     assert path.read_text().splitlines() == [
         "above",
-        "<!-- verdicts: here -->",
+        "<!-- papers: here -->",
         "",
-        "**What we found: 1 slip (1 cell).** Of the 1 cells that cannot be checked, 1 are missing or illegible in our "
-        "copy; for 0 the paper leaves something out.",
+        "| paper | what it asks | does it hold? | hold | in part | fail | tables | figures |",
+        "|---|---|---|---|---|---|---|---|",
+        f"| [Small (1960)](notebooks/small.ipynb) | Is it? | It is. | 3 | 0 | 1 | {tables} | {figure} |",
         "",
-        "| paper | claims | hold | hold under a condition | fail | contradict their own paper | cannot be checked |",
-        "|---|---|---|---|---|---|---|",
-        "| [small](notebooks/small.ipynb) | 1 | 1 | 0 | 0 | 0 | 0 |",
-        "| all | 1 | 1 | 0 | 0 | 0 | 0 |",
+        "Of the 1 items that cannot be checked, 1 are lost in our copies, which are texts extracted from PDF files; "
+        "0 are legible but doubted for a character; 0 lack something that the paper leaves out.",
         "",
-        "| paper | numbers, formulas, figures | agree | agree in part | do not | cannot be checked | slips (cells) "
-        "| wordings (cells) | findings (cells) |",
-        "|---|---|---|---|---|---|---|---|---|",
-        "| [small](notebooks/small.ipynb) | 4 | 2 | 0 | 1 | 1 | 1 (1) | 0 (0) | 0 (0) |",
-        "| all | 4 | 2 | 0 | 1 | 1 | 1 (1) | 0 (0) | 0 (0) |",
-        "",
-        "<!-- end of verdicts -->",
+        "<!-- end of papers -->",
         "below",
     ]
 
 
-def test_the_readme_counts_claims_that_cannot_be_checked(shipped):
-    *_, lost = shipped
-    text = readme(Verdicts([*shipped, replace(lost, kind="claim")], shipped.causes))
-    assert "| all | 2 | 1 | 0 | 0 | 0 | 1 |" in text
-
-
-def test_a_formula_that_holds_in_part_neither_agrees_nor_disagrees_in_the_readme(shipped):
-    _, _, wrong, *_ = shipped
-    part = replace(wrong, id="part", kind="formula", verdict="holds in part")
-    text = readme(Verdicts([*shipped, part], shipped.causes))
-    assert "| all | 5 | 2 | 1 | 1 | 1 |" in text
-
-
-def test_the_outcomes_of_the_readme_add_up():
-    """In each row of both tables: the outcomes to the claims, or to the numbers, formulas and figures."""
-    of_claims, of_values = re.findall(r"(?:^\|.*\n)+", readme(shipped_verdicts()) + "\n", re.MULTILINE)
-    for table, outcomes in ((of_claims, 5), (of_values, 4)):
-        rows = [row.strip("|").split("|") for row in table.splitlines()[2:]]
-        assert len(rows) == len(keys()) + 1
-        for _, total, *counts in rows:
-            assert sum(map(int, counts[:outcomes])) == int(total)
+def test_the_counts_of_the_readme_add_up_to_what_could_be_checked():
+    rows = [row.strip("|").split("|") for row in block(shipped_verdicts()).splitlines() if row.startswith("| [")]
+    assert len(rows) == len(keys())
+    assert sum(int(cell) for row in rows for cell in row[3:6]) == shipped_verdicts().checked()["checked"]
 
 
 def test_verdicts_into_a_file_are_utf_8_whatever_the_terminal_has():

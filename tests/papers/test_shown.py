@@ -8,7 +8,7 @@ from conftest import PAPER
 
 from reproduction.ledger import Item, Verdicts, read_paper
 from reproduction.ledger.contents import Row, contents, in_words, write_contents
-from reproduction.ledger.shown import Grid
+from reproduction.ledger.shown import Cell, Grid
 from reproduction.ledger.verdicts import MIME
 
 TABLES = """
@@ -51,7 +51,7 @@ lost = "our-copy"
 WITH_TABLES = PAPER.replace('id = "lost",', 'id = "lost", cause = "our-copy",').replace(
     'id = "wrong",', 'id = "wrong", cause = "one-missing",'
 )
-VALUES = {"count": 17, "wrong": 336, "ratio": (1.3, (1.28, 1.31)), "lost": 2.5}
+VALUES = {"count": 17, "wrong": 336, "ratio": (1.3, (1.28, 1.31)), "lost": 2.50004}
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def paper():
 def test_a_table_shows_printed_beside_computed_and_says_what_is_wrong(paper):
     shown = paper.table("both", VALUES, basis="simulation")
     assert repr(shown).splitlines() == [
-        "Table 9: all of them. 2 of 3 agree; 1 cannot be checked.",
+        "Table 9: all of them. 2 of 3 agree; our copy has lost 1.",
         "what             printed | computed",
         "a count          17 | 17",
         "a total          326 | 336 ✗",
@@ -77,6 +77,7 @@ def test_a_table_shows_printed_beside_computed_and_says_what_is_wrong(paper):
         "ratio": "within band",
         "lost": "cannot be checked",
     }
+    assert {each.id: each.computed for each in shown}["lost"] == "2.5"  # with as many decimals as the rest prints
     assert "<s>326</s> | <b>336</b>&nbsp;✗" in shown.html()
     assert [each["id"] for each in shown._repr_mimebundle_()[MIME]] == list(given)
 
@@ -155,8 +156,10 @@ def test_what_cannot_be_checked_is_shown_with_its_reason(paper):
 
 def test_the_cells_of_a_table_in_html_keep_their_signs():
     html = Grid(["a", "b"], [["<", "1 ✗"]], "c & d").html()
-    assert "<caption>c &amp; d</caption>" in html
+    assert "c &amp; d</caption>" in html
     assert "<td>&lt;</td><td>1 ✗</td>" in html
+    sentences = Grid(["a"], [[Cell("b", wrong=True)]], sentences=True).html()
+    assert "<td style='text-align:left; background:#fbe0d2'>b</td>" in sentences
 
 
 @pytest.fixture

@@ -1,0 +1,102 @@
+"""The six figures of the paper of 2007, as its text and captions describe them; what is ours stands in panels below."""
+
+import numpy as np
+
+from reproduction import plots
+
+MEASURED = {"color": plots.COLOUR_OF["measured"], "lw": 1.0}
+
+
+def draw_fig1(one, skies, other):
+    """Draw Figure 1: the error of the rough position over the iteration, (steps + 1,); below it that of many skies.
+
+    skies and other are errors (steps + 1, M) from two starts: off by 300 km, and at x = 300 km.
+    """
+    fig, ax = _panels([["one"], ["many"]], "Figure 1: the rough position by least squares (MMS)", 2.4)
+    ax["one"].plot(one / 1e3, "o-", ms=4, color=plots.COLOUR_OF["line"])
+    plots.finish(ax["one"], "step of the iteration", "error of the position (km)")
+    starts = {"start 300 km off": (skies, "-", "line"), "start at x = 300 km": (other, "--", "mean")}
+    for label, (errors, style, colour) in starts.items():
+        _band(ax["many"], errors, style, plots.COLOUR_OF[colour], label)
+    ax["many"].set_yscale("log")
+    plots.finish(ax["many"], "step of the iteration", f"ours: the same (m), {skies.shape[1]:,} skies")
+    return fig
+
+
+def draw_fig2(one, skies, same):
+    """Draw Figure 2: the error from a precise start, (steps + 1,), and below it what remains under many skies.
+
+    skies (steps + 1, M) has new ranges at each step, same (steps + 1, M) one set of ranges for all steps.
+    """
+    fig, ax = _panels([["one"], ["many"]], "Figure 2: from precise coordinates", 2.4)
+    ax["one"].plot(one, "-", color=plots.COLOUR_OF["line"])
+    ax["one"].set_ylim(0)
+    plots.finish(ax["one"], "step of the iteration", "error of the position (m)")
+    for label, errors, style in (("new ranges at each step", skies, "-"), ("one set of ranges", same, "--")):
+        rms = np.sqrt(np.mean(errors**2, axis=1))
+        ax["many"].plot(rms, style, color=plots.COLOUR_OF["line" if style == "-" else "mean"], label=label)
+    ax["many"].set_ylim(0)
+    plots.finish(ax["many"], "step of the iteration", f"ours: rms error (m), {skies.shape[1]:,} skies")
+    return fig
+
+
+def _band(panel, errors, style, colour, label):
+    panel.fill_between(range(len(errors)), errors.min(axis=1), errors.max(axis=1), color=colour, alpha=0.25, lw=0)
+    panel.plot(np.median(errors, axis=1), style, color=colour, label=label)
+
+
+def draw_line(number, t, x, measured, estimates, sigma):
+    """Draw Figure 3 or 4: measured and estimated x, below it the estimated velocity, and below these the error of x.
+
+    x (N, 2) is the true position and velocity, measured (N,) the positions, estimates (N, 2) the newest point of the
+    line through all points so far and its velocity, sigma (N,) the standard deviation of that point.
+    """
+    speed = x[0, 1]
+    fig, ax = _panels([["x"], ["V"], ["error"]], f"Figure {number}: line fit (MMS), V = {speed:g} m/s", 2.0)
+    _tracks(ax, t, x, measured, estimates, plots.COLOUR_OF["line"])
+    _error(ax["error"], t, estimates[:, 0] - x[:, 0], sigma, plots.COLOUR_OF["line"])
+    return fig
+
+
+def draw_kalman(number, t, x, measured, estimates, sigma):
+    """Draw Figure 5 or 6: measured and estimated x, below it the estimated velocity; then INS error, and error of x.
+
+    x (N, 3) is the true position, velocity and constant error of the INS, measured (N,) the positions by GPS, estimates
+    (N, 3) those of the filter, sigma (N,) what it states for the position.
+    """
+    layout = [["x", "x"], ["V", "V"], ["b", "error"]]
+    fig, ax = _panels(layout, f"Figure {number}: Kalman filter with INS, V = {x[0, 1]:g} m/s", 2.0)
+    colour = plots.COLOUR_OF["kalman"]
+    _tracks(ax, t, x, measured, estimates, colour)
+    ax["b"].plot(t, x[:, 2], ":", color=plots.COLOUR_OF["truth"])
+    ax["b"].plot(t, estimates[:, 2], "--", color=colour)
+    ax["b"].set_xlim(0, t[-1])
+    plots.finish(ax["b"], "time (s)", "ours: INS error (m/s)")
+    _error(ax["error"], t, estimates[:, 0] - x[:, 0], sigma, colour)
+    return fig
+
+
+def _tracks(ax, t, x, measured, estimates, colour):
+    ax["x"].plot(t, measured, "-", **MEASURED, label="measured $x_m$")
+    ax["x"].plot(t, estimates[:, 0], "--", color=colour, label="estimated $x_e$")
+    ax["x"].plot([], [], ":", color=plots.COLOUR_OF["truth"], label="true")
+    ax["V"].plot(t, x[:, 1], ":", color=plots.COLOUR_OF["truth"])
+    ax["V"].plot(t, estimates[:, 1], "--", color=colour)
+    for name, title in {"x": "coordinate x (m)", "V": "velocity (m/s)"}.items():
+        ax[name].set_xlim(0, t[-1])
+        plots.finish(ax[name], "", title)
+    plots.legend_below(ax["x"], 3)
+
+
+def _error(panel, t, error, sigma, colour):
+    panel.fill_between(t, -2 * sigma, 2 * sigma, color="0.85", lw=0)
+    panel.plot(t, error, "-", color=colour)
+    panel.set_xlim(0, t[-1])
+    plots.finish(panel, "time (s)", "ours: error of x (m)")
+
+
+def _panels(layout, title, height):
+    plots.use_style()
+    fig, ax = plots.panels(layout, height=height)
+    fig.suptitle(title, x=0.02, ha="left", fontsize=12)
+    return fig, ax

@@ -1,0 +1,196 @@
+"""The lesson on three axes: what it teaches agrees with the package, and each number of its prose is computed here."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from conftest import ROOT, cells_of, prose, source
+
+import mpt_helpers as mpt
+from reproduction import burden
+from reproduction.papers_2014_2015 import lesson_three_axes as lesson
+
+CELLS = {cell["id"]: cell for cell in cells_of(ROOT / "notebooks" / "lessons" / "three_axes_one_small_filter.ipynb")}
+TEXT = re.sub(r"\s+", " ", prose(CELLS.values()).replace("*", ""))
+F, G = lesson.AXIS.F, np.array([[0.5], [1.0]])
+UNKNOWN = np.diag([1e6, 4.0])
+
+
+def says(text):
+    """Require that the lesson says this; numbers in it are computed by the test."""
+    assert re.sub(r"\s+", " ", text) in TEXT, text
+
+
+@pytest.fixture(scope="module")
+def taught():
+    """The names that the lesson's filters define."""
+    names = {}
+    exec(source(CELLS["filter"]), names)
+    exec(source(CELLS["step-gaps"]).partition("\nX_own, P_own")[0], names)
+    return names
+
+
+@pytest.fixture(scope="module")
+def settled():
+    """P and K of the settled filter."""
+    steady = mpt.SteadyStateFilter.from_kalman(lesson.AXIS)
+    return steady.P, steady.B
+
+
+def test_the_filter_that_is_taught_is_that_of_the_package(taught):
+    model = mpt.stack(*[lesson.AXIS] * 3)
+    _, z = mpt.simulate(model, 50, np.random.default_rng(3))
+    X, P = np.zeros((2, 3)), np.zeros((2, 2))
+    big = mpt.KalmanFilter(model).estimates(z)
+    for z_k, x_big, P_big in zip(z, big.x, big.P, strict=True):
+        X, P = taught["step"](X, P, z_k)
+        np.testing.assert_allclose(X.T.ravel(), x_big, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(np.kron(np.eye(3), P), P_big, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(3,), (3, 1, 1)])
+def test_the_filter_with_gaps_serves_axes_with_noises_of_their_own(taught, shape):
+    variances = np.array([0.1, 0.2, 0.9])
+    model = mpt.stack(*[mpt.LinearModel(F=F, H=[[1, 0]], Q=lesson.AXIS.Q, R=[[each]]) for each in variances])
+    rng = np.random.default_rng(4)
+    _, z = mpt.simulate(model, 50, rng)
+    z[rng.random(z.shape) < 0.3] = np.nan
+    X, P = np.zeros((3, 2, 1)), np.zeros((3, 2, 2))
+    for z_k in z:
+        X, P = taught["step_with_gaps"](X, P, list(z_k), r=variances.reshape(shape))
+    e = mpt.KalmanFilter(model).estimates(z)
+    np.testing.assert_allclose(X.ravel(), e.x[-1], atol=1e-12)
+    for i in range(3):
+        np.testing.assert_allclose(P[i], e.P[-1][2 * i : 2 * i + 2, 2 * i : 2 * i + 2], atol=1e-12)
+
+
+def test_the_package_gives_each_axis_a_covariance_of_its_own():
+    says("`mpt.KalmanFilter(axis).filter(z)` with $z$ of shape (seconds, 1, 3) gives each axis a $P$ of its own")
+    model = mpt.stack(*[lesson.AXIS] * 3)
+    _, z = mpt.simulate(model, 60, np.random.default_rng(5))
+    z[30:, 2] = np.nan
+    apart = mpt.KalmanFilter(lesson.AXIS).filter(z[:, None, :])
+    together = mpt.KalmanFilter(model).filter(z)
+    np.testing.assert_allclose(apart.transpose(0, 2, 1).reshape(60, 6), together, atol=1e-9)
+
+
+def test_sharing_needs_that_each_axis_is_measured_and_the_split_does_not(taught):
+    says("The split needs the first of these two facts, and the sharing both.")
+    X, P = np.zeros((3, 2, 1)), np.stack([np.eye(2)] * 3)
+    for _ in range(200):
+        before = P
+        X, P = taught["step_with_gaps"](X, P, [0.0, 0.0, np.nan])
+        assert (P[2] > before[2])[[0, 1], [0, 1]].all()
+    np.testing.assert_allclose(P[0], before[0], rtol=1e-9)
+    says("(In `step` a single NaN would spoil its column for ever.)")
+    X, P = taught["step"](np.zeros((2, 3)), np.eye(2), np.array([1.0, np.nan, 1.0]))
+    X, _ = taught["step"](X, P, np.ones(3))
+    np.testing.assert_array_equal(np.isnan(X), [[False, True, False]] * 2)
+
+
+def test_the_headline_numbers(settled):
+    P, K = settled
+    says("a phone that knows its height to 0.23 m knows it to 10.5 m after thirty seconds without one")
+    assert (round(np.sqrt(P[0, 0]), 2), round(lesson.sigma_after(30), 1)) == (0.23, 10.5)
+    says("The settled gain goes the share 0.546 of the way.")
+    assert round(K[0, 0], 3) == 0.546
+    says("its first one is 1,000,000 / (1,000,000 + 0.1)")
+    first = mpt.KalmanFilter(mpt.LinearModel(F=np.eye(2), H=[[1, 0]], Q=0 * P, R=[[0.1]], P0=UNKNOWN)).covariances(1)
+    assert first[0, 0, 0] / 0.1 == pytest.approx(1e6 / (1e6 + 0.1), rel=1e-9)
+    says("even a filter that knew everything at the last measurement would end at 9.5 m")
+    known = np.zeros((2, 2))
+    for _ in range(30):
+        known = F @ known @ F.T + lesson.AXIS.Q
+    assert round(np.sqrt(known[0, 0]), 1) == 9.5
+    says("a measurement has a variance of 0.1 m², so its σ is 0.32 m")
+    assert round(np.sqrt(0.1), 2) == 0.32
+    says("for a car with 900 instead of 4, which is 30 m/s")
+    assert np.sqrt(900) == 30
+
+
+def test_what_is_left_of_a_measurement_is_r_times_the_gain(settled):
+    says(
+        "A measurement leaves the share $r / (P_p + r)$ of the predicted variance $P_p$, and the gain is $P_p / (P_p + r)$"
+    )
+    P, K = settled
+    predicted = (F @ P @ F.T + lesson.AXIS.Q)[0, 0]
+    assert P[0, 0] / predicted == pytest.approx(0.1 / (predicted + 0.1), rel=1e-9)
+    np.testing.assert_allclose(P[:, [0]] / 0.1, K, rtol=1e-9)
+
+
+def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
+    """By errors of simulated tracks too: 20,000 know a standard deviation to 0.5 %."""
+    says("The frozen filter's σ is up to 16 times the other's, and it takes ten seconds until the two agree.")
+    best, frozen = lesson.after_silence(30, steps=15)
+    ratio = frozen / best
+    assert round(ratio.max()) == 16
+    assert ratio[8] > 1.2
+    assert ratio[9:].max() < 1.05
+    says("After a silence of three seconds it is 1.5 times the other's in the first second, and they agree from")
+    best, short = lesson.after_silence(3, steps=15)
+    assert round((short / best)[0], 1) == 1.5
+    assert (short / best)[2:].max() < 1.05
+    settle, missed = 40, 30
+    x, z = mpt.simulate(lesson.AXIS, settle + missed + 10, np.random.default_rng(8), tracks=20_000)
+    z[settle : settle + missed] = np.nan
+    error = mpt.SteadyStateFilter.from_kalman(lesson.AXIS).filter(z)[settle + missed :, 0] - x[settle + missed :, 0]
+    np.testing.assert_allclose(error.std(axis=1), frozen[:10], rtol=0.03)
+
+
+def test_axes_that_are_linked():
+    says("with a correlation of one half between all errors, the position of axes kept apart is 2 % worse")
+    assert round(lesson.losses_apart([1, 1, 1], errors=0.5)[0, 0]) == 2
+    says("along the diagonal of the three axes they state 0.23 m, and are wrong by 0.32 m")
+    assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
+    says("after thirty seconds it knows it to 4.4 m instead of 10.5 m")
+    says("it is wrong by 20 m and still states 4.4 m")
+    linked = lesson.correlated(3, 0.9)
+    assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
+    signs = np.array([1, 1, -1])
+    stated, true = lesson.silent_in_company(linked, true_changes=linked * np.outer(signs, signs))
+    assert (round(stated, 1), round(true)) == (4.4, 20)
+
+
+def test_the_loss_of_axes_kept_apart_is_that_of_simulated_tracks():
+    """The exact loss of the table, against the errors of both filters on tracks whose errors are linked."""
+    H, Q = np.kron(np.eye(3), lesson.AXIS.H), np.kron(np.eye(3), lesson.AXIS.Q)
+    R = lesson.AXIS.R[0, 0] * lesson.correlated(3, 0.9)
+    linked = mpt.LinearModel(F=np.kron(np.eye(3), F), H=H, Q=Q, R=R)
+    x, z = mpt.simulate(linked, 60, np.random.default_rng(6), tracks=20_000)
+    together = (mpt.KalmanFilter(linked).filter(z) - x)[-1, 0].std()
+    apart = (mpt.KalmanFilter(mpt.stack(*[lesson.AXIS] * 3)).filter(z) - x)[-1, 0].std()
+    # the ratio of two correlated spreads of 20,000 tracks is known to less than 1 %
+    assert 100 * (apart / together - 1) == pytest.approx(lesson.losses_apart([1, 1, 1], errors=0.9)[0, 0], abs=1)
+
+
+def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the_benchmark():
+    stored = json.loads((ROOT / "benchmarks" / "results.json").read_text(encoding="utf-8"))["three axes"]
+    clock = {each["name"]: each for each in stored}
+    rows = {
+        "one big filter": "one filter of six states",
+        "three small ones, one after the other": "three filters of two states",
+        "axes stacked, a $P$ for each: `step_with_gaps`": "axes stacked, a P for each",
+        "axes as columns that share one $P$: `step`": "axes as columns, one P and K",
+        "axes as columns, frozen": "constant gain: axes as columns",
+    }
+    for said, name in rows.items():
+        time = clock[name]["one"]
+        says(f"| {said} | {clock[name]['operations']} | {f'{time:.1g}' if time > 0.2 else f'{time:.2g}'} |")
+    says("Of 1660 operations a step, 101 are left.")
+    assert burden.total(burden.kalman(6, 3)) == 1660
+    assert burden.total(burden.kalman_columns(2, 1, axes=3)) == 101
+    says("on others `step_with_gaps` took up to 1.3")
+
+
+def test_errors_that_last_are_not_stated():
+    says("If nine tenths of each error stay for the next second, and the variance is still 0.1 m², this filter still")
+    says("states 0.234 m and is wrong by 0.333 m")
+    assert round(lesson.sigma_if_errors_last(0.9), 3) == 0.333
+
+
+def test_the_answer_of_the_exercise():
+    right = next(k for k in range(1, 30) if lesson.sigma_after(k) > 1)
+    assert lesson.answer_silence(right).startswith(f"right: after {right} s")
+    assert lesson.answer_silence(right + 1).endswith("It passed 1 m earlier.")
+    assert lesson.answer_silence(right - 1).endswith("It passes 1 m later.")

@@ -1,0 +1,256 @@
+"""The reproduction of the paper of 2007: what its notebook says, what its figures show, what its verdicts rest on."""
+
+import re
+
+import numpy as np
+import pytest
+from conftest import ROOT, cells_of, prose, shown
+
+import mpt_helpers as mpt
+from reproduction.ledger import published, stored_verdicts
+from reproduction.paper_2007 import checks, figures, positioning, recorded
+from reproduction.paper_2007 import experiments as runs
+
+NOTEBOOK = ROOT / "notebooks" / "2007_mms_kalman.ipynb"
+INPUTS = {"0.2", "0.02", "0.01"}  # what the paper prints of its settings
+
+
+@pytest.fixture(scope="module")
+def cells():
+    return cells_of(NOTEBOOK)
+
+
+@pytest.fixture(scope="module")
+def printed(cells):
+    return "\n".join(shown(cell) for cell in cells if cell["cell_type"] == "code")
+
+
+@pytest.fixture(scope="module")
+def record():
+    return checks.on_record()
+
+
+def verdicts():
+    return {each.id: each for each in stored_verdicts(NOTEBOOK)}
+
+
+# What the notebook says
+
+
+def test_every_number_of_the_prose_is_printed_by_a_cell(cells, printed):
+    said = set(re.findall(r"(?<![\d.])\d+\.\d+(?![\d.])", prose(cells).replace("10.5755", ""))) - INPUTS
+    assert {"0.20", "0.39", "1.08", "0.82", "0.146"} <= said
+    missing = [number for number in said if not re.search(rf"(?<![\d.]){re.escape(number)}\d?(?!\d)", printed)]
+    assert missing == []
+
+
+def test_the_front_says_what_the_verdicts_say(cells, record):
+    front = prose(cells[:1])
+    found = verdicts()
+    unchecked = [each for each in found.values() if each.verdict == "cannot be checked"]
+    assert len([each for each in unchecked if each.kind != "figure"]) == 4
+    assert "Four statements cannot be checked" in front
+    assert len([each for each in unchecked if each.kind == "figure"]) == 6
+    assert "It has lost all six pictures" in front
+    assert {id for id, each in found.items() if each.cause not in ("", "copy")} == {"line.sigma", "line.first"}
+    low, high = record.newest.min(), record.newest.max()
+    assert f"left {low:.2f} to {high:.2f} of the error of a single position, instead of 0.20" in front
+    assert positioning.line_sigma(100, np.array([0, 100])) == pytest.approx(2 / np.sqrt(100), rel=0.02)
+
+
+def test_what_lasts_is_told_as_it_is(cells, record):
+    said = prose(cells)
+    assert f"its square is {record.nees.min():.0f} to {record.nees.max():.0f} times the variance" in said
+    assert record.of_noise.max() < 0.35  # "does what the paper says, nearly": 0.20
+    assert np.abs(record.ratio / record.newest - 1).max() < 1 / 6  # "that of the line within a sixth"
+
+
+def test_no_verdict_rests_on_a_recording():
+    """The paper's errors are simulated and independent; what recordings add is beyond."""
+    assert {each.basis for each in verdicts().values()} <= {"identity", "arithmetic", "exact", "simulation", "reading"}
+    assert sum("recordings of receivers" in each.beyond for each in verdicts().values()) == 7
+
+
+def test_what_looks_odd_only_is_no_item():
+    """A name or a caption is no result: symbols and captions are told at the figures and among the letters."""
+    assert not {"symbols.p", "captions"} & published("2007_mms_kalman").items.keys()
+
+
+def test_each_dispute_is_settled_in_the_head_of_the_ledger():
+    text = (ROOT / "reproduction/ledger/2007_mms_kalman.toml").read_text(encoding="utf-8")
+    head = text[: text.index("paper.name")]
+    for id in ("symbols.p", "captions", "eq5", "rough.steps", "fluctuation", "kalman.rough", "kalman.longer"):
+        assert id in head
+    assert re.search(r"^# line.first: ", head, re.MULTILINE)
+    assert re.search(r"^# kalman.precise: ", head, re.MULTILINE)
+
+
+# Equation 8 and the first point
+
+
+def test_equation_8_gives_the_point_before_the_first():
+    """By numpy, on a line without errors whose first point is at 7 m."""
+    x = 7 + 0.3 * np.arange(100)
+    start, velocity = positioning.line_fit(x, 1.0)
+    assert start == pytest.approx(7 - 0.3)
+    assert start + velocity == pytest.approx(x[0])
+    assert (verdicts()["line.first"].verdict, verdicts()["line.first"].cause) == ("differs", "first-point")
+
+
+# Figures
+
+
+def curves(panel):
+    """The lines of a panel that have points: {style: (x, y)}."""
+    return {line.get_linestyle(): np.transpose(line.get_xydata()) for line in panel.lines if len(line.get_xydata())}
+
+
+@pytest.fixture
+def made():
+    """Five seconds of a track, measured and estimated."""
+    t = np.arange(1.0, 6)
+    true = checks.track(0.2, 5)
+    return t, true, true[:, 0] + 0.5, true + np.array([0.1, 0.01, -0.1]), np.full(5, 0.2)
+
+
+@pytest.mark.parametrize("draw", [figures.draw_line, figures.draw_kalman])
+def test_a_track_is_drawn_as_its_caption_says(draw, made):
+    """Measured x solid, estimated x dashed; below it the estimated velocity, and the true one dotted."""
+    t, true, measured, estimates, _ = made
+    x, velocity = (each for each in draw(5, *made).axes[:2])
+    assert (x.get_title(loc="left"), velocity.get_title(loc="left")) == ("coordinate x (m)", "velocity (m/s)")
+    assert curves(x).keys() == {"-", "--"}
+    np.testing.assert_array_equal(curves(x)["-"], [t, measured])
+    np.testing.assert_array_equal(curves(x)["--"], [t, estimates[:, 0]])
+    np.testing.assert_array_equal(curves(velocity)["--"], [t, estimates[:, 1]])
+    np.testing.assert_array_equal(curves(velocity)[":"], [t, true[:, 1]])
+    (legend,) = draw(5, *made).legends
+    assert [text.get_text() for text in legend.get_texts()] == ["measured $x_m$", "estimated $x_e$", "true"]
+
+
+def test_what_is_ours_stands_below(made):
+    t, true, _, estimates, sigma = made
+    _, _, b, error = figures.draw_kalman(6, *made).axes
+    np.testing.assert_array_equal(curves(b)["--"], [t, estimates[:, 2]])
+    np.testing.assert_array_equal(curves(b)[":"], [t, true[:, 2]])
+    np.testing.assert_allclose(curves(error)["-"][1], estimates[:, 0] - true[:, 0])
+    band = error.collections[0].get_paths()[0].vertices[:, 1]
+    assert (band.min(), band.max()) == (-2 * sigma[0], 2 * sigma[0])
+    for panel in (b, error, figures.draw_line(3, *made).axes[2]):
+        assert panel.get_title(loc="left").startswith("ours: ")
+
+
+def test_figures_1_and_2_have_the_error_above_and_many_skies_below():
+    one = np.array([3e5, 1e3, 2.0])
+    many = np.array([[3e5, 3e5, 3e5], [900.0, 1e3, 2e3], [1.0, 2.0, 4.0]])
+    above, below = figures.draw_fig1(one, many, 2 * many).axes
+    np.testing.assert_allclose(curves(above)["-"], [range(3), one / 1e3])
+    assert (above.get_yscale(), below.get_yscale()) == ("linear", "log")
+    np.testing.assert_allclose(curves(below)["-"][1], [3e5, 1e3, 2.0])
+    np.testing.assert_allclose(curves(below)["--"][1], [6e5, 2e3, 4.0])
+    band = below.collections[0].get_paths()[0].vertices[:, 1]
+    assert (band.min(), band.max()) == (1.0, 3e5)
+    above, below = figures.draw_fig2(one, many, 2 * many).axes
+    np.testing.assert_allclose(curves(above)["-"], [range(3), one])
+    np.testing.assert_allclose(curves(below)["-"][1][-1], np.sqrt(21 / 3))
+    assert below.get_title(loc="left") == "ours: rms error (m), 3 skies"
+
+
+def test_the_line_of_figures_3_and_4_is_that_of_numpy():
+    z = np.random.default_rng(1).standard_normal(40).cumsum()
+    found, sigma = checks.line_track(z)
+    assert np.isnan(found[:4]).all()
+    for k in (5, 17, 40):
+        V, x_eo = np.polyfit(np.arange(1, k + 1), z[:k], 1)
+        np.testing.assert_allclose(found[k - 1], [x_eo + k * V, V])
+        assert sigma[k - 1] == positioning.line_sigma(k, k)
+
+
+# What the verdicts rest on
+
+
+def simulated(q, M, seed=5):
+    """True states and measurements of GPS and INS on M tracks of 100 steps at 0.2 m/s."""
+    true = checks.track(0.2)
+    z = (true[:, :2] + [0, checks.BIAS])[..., None]
+    return true, z + checks.SIGMAS[:, None] * np.random.default_rng(seed).standard_normal((100, 2, M))
+
+
+def test_the_errors_after_100_steps_are_those_of_many_tracks():
+    """Those of 4,000 tracks, whose rms is known to 1.1 %; four of it."""
+    kf = mpt.KalmanFilter(checks.model(0.01))
+    true, z = simulated(0.01, 4000)
+    error = kf.filter(z)[-1] - true[-1][:, None]
+    np.testing.assert_allclose(checks.after_100(kf.filter), mpt.metrics.rms(error, axis=1), rtol=0.045)
+    F = np.array([[1, 1.0], [0, 1]])
+    alone = mpt.LinearModel(F=F, H=[[1, 0]], Q=np.diag([0, 0.01]), R=[[1.0]], P0=checks.P0[:2, :2])
+    error = mpt.KalmanFilter(alone).filter(z[:, :1])[-1, 0] - true[-1, 0]
+    assert checks.gps_alone(0.01) == pytest.approx(mpt.metrics.rms(error), rel=0.045)
+
+
+def test_a_reading_of_the_third_row_is_that_of_many_tracks():
+    """GPS less Δt times the INS, fed to the filter of three rows of the package."""
+    true, z = simulated(0.01, 4000)
+    fed = np.concatenate([z, z[:, :1] - z[:, 1:]], axis=1)
+    kf = mpt.KalmanFilter(checks.model(0.01, r33=1.0))
+    made, stated = checks.third_row("GPS - Δt INS")
+    assert made == pytest.approx(mpt.metrics.rms(kf.filter(fed)[-1, 0] - true[-1, 0]), rel=0.045)
+    assert stated == pytest.approx(np.sqrt(kf.covariances(100)[-1, 0, 0]))
+    without = checks.after_100(mpt.KalmanFilter(checks.model()).filter)[0]
+    assert checks.third_row("no third row")[0] == pytest.approx(without)
+
+
+def test_a_rough_filter_begins_300_km_away_and_least_squares_does_not_wait():
+    rough = checks.rough_kalman(np.random.default_rng(3), 4, epochs=12)
+    assert set(rough) == {"Q = (0 m)²", "Q = (1 m)²", "Q = (100 m)²", "iterated", "fix first"}
+    for errors in rough.values():
+        assert errors.shape == (12, 4)
+    assert (rough["Q = (0 m)²"][0] > 100).all()  # linearised once, 300 km away
+    assert (checks.epochs_until(rough["fix first"]) == 1).all()
+    np.testing.assert_allclose(rough["iterated"], rough["fix first"], atol=0.05)  # m: P0 of 300 km is little knowledge
+    assert (checks.epochs_until(rough["Q = (0 m)²"]) == np.inf).all()
+
+
+@pytest.fixture(scope="module")
+def change():
+    return checks.changes(np.random.default_rng(11), tracks=30)
+
+
+def test_after_a_change_line_and_filter_err_as_they_do_on_simulated_tracks(change):
+    """To 2.2 m/s within a second, by simulated tracks, the filter of the package and numpy's line."""
+    N, tracks, rng = 200, 200, np.random.default_rng(1)
+    moves = runs.change(0.2, 2.2, 1, N)
+    noise = rng.normal(size=(N, 2, tracks)) * [[1.0], [0.01]]
+    z = (moves + np.array([0, 1.0]))[..., None] + noise
+    off = mpt.KalmanFilter(checks.model(Q=np.diag([0, 0.01, 0]))).filter(z)[:, 0] - moves[:, :1]
+    k = range(N // 2, N // 2 + 50)
+    slopes = [np.polyfit(np.arange(100), z[j - 99 : j + 1, 0], 1) for j in k]
+    line = np.array([slope * 99 + first for slope, first in slopes]) - moves[k, :1]
+    place = checks.SPEEDS.index(2.2), checks.DURATIONS.index(1), checks.PHASES.index(0)
+    assert change.kalman["diagonal", 0.01][place] == pytest.approx(mpt.metrics.rms(off[k]), rel=0.05)
+    assert change.line[place] == pytest.approx(mpt.metrics.rms(line), rel=0.01)
+    window = positioning.adaptive_line(z[:, :1], 1.0, checks.THRESHOLD, 5, 100).x[:, 0] - moves[:, :1]
+    assert change.window[place] == pytest.approx(mpt.metrics.rms(window[k]), rel=0.1)
+
+
+def test_the_filter_makes_less_than_a_tenth_of_the_error_of_the_line_after_a_change(change):
+    given = verdicts()["kalman.changing"]
+    assert (given.verdict, given.basis) == ("reproduced", "exact")
+    share = float(re.search(r"in each case at most (0\.\d+) of that line's", given.computed)[1])
+    assert share == pytest.approx(max((each / change.line).max() for each in change.kalman.values()), abs=6e-4)
+    assert share < 0.1
+    assert change.row_3.shape == change.line.shape
+    assert (change.row_3 < change.line).all()
+
+
+def test_recordings_are_judged_by_line_and_filter(record):
+    """One case, by hand: a line of numpy through each hundred heights."""
+    case = recorded.cases(recorded.recorded_days())["NYA1, two frequencies"]
+    up = case.errors[:, 2]
+    newest = [np.polyval(np.polyfit(np.arange(100), up[k - 99 : k + 1], 1), 99) for k in range(99, len(up))]
+    at = record.names.index("NYA1, two frequencies"), recorded.AXES.index("up")
+    assert record.newest[at] == pytest.approx(mpt.metrics.rms(np.array(newest)) / mpt.metrics.rms(up[99:]))
+    assert record.fix[at] == pytest.approx(np.sqrt(np.mean(up**2)), rel=0.05)
+    assert record.of_noise[at] == pytest.approx(recorded.line_ratios(case.noise[:, 2], 100)[1])
+    assert (record.velocity < checks.BIAS / 2).all()
+    assert (record.bias < checks.BIAS / 2).all()
