@@ -31,14 +31,11 @@ __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 # is counts as missing: some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 LARGEST_METRES = 2e7  # m: half around the Earth
-# Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
-ONE_PLANE = 500e3
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
 # Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
 DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
 GRIDS_OF_METRES = DECIMALS
-A_WHILE = 3600.0  # s between segments that overlap in time
 
 
 class Track(NamedTuple):
@@ -163,8 +160,9 @@ def longest_in_order(time: Array) -> Array:
     for row in known[::-1].tolist():
         length = bisect.bisect_left(starts, turned[row])
         after[row] = starts_of[length - 1] if length else None
-        starts[length : length + 1] = [turned[row]]  # of two at one time the first stays
-        starts_of[length : length + 1] = [row]
+        if starts[length : length + 1] != [turned[row]]:  # of several at one time the last stays: it is the newest
+            starts[length : length + 1] = [turned[row]]
+            starts_of[length : length + 1] = [row]
     rows, row = [], starts_of[-1]
     while row is not None:
         rows.append(row)
@@ -299,7 +297,7 @@ def track(
     >>> x = np.cumsum(np.sin(np.arange(300) / 40)) + np.random.default_rng(1).normal(0, 0.5, 300)
     >>> c = track(pandas.DataFrame({"x": x, "y": x}, index=t))
     >>> c.to_frame().columns.tolist()
-    ['time', 'x', 'y', 'v_x', 'v_y', 'sigma', 'sigma_v', 'kept', 'stretch']
+    ['time', 'x', 'y', 'v_x', 'v_y', 'sigma', 'sigma_v', 'kept', 'segment']
 
     """
     show("reading")
@@ -319,13 +317,13 @@ def of_recording(
 ) -> Cleaned:
     """Return a Recording as a Cleaned; path is where it is from, for errors."""
     rows, left_out = usable(path, recording)
-    t = _one_clock(recording.time[rows] / 1e6, recording.segment[rows])
-    t, said = t - t[0], [*recording.said]
+    t = recording.time[rows] / 1e6
+    t, said = t - t.min(), [*recording.said, *_said_of_order(t, recording.segment[rows])]
     if recording.metres is None:
-        origins, plane, z = _in_planes(recording, rows)
+        charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], recording.segment[rows])
         grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
     else:
-        origins, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
+        charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
@@ -340,7 +338,7 @@ def of_recording(
         rounding=max(grids) ** 2 / 12,
         show=show,
     )
-    return replace(c, source=Source(path, recording, rows, left_out, origins, plane, said))
+    return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
 
 
 def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
@@ -391,45 +389,14 @@ def _what_ails(steps):
     return ""
 
 
-def _one_clock(t, segment):
-    """Return times (s) that do not run back where a segment begins before the one before it has ended."""
-    t = t.copy()
-    for begin in np.flatnonzero(np.diff(segment)) + 1:
-        if t[begin] <= t[begin - 1]:
-            t[begin:] += t[begin - 1] + A_WHILE - t[begin]
-    return t
-
-
-def _in_planes(recording, rows):
-    """Return the origins of the planes, in which plane each fix lies, and positions (N, 2) in metres.
-
-    An origin is the fix nearest to the middle, which no outlier moves. All segments share one if they are near.
-    """
-    lat, lon = recording.lat[rows], recording.lon[rows]
-    where = geodesy.earth_centred(lat, lon, 0.0)
-    segment = recording.segment[rows]
-    middles = [_middle(where, np.flatnonzero(segment == number)) for number in np.unique(segment)]
-    apart = np.linalg.norm(where[:, middles] - where[:, [_middle(where, np.arange(len(rows)))]], axis=0)
-    one = apart.max() < ONE_PLANE
-    if one:
-        middles = [_middle(where, np.arange(len(rows)))]
-    plane = np.zeros(len(rows), dtype=np.intp) if one else np.unique(segment, return_inverse=True)[1]
-    origins, z = [], np.empty((len(rows), 2))
-    for k, middle in enumerate(middles):
-        own = plane == k
-        origins.append((float(lat[middle]), float(lon[middle]), 0.0))
-        z[own] = geodesy.to_plane(lat[own], lon[own], origins[-1])
-        # A fix beyond the horizon of the plane would be folded back into it: it is put as far away as it is.
-        chord = np.linalg.norm(where[:, own] - where[:, [middle]], axis=0)
-        far = chord > 4 * ONE_PLANE
-        z[np.flatnonzero(own)[far]] *= (chord[far] / np.maximum(np.linalg.norm(z[own][far], axis=1), 1.0))[:, None]
-    return origins, plane, z
-
-
-def _middle(where, rows):
-    """Return the row of those that is nearest to their median position."""
-    own = where[:, rows]
-    return int(rows[np.argmin(np.linalg.norm(own - np.median(own, axis=1)[:, None], axis=0))])
+def _said_of_order(t, segment):
+    """Say that segments are not in order of time, or overlap, as those of two receivers do."""
+    first = np.flatnonzero(np.append(True, np.diff(segment) != 0))
+    starts, ends = np.minimum.reduceat(t, first), np.maximum.reduceat(t, first)
+    order = np.argsort(starts, kind="stable")
+    if (starts[order][1:] < ends[order][:-1]).any():
+        return ["segments overlap in time, as of two receivers: each is a recording of its own"]
+    return [] if (np.diff(order) > 0).all() else ["segments are not in order of time"]
 
 
 def _precision(recording, rows):

@@ -8,22 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from . import geodesy
 from .readers import moment_of
-from .report import stretch_of_rows
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 # The tag that a fix begins with. A value in quotes may hold a >.
 START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 
 
+def segment_of_rows(c: Cleaned) -> np.ndarray:
+    """Return the segment of every row that lies in one, refused ones too, and -1 of others."""
+    number = np.full(len(c.t), -1)
+    number[c.line.rows] = c.line.number
+    return number
+
+
 def degrees_of(c: Cleaned) -> tuple[np.ndarray, np.ndarray]:
-    """Return latitudes and longitudes (N,) of the smoothed track, NaN outside of stretches."""
+    """Return latitudes and longitudes (N,) of the smoothed track, NaN outside of segments."""
     lat, lon = np.full(len(c.t), np.nan), np.full(len(c.t), np.nan)
     inside = np.isfinite(c.x[:, 0])
-    for k, origin in enumerate(c.source.origins):
+    for k, chart in enumerate(c.source.charts):
         own = inside & (c.source.plane == k)
-        lat[own], lon[own] = geodesy.from_plane(c.x[own, :4:2], origin)
+        lat[own], lon[own] = chart.degrees(c.x[own, :4:2])
     recorded = c.source.recording.lon[c.source.rows]
     return lat, lon + 360 * np.round((recorded - lon) / 360)  # as the file counts them
 
@@ -88,7 +93,7 @@ def csv_bytes(c: Cleaned) -> bytes:
     """Return the smoothed track of a file in metres as a table, with a line of names."""
     recording = c.source.recording
     lines = ["# smoothed by mpt_helpers", "time,x,y,v_x,v_y,refused"]
-    number = stretch_of_rows(c)
+    number = segment_of_rows(c)
     for row in np.flatnonzero(number >= 0).tolist():
         seconds = recording.time[c.source.rows[row]] / 1e6
         x = c.x[row]
@@ -115,5 +120,5 @@ def frame_of(c: Cleaned) -> Any:
     columns |= {axis: c.x[:, 2 * k] for k, axis in enumerate(axes)}
     columns |= {f"v_{axis}": c.x[:, 2 * k + 1] for k, axis in enumerate(axes)}
     columns |= {"sigma": np.sqrt(c.P[:, 0, 0]), "sigma_v": np.sqrt(c.P[:, 1, 1])}
-    columns |= {"kept": c.mask, "stretch": stretch_of_rows(c)}
+    columns |= {"kept": c.mask, "segment": segment_of_rows(c)}
     return pandas.DataFrame(columns, index=index)

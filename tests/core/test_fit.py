@@ -74,7 +74,7 @@ def test_the_best_scale_is_that_of_the_highest_likelihood(true, monkeypatch):
         return replace(axis(q, r), P0=r * np.eye(2))
 
     z = mpt.simulate(make(*true), 200, np.random.default_rng(3))[1]
-    surprise = fitting.Surprise(make, ["q", "r"], z, fitting.tqdm(disable=True))
+    surprise = fitting.NegativeLogLikelihood(make, ["q", "r"], z, bar=fitting.tqdm(disable=True))
     point = np.log([1.0, 2.0])
     log_c, value = surprise.with_best_scale(point)
     assert surprise(point + log_c) == pytest.approx(value, rel=1e-12)
@@ -215,7 +215,7 @@ def test_a_parameter_is_not_known_where_a_flat_direction_moves_it_by_a_hundredth
 
 def blocks_of(z, t=None, dt=1.0):
     model = mpt.constant_velocity(dt, 0.1, 0.5)
-    return fitting._blocks(mpt.KalmanFilter(model, t=t), np.asarray(z, float))
+    return fitting.blocks_of(mpt.KalmanFilter(model, t=t), np.asarray(z, float))
 
 
 @pytest.mark.parametrize(
