@@ -28,6 +28,7 @@ TOGETHER = "\u00a0"  # a blank at which no line is broken
 A_FEW, VAGUE = 0.3, math.log(10)  # errors of a logarithm: below the first one they are a percentage
 LISTED = 5  # times of faults
 LONG = 3 * 3600.0  # s, from where on the picture counts hours
+MOSTLY_PAUSES = 20.0  # a picture that is so many times as long as its rides shows nothing of them
 # The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
 LONGEST_LINE = 5_000  # points that are drawn of a curve
@@ -144,7 +145,7 @@ def _heading(c):
     steps = steps[steps >= 0]
     usual = float(np.median(steps))
     every = f"every {usual:g} s" if np.mean(steps == usual) > 0.99 else f"mostly every {usual:g} s"
-    parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(np.ptp(c.t))}, {every}"]
+    parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(np.ptp(c.t[c.line.rows]))}, {every}"]
     if len(c.recordings) > 1:
         parts.append(f"in {len(c.recordings)} parts (pauses, or segments of the file)")
     return "; ".join(parts)
@@ -167,8 +168,12 @@ def _faults(c):
 
 def _moments(c, rows):
     """Say when the first few of some rows were recorded."""
-    when = ", ".join(_clock(c.t[row] - c.t.min()) for row in rows[:LISTED])
-    return f"{when}{', ...' if len(rows) > LISTED else ''} after the start"
+    seconds = c.t[rows] - c.t[c.line.rows].min()
+    seconds = seconds[(seconds >= 0) & (seconds <= np.ptp(c.t[c.line.rows]))]  # without faults of time
+    when = ", ".join(map(_clock, seconds[:LISTED]))
+    return (
+        f"{when}{', ...' if len(seconds) > LISTED else ''} after the start" if len(seconds) else "at impossible times"
+    )
 
 
 def _first_of_runs(rows):
@@ -452,11 +457,25 @@ def _title(c):
     return f"{name}: {_numbers_of_the_way(c)[0]:.1f} km"
 
 
+def _time_of_the_picture(c):
+    """Return the seconds (N,) since the start, and their name; pauses that leave no room for the rides are left out."""
+    t = c.t[c.line.rows]
+    ridden = np.where(np.diff(c.line.number) == 0, np.diff(c.line.t), 0.0)
+    time = np.full(len(c.t), np.nan)
+    if np.ptp(t) <= MOSTLY_PAUSES * ridden.sum():
+        inside = (c.t >= t.min()) & (c.t <= t.max())
+        time[inside] = c.t[inside] - t.min()
+        return time, "time"
+    time[c.line.rows] = np.append(0.0, np.cumsum(ridden))
+    return time, "time without pauses"
+
+
 def _draw_speed(ax, c, line, refused, band):
     speed = np.hypot(c.x[:, 1], c.x[:, 3]) if c.x.shape[1] >= 4 else np.abs(c.x[:, 1])
     sigma = np.sqrt(c.P[:, 1, 1])
-    unit, seconds = ("h", 3600) if np.ptp(c.t) > LONG else ("min", 60)
-    time = (c.t - c.t.min()) / seconds
+    time, recorded = _time_of_the_picture(c)
+    unit, seconds = ("h", 3600) if np.nanmax(time) > LONG else ("min", 60)
+    time = time / seconds
     number = _stretch_of_rows(c)
     for k in range(c.stretches):
         rows = _thinned(np.flatnonzero(number == k))
@@ -471,5 +490,5 @@ def _draw_speed(ax, c, line, refused, band):
     if len(c.refused):
         bottom = np.full(len(c.refused), 0.02 * top)
         ax.plot(time[c.refused], bottom, "|", color=refused, markersize=9)
-    ax.set_xlabel(f"time ({unit})")
+    ax.set_xlabel(f"{recorded} ({unit})")
     ax.set_title("speed (km/h)", loc="left")
