@@ -44,6 +44,7 @@ class Fit(NamedTuple):
         log L.
     errors_from : str
         What the errors were made from, as "15 blocks of 300 fixes", "40 tracks" or "curvature".
+
     """
 
     values: dict[str, float]
@@ -128,6 +129,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     q  0.03501       0.21  0.0231 to 0.0531
     r   0.5658      0.087    0.477 to 0.671
     log L = -637.402; errors from 6 blocks of 83 fixes
+
     """
     if not callable(make):
         checks.refuse("make", "a function that returns a model or a filter", type(make).__name__, TypeError)

@@ -133,7 +133,7 @@ class Line:
 
 
 class Track(NamedTuple):
-    """Times (N,), positions (N, m), relative variances (N, m) or None, and which rows (N,) are no fixes of their own."""
+    """Times (N,), positions and relative variances (N, m), and which rows (N,) are no fixes of their own."""
 
     t: Array
     z: Array
@@ -210,6 +210,7 @@ class Cleaned:
         What was found about the times, in words.
     source : Source or None
         The file that the track is from.
+
     """
 
     t: Array
@@ -348,6 +349,7 @@ def clean(
     >>> c = clean(np.arange(600.0), z)
     >>> c.refused.tolist(), c.starts.tolist(), round(c.q, 3), round(c.r, 2)
     ([100], [], 0.035, 4.03)
+
     """
     seconds = checks.duration("seconds", seconds)
     limit = checks.number("limit", limit, "a squared distance in variances, above 1, as 100", lambda value: value > 1)
@@ -371,8 +373,8 @@ def clean(
     track = Track(t, z, relative, repeats)
     clock = clock_of(t[fixes], begin)  # for the gate, which starts anew after a pause: its length does not count
     own = z[fixes], None if relative is None else relative[fixes]
-    scale = scale_of(clock, own[0], begin, rounding)
-    noise, pieces = first_guess(clock, own[0], begin, scale), None
+    scale = scale_of(clock, own[0], rounding, begin)
+    noise, pieces = first_guess(clock, own[0], scale, begin), None
     for _ in range(TURNS):
         show("looking for faults")
         before, pieces = pieces, np.full(len(t), -1)
@@ -532,11 +534,13 @@ def least_distance(z: Array) -> float:
     return float(min(moved.min(), HUNDREDTH * np.median(moved)))
 
 
-def scale_of(t: Array, z: Array, begin: NDArray[np.bool_], rounding: float) -> Scale:
+def scale_of(t: Array, z: Array, rounding: float, begin: NDArray[np.bool_] | None = None) -> Scale:
     """Return the Scale of a track, faults and all; steps to another recording do not count."""
     rows = np.flatnonzero(np.isfinite(z).all(axis=1))
     seconds, moved = np.diff(t[rows]), np.sqrt((np.diff(z[rows], axis=0) ** 2).sum(axis=1))
-    later = (seconds > 0) & (np.diff(np.cumsum(begin)[rows]) == 0)
+    later = seconds > 0
+    if begin is not None:
+        later &= np.diff(np.cumsum(begin)[rows]) == 0
     speeds = moved[later] / seconds[later]
     if not (speeds > 0).any():
         checks.refuse("z", "a track that moves", "one that stands still within each recording")
@@ -546,14 +550,14 @@ def scale_of(t: Array, z: Array, begin: NDArray[np.bool_], rounding: float) -> S
     return Scale(float(np.median(seconds[later])), speed, max(rounding, (1e-9 * speed) ** 2))
 
 
-def first_guess(t: Array, z: Array, begin: NDArray[np.bool_], scale: Scale) -> Noise:
+def first_guess(t: Array, z: Array, scale: Scale, begin: NDArray[np.bool_] | None = None) -> Noise:
     """Return q and r that give the changes of velocity between fixes the size that a tenth of them exceeds.
 
     Over two steps of h seconds the velocity changes by a variance of 2 q h / 3 + 6 r / h². Steps of one fix and of four
     tell both; a tenth of faults changes neither by much.
     """
     rows = np.flatnonzero(np.isfinite(z).all(axis=1))
-    number = np.cumsum(begin)[rows]
+    number = np.zeros(len(rows)) if begin is None else np.cumsum(begin)[rows]
     equations, sizes = [], []
     for lag in (1, 4):
         t_lag, z_lag, of = t[rows[::lag]], z[rows[::lag]], number[::lag]

@@ -37,8 +37,8 @@ JUMP = 10
 # A segment is charged a jump for each of its steps that are too fast, but for no more than these: one of more fixes
 # than that costs, as a train ride within a walk, is never dropped for its speed.
 MOST_TOO_FAST = 2
-# A receiver without signal repeats its position, or writes another one, and jumps when the signal is back. So many
-# fixes that stray by less than this part of the jump, and of the way from the fix before them to the one after, do that.
+# A receiver without signal repeats its position, or writes another one, and jumps when the signal is back: so many
+# fixes that stray by less than this part of the jump, and of the way from the fix before them to the one after them.
 STUCK, HARDLY = 3, 0.1
 # The mobile has come to that position with at least this part of the speed at which it would have gone on.
 ARRIVED = 0.5
@@ -89,6 +89,7 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
     >>> gated(kf, z)
     array([ 0,  0,  0,  0,  0,  0,  0,  0,  0,  0, -1,  0,  0,  0,  0,  0,  0,
             0,  1,  1,  1,  1,  1,  1,  1,  1,  1,  1,  1,  1])
+
     """
     if not isinstance(kf, KalmanFilter | LainiotisFilter):
         checks.refuse("kf", "a KalmanFilter, whose gain follows its covariance", f"a {type(kf).__name__}", TypeError)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 LONG = 3 * 3600.0  # s, from where on the picture counts hours
-MOSTLY_PAUSES = 10.0  # of a recording so many times as long as its segments, the pauses are left out
+MOSTLY_PAUSES = 20.0  # a picture that is so many times as long as its rides shows nothing of them
 # Panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
 LONGEST_LINE = 5_000  # points that are drawn of a curve
@@ -97,9 +97,7 @@ def _title(c):
 def _draw_speed(ax, c, line, refused, band):
     speed = np.hypot(c.x[:, 1], c.x[:, 3]) if c.x.shape[1] >= 4 else np.abs(c.x[:, 1])
     sigma = np.sqrt(c.P[:, 1, 1])
-    time, without = c.t - c.t.min(), ""
-    if time.max() > MOSTLY_PAUSES * np.diff(c.line.t)[np.diff(c.line.number) == 0].sum():
-        time, without = _without_pauses(c), ", pauses left out"
+    time, recorded = _time_of_the_picture(c)
     unit, seconds = ("h", 3600) if np.nanmax(time) > LONG else ("min", 60)
     time = time / seconds
     number = segment_of_rows(c)
@@ -116,13 +114,18 @@ def _draw_speed(ax, c, line, refused, band):
     if len(c.refused):
         bottom = np.full(len(c.refused), 0.02 * top)
         ax.plot(time[c.refused], bottom, "|", color=refused, markersize=9)
-    ax.set_xlabel(f"time ({unit}{without})")
+    ax.set_xlabel(f"{recorded} ({unit})")
     ax.set_title("speed (km/h)", loc="left")
 
 
-def _without_pauses(c):
-    """Return the time (s) of each row as if each segment followed the one before; NaN outside of segments."""
-    steps = np.where(np.diff(c.line.number) == 0, np.diff(c.line.t), 0.0)
+def _time_of_the_picture(c):
+    """Return the seconds (N,) since the start, and their name; pauses that leave no room for the rides are left out."""
+    t = c.t[c.line.rows]
+    ridden = np.where(np.diff(c.line.number) == 0, np.diff(c.line.t), 0.0)
     time = np.full(len(c.t), np.nan)
-    time[c.line.rows] = np.append(0.0, np.cumsum(steps))
-    return time
+    if np.ptp(t) <= MOSTLY_PAUSES * ridden.sum():
+        inside = (c.t >= t.min()) & (c.t <= t.max())
+        time[inside] = c.t[inside] - t.min()
+        return time, "time"
+    time[c.line.rows] = np.append(0.0, np.cumsum(ridden))
+    return time, "time without pauses"

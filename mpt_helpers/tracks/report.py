@@ -137,7 +137,7 @@ def _heading(c):
     steps = steps[steps >= 0]
     usual = float(np.median(steps))
     every = f"every {usual:g} s" if np.mean(steps == usual) > 0.99 else f"mostly every {usual:g} s"
-    parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(np.ptp(c.t))}, {every}"]
+    parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(np.ptp(c.t[c.line.rows]))}, {every}"]
     if len(c.recordings) > 1:
         parts.append(f"in {len(c.recordings)} parts (pauses, or segments of the file)")
     return "; ".join(parts)
@@ -160,8 +160,12 @@ def _faults(c):
 
 def _moments(c, rows):
     """Say when the first few of some rows were recorded."""
-    when = ", ".join(_clock(c.t[row] - c.t.min()) for row in rows[:LISTED])
-    return f"{when}{', ...' if len(rows) > LISTED else ''} after the start"
+    seconds = c.t[rows] - c.t[c.line.rows].min()
+    seconds = seconds[(seconds >= 0) & (seconds <= np.ptp(c.t[c.line.rows]))]  # without faults of time
+    when = ", ".join(map(_clock, seconds[:LISTED]))
+    return (
+        f"{when}{', ...' if len(seconds) > LISTED else ''} after the start" if len(seconds) else "at impossible times"
+    )
 
 
 def _first_of_runs(rows):

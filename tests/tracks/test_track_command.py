@@ -574,6 +574,10 @@ def test_errors_of_q_and_r_hold_on_simulated_tracks():
         assert 0.7 < mpt.metrics.rms(each) < 1.5, name
 
 
+def track_of(t, z, relative=None):
+    return cleaning.Track(t, z, relative, np.zeros(len(t), bool))
+
+
 def fitted_by_turns(seed):
     """The q of half an hour that is calm and wild by turns, three minutes each at the mean, and its stated error."""
     rng, N = np.random.default_rng(seed), 1800
@@ -583,7 +587,7 @@ def fitted_by_turns(seed):
     t = np.arange(float(N))
     scale = cleaning.scale_of(t, z, 0.0)
     guess = cleaning.first_guess(t, z, scale)
-    line = cleaning.on_one_line(t, z, None, np.zeros(N, dtype=int), guess, scale)
+    line = cleaning.on_one_line(track_of(t, z), np.zeros(N, dtype=int), guess, scale)
     found = cleaning.fitted(line, guess, scale)
     return found.q, cleaning.log_errors(line, found, scale)["q"]
 
@@ -592,16 +596,6 @@ def test_errors_of_q_hold_on_half_an_hour_that_is_calm_and_wild_by_turns():
     """Ten blocks of three minutes, with Student's factor, state five sixths of the scatter, blocks of 1 s a fifth."""
     q, errors = np.transpose([fitted_by_turns(seed) for seed in range(24)])
     assert 0.8 < np.std(np.log(q), ddof=1) / mpt.metrics.rms(errors) < 1.35
-
-
-@pytest.mark.parametrize(("stretches", "step", "blocks"), [(1, 1.0, 10), (3, 1.0, 10), (2, 60.0, 120), (1, 1e-3, 10)])
-def test_blocks_are_a_tenth_of_all_stretches_or_five_minutes_and_no_step_is_cut(stretches, step, blocks):
-    """But for one more in each stretch, which may begin within one and end within one."""
-    t, z = step * np.arange(600.0), np.random.default_rng(1).standard_normal((600, 2)).cumsum(axis=0)
-    scale = cleaning.scale_of(t, z, 0.0)
-    noise = cleaning.Noise(1e-6, 1.0, False)  # so still that stretches stand most of a day apart
-    line = cleaning.on_one_line(t, z, None, np.arange(600) * stretches // 600, noise, scale)
-    assert len(np.unique(cleaning._blocks_of(line, scale))) == pytest.approx(blocks, abs=stretches)
 
 
 def pieces_of(rng, N):
@@ -622,7 +616,7 @@ def test_stretches_on_one_line_begin_where_the_one_before_has_ended_an_hour_late
     t, z, pieces = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 2)).cumsum(axis=0), pieces_of(rng, N)
     relative = rng.uniform(0.5, 2.0, (N, 2)) if seed % 2 else None
     noise, scale = cleaning.Noise(1.0, 1.0, False), cleaning.Scale(1.0, 2.0, 1e-6)
-    line = cleaning.on_one_line(t, z, relative, pieces, noise, scale)
+    line = cleaning.on_one_line(track_of(t, z, relative), pieces, noise, scale)
     before = None
     for k in range(pieces.max() + 1):
         own = np.flatnonzero(pieces == k)
@@ -651,7 +645,7 @@ def test_the_way_and_the_time_in_motion_are_those_within_stretches(seed):
     N = int(rng.integers(30, 80))
     pieces = pieces_of(rng, N)
     t, x, P = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 4)), np.zeros((N, 4, 4))
-    P[:, 1, 1] = rng.uniform(0.1, 2.0, N)
+    P[:, 1, 1] = rng.uniform(0.01, 0.2, N)
     inside = np.zeros(N, bool)
     metres = seconds = 0.0
     for k in range(pieces.max() + 1):
@@ -662,10 +656,12 @@ def test_the_way_and_the_time_in_motion_are_those_within_stretches(seed):
             seconds += (t[row] - t[row - 1]) * (np.hypot(x[row, 1], x[row, 3]) > 0.5)
     speed = np.hypot(x[inside, 1], x[inside, 3])
     x[~inside] = np.nan
-    c = SimpleNamespace(t=t, x=x, P=P, pieces=pieces, stretches=pieces.max() + 1)
+    noise, scale = cleaning.Noise(1.0, 1.0, False), cleaning.Scale(1.0, 2.0, 1e-6)
+    line = cleaning.on_one_line(track_of(t, x[:, ::2]), pieces, noise, scale)
+    c = SimpleNamespace(t=t, x=x, P=P, line=line, source=None)
     expected = [metres / 1000, seconds, 3.6 * np.median(speed[speed > 0.5]), 3.6 * np.quantile(speed, 0.999)]
     expected.append(3.6 * np.sqrt(np.median(P[inside, 1, 1])))
-    np.testing.assert_allclose(report._numbers_of_the_way(c), expected, rtol=1e-9)
+    np.testing.assert_allclose(report.numbers_of_the_way(c), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -681,7 +677,7 @@ def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixe
     first = np.zeros(N, bool)
     first[[0, 1, N // 2, N // 2 + 1]] = True
     number = np.arange(N) // (N // 2)
-    line = cleaning.Stretches(np.arange(N), np.arange(N) * 1.0, z, 0 * z, first, number, None)
+    line = cleaning.Line(np.arange(N), np.arange(N) * 1.0, z, 0 * z, first, number, None)
     part = cleaning._sample(line)
     starts = np.linspace(0, N - each, most // each).astype(int)
     rows = sorted({row for start in starts for row in range(start, start + each)})
