@@ -1,9 +1,7 @@
 """The article on 2016: every number in its prose is computed here, and its drawings rest on what oracles confirm."""
 
 import re
-import tomllib
 from dataclasses import replace
-from difflib import SequenceMatcher
 from itertools import product
 from pathlib import Path
 
@@ -13,14 +11,14 @@ from conftest import parts, source
 from counting import Counted
 from reading import Article
 from scipy.linalg import solve_discrete_are
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import norm
 
 import mpt_helpers as mpt
 import reproduction
 from mpt_helpers.metrics import error_moments
 from reproduction import burden, figures
 from reproduction.ledger import stored_verdicts
-from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, FAILS, HOLDS, IN_PART
+from reproduction.ledger.verdicts import HOLDS
 from reproduction.paper_2016 import article, readings, table1
 
 ARTICLE = Article("2016_prediction")
@@ -1046,233 +1044,6 @@ def long_loop(dt):
 
 
 # Percent or fraction
-
-
-def test_the_odds_of_percent(log_p):
-    """With a seed that is not the article's. Eight seeds gave 26 to 30, 5.3 to 7.5 and 69 to 100."""
-    ratio = article.odds(log_p)
-    of_axes = [article.odds(log_p, [axis]) for axis in table1.AXES]
-    assert ratio == pytest.approx(30, rel=0.3)
-    assert re.search(r"(?m)one rule for both columns, axis and length open +30$", printed_by("odds"))
-    assert 6 / 1.3 < min(of_axes) < 6 * 1.3
-    assert 80 / 1.3 < max(of_axes) < 80 * 1.3
-    adds("If each column may have its own axis, length and noise, it is an even bet")
-    assert re.search(r"(?m)each column its own axis, length and noise +1$", printed_by("odds"))
-    own = np.prod([article.odds(log_p, keys=[key]) for key in COLUMNS])
-    assert 3 < own < 8  # with the process noise as it is for each unit: no even bet
-    adds("or reaches 20 km/s at 2 m/s²")
-    assert 2 * STEPS * table1.DT == 20_000
-
-
-def test_both_readings_give_all_twelve_numbers():
-    for reading, length in ((readings.PERCENT, 10_000), (readings.FRACTION, 97)):
-        samples = readings.all_samples(COLUMNS, reading, 7, lengths=[length])
-        assert max(readings.passes(samples, COLUMNS, axis)[0] for axis in table1.AXES) == 12
-
-
-def test_fractions_lose_by_millions_if_averages_stop_within_the_run():
-    p = []
-    for average in (table1.averages, readings.averages_within):
-        samples = readings.all_samples(COLUMNS, readings.FRACTION, 7, average=average)
-        p.append(readings.probability(readings.log_probabilities(samples, COLUMNS), readings.LENGTHS["fraction"]))
-    assert p[0] / p[1] > 1e6  # Part II: "by a factor of millions"
-
-
-def test_the_lengths_that_the_columns_imply(log_p):
-    """Printed with the seed of the notebook; another seed moves them by less than a quarter of their uncertainty."""
-    numbers = [float(each) for each in re.findall(r"([\d.]+) ± ([\d.]+)", printed_by("lengths")) for each in each]
-    found = []
-    for reading in (readings.PERCENT, readings.FRACTION):
-        for key in COLUMNS:
-            _, mean, spread = readings.length_from(log_p[reading], readings.LENGTHS[reading.unit], [key])
-            found.append((mean, spread))
-    for (mean, spread), length, uncertainty in zip(found, numbers[::2], numbers[1::2], strict=True):
-        assert abs(mean - length) < spread / 4
-        assert spread == pytest.approx(uncertainty, rel=0.1)
-    (cv, ca), (short, long) = found[:2], found[2:]
-    apart = [abs(b[0] - a[0]) / np.hypot(a[1], b[1]) for a, b in ((cv, ca), (short, long))]
-    assert 0.8 < apart[0] < 1.3  # "nearly the same length"
-    assert 1.7 < apart[1] < 2.3  # "two standard deviations apart"
-    for reading in (readings.PERCENT, readings.FRACTION):
-        lengths = readings.LENGTHS[reading.unit]
-        samples = readings.all_samples(COLUMNS, reading, 7, runs=400, lengths=lengths[[len(lengths) // 2]])
-        for key in COLUMNS:
-            assert (samples["both", key][0].std(axis=1) > 2 * table1.LAST_DIGIT / np.sqrt(12)).all()
-
-
-def test_averages_within_the_run_stop_where_the_target_does():
-    column = COLUMNS["cv"]
-    ratio = table1.relative_errors(column, 0.0, np.random.default_rng(1), 3)["x"]
-    (within,) = readings.averages_within(column, ratio, [97])
-    for N in range(6):
-        np.testing.assert_allclose(within[N], ratio[N, : 97 - N].mean(axis=0), rtol=1e-12)
-
-
-def test_a_length_is_found_again():
-    """A Gaussian in log L, which has equal weight for equal factors, has the mean of a log-normal."""
-    lengths = np.arange(50, 201)
-    log_density = -((np.log(lengths) - np.log(100)) ** 2) / (2 * 0.1**2)
-    density, mean, spread = readings.length_from({("both", "cv"): log_density}, lengths, ["cv"])
-    assert density.max() == 1
-    assert mean == pytest.approx(100 * np.exp(0.1**2 / 2), rel=1e-3)
-    assert spread == pytest.approx(mean * np.sqrt(np.exp(0.1**2) - 1), rel=1e-3)
-
-
-@pytest.fixture(scope="module")
-def samples():
-    return readings.all_samples(COLUMNS, readings.PERCENT, 3, runs=400, lengths=[9900, 10_000])
-
-
-def test_means_of_runs_have_the_covariance_of_one_over_their_number(samples):
-    lengths = np.array([9900, 10_000])
-    expected = []
-    for axis in table1.AXES:
-        total = np.zeros(2)
-        for key, column in COLUMNS.items():
-            for i, each in enumerate(samples[axis, key]):
-                C = np.cov(each) / 4 + table1.LAST_DIGIT**2 / 12 * np.eye(6)
-                density = multivariate_normal(each.mean(axis=1), C).logpdf(column.printed)
-                total[i] += density + 6 * np.log(table1.LAST_DIGIT)
-        expected.append(readings.weights(lengths) @ np.exp(total))
-    assert readings.of_means(samples, COLUMNS, lengths, 4) == pytest.approx(np.mean(expected), rel=1e-6)
-
-
-def test_numbers_pass_that_lie_in_the_central_99_percent_of_runs(samples):
-    count = np.zeros(2, dtype=int)
-    for key, column in COLUMNS.items():
-        for i, each in enumerate(samples["y", key]):
-            below = (each < column.printed[:, None]).mean(axis=1)  # of 400 runs, two lie beyond each edge
-            count[i] += ((below > 0.005) & (below < 0.995)).sum()
-    assert readings.passes(samples, COLUMNS, "y").tolist() == count.tolist()
-
-
-def test_probability_is_a_mean_over_axes_and_lengths():
-    lengths = np.array([10, 20, 40])
-    log_p = {(axis, key): np.full(3, i) for axis in table1.AXES for i, key in enumerate(("cv", "ca"))}
-    weight = np.log(2) * 3  # np.gradient of equal ratios
-    assert readings.probability(log_p, lengths) == pytest.approx(weight * np.exp(1))
-    assert readings.probability(log_p, lengths, keys=["cv"]) == pytest.approx(weight)
-    assert readings.probability(log_p, lengths, axes=["x"], only=20) == pytest.approx(np.exp(1))
-
-
-# What is printed wrong
-
-
-def test_the_formulas_that_fail_are_those_that_part_ii_names():
-    wrong = {each.id for each in stored_verdicts(ARTICLE.path) if each.kind == "formula" and each.verdict in FAILS}
-    assert wrong == {f"table2.operation.{row}" for row in (1, 2, 3)}
-    adds("Its three rows of the prediction name operands that Eq. 19 does not have: rows 1 and 3 have x(k/k-1)")
-
-
-def test_what_rests_on_one_character_has_no_verdict():
-    """Each printed text is one character away from what is right, or one entry; so is P_k of 2007."""
-    verdicts = {each.id: each for each in stored_verdicts(ARTICLE.path)}
-    items = reproduction.published("2016_prediction").items
-    right = {"eq6.q": items["sec52.q"].printed}
-    right["pairs"] = items["pairs"].printed.replace("Fᵀ Q", "F Q")
-    right |= {f"table2.{part}.size": "(n x n)*(n x 1)" for part in ("estimation", "prediction")}
-    right["ca.cubic"] = "1/6 [0 1 0; 0 0 1; 0 0 0]³ (Δt)³"
-    right["ca.noise"] = "x(k+1) = F x(k) + w(k)"
-    right["ca.state"] = "z = [1 0 0] [s υ α]ᵀ + v"
-    right["cv.velocities"] = "v_x(t) = 20, v_y(t) = 30"
-    for id, text in right.items():
-        changes = [each for each in SequenceMatcher(None, items[id].printed, text).get_opcodes() if each[0] != "equal"]
-        assert len(changes) == 1
-        _, first, last, new_first, new_last = changes[0]
-        one = len(" υ") if id == "ca.state" else 1
-        assert max(last - first, new_last - new_first) == one
-        assert verdicts[id].verdict == CANNOT_BE_CHECKED
-        assert verdicts[id].cause == "copy-characters"
-    assert {id for id, each in verdicts.items() if each.cause == "copy-characters"} == right.keys()
-    adds("Eight items rest on one character or entry")
-    assert len(right) == 8
-    adds("In Eq. 6 our copy differs from it by one digit, a 3 for a 6")
-
-
-def test_the_limits_of_the_papers_models_exist_under_either_reading():
-    """Stabilizable: every mode that does not decay gets noise, of F and of its transpose."""
-    adds("their Q is positive definite, so both pairs are stabilizable")
-    for column in COLUMNS.values():
-        F, Q = column.steady.model.F, column.steady.model.Q
-        for each in (F, F.T):
-            mode = each - np.eye(len(F))  # all modes of F are 1
-            assert np.linalg.matrix_rank(np.hstack([mode, Q])) == len(F)
-    (reason,) = (each.reason for each in stored_verdicts(ARTICLE.path) if each.id == "pairs")
-    assert "under either reading its own limits exist" in reason
-
-
-def test_of_the_two_pairs_only_the_second_is_corrected():
-    """[F Hᵀ] is that of reference [9], in which H′ x is measured: the ledger, the article and the page say the same."""
-    (reason,) = (each.reason for each in stored_verdicts(ARTICLE.path) if each.id == "pairs")
-    assert "[F Hᵀ] is as it should be: reference [9] calls the output matrix H′" in reason
-    adds("the output matrix is called H′: that is as it should be")
-    patch = tomllib.loads((ARTICLE.path.parent.parent / "docs" / "papers.toml").read_text(encoding="utf-8"))[
-        "corrected"
-    ]["2016_prediction"]["pairs"]
-    assert (patch["printed"], patch["right"]) == ("[Fᵀ Q]", "[F Q]")
-
-
-def average_of_the_estimate(key, dt, since=0.0, steps=None, every=None):
-    """The average of Table 1, N = 0 and 1 (2,), over as much time, from an instant on; in percent of both axes.
-
-    every is a time: then only instants count that are as far apart.
-    """
-    column = table1.columns(dt=dt)[key]
-    steps = round(STEPS / dt) if steps is None else steps
-    each = [table1.expected_absolute(*table1.mean_and_variance(column, axis, steps)) for axis in (0, 1)]
-    ratio = np.mean([each[axis] / column.positions(axis, steps) for axis in (0, 1)], axis=0)
-    stride = 1 if every is None else round(every / dt)
-    return 100 * ratio[:2, max(round(since / dt) - 1, 0) :: stride].mean(axis=1)
-
-
-def test_the_finding_of_the_ledger_has_the_number_of_the_notebook():
-    """The sentence on the time step, against own numbers; the verdicts follow from the factors end to end."""
-    verdicts = {each.id: each for each in stored_verdicts(ARTICLE.path)}
-    sentence = reproduction.published("2016_prediction").causes["time-step"].sentence
-    for key, (i, part) in product(COLUMNS, enumerate(("estimation", "prediction"))):
-        given = verdicts[f"{key}.{part}.dt"]
-        average, sigma, own_average, own_sigma = (float(each) for each in re.findall(r"\d\.\d\d", given.computed))
-        half, one, double = (average_of_the_estimate(key, dt)[i] for dt in (0.5, 1, 2))
-        assert average >= round(max(half, one, double) / min(half, one, double), 2)
-        assert own_average >= round(max(half / one, one / half, one / double, double / one), 2)
-        assert average == pytest.approx(max(half, one, double) / min(half, one, double), rel=0.03)  # of seven steps
-        short, of_1_s, long = (sigma_by_hand(key, i, dt, 0) for dt in (0.5, 1, 2))  # it grows with the step
-        assert f"{long / short:.2f}" == f"{sigma:.2f}"
-        assert f"{max(of_1_s / short, long / of_1_s):.2f}" == f"{own_sigma:.2f}"
-        assert sigma < 1.25 * 1.25
-        assert (given.verdict == IN_PART) == (average > 1.25 * 1.25) == (f"{key}.{part}" == "ca.estimation")
-        if given.verdict == IN_PART:
-            assert f"divides the average of the estimate in Table 1 by {one / double:.2f}" in sentence
-            assert f"halving it multiplies that average by {half / one:.2f}" in sentence
-            later = [average_of_the_estimate(key, dt, since=2)[0] for dt in (0.5, 1, 2)]
-            shared = [average_of_the_estimate(key, dt, since=2, every=2)[0] for dt in (0.5, 1, 2)]
-            said = f"the average changes by a factor of {max(later) / min(later):.2f}, and over the instants that all"
-            assert f"{said} three steps share by {max(shared) / min(shared):.2f}" in given.reason
-    steps = []
-    for key, i in product(COLUMNS, (0, 1)):
-        often, seldom = (average_of_the_estimate(key, dt, steps=STEPS)[i] for dt in (0.5, 2))
-        steps.append(often / seldom)
-    adds(f"averages over as many steps change by a factor of {plural(min(steps), max(steps))}. They fall")
-
-
-def test_single_runs_of_two_time_steps_overlap():
-    """By runs with another seed: what a run at 1 s gives, one at 2 s may give too."""
-    (reason,) = (each.reason for each in stored_verdicts(ARTICLE.path) if each.id == "ca.estimation.dt")
-    low, high, low_2, high_2 = (float(each) for each in re.findall(r"(0\.\d{3})", reason))
-    spans = []
-    for dt in (1, 2):
-        column = table1.columns(dt=dt)["ca"]
-        runs = readings.simulated({"ca": column}, 0, 2000, 7)["ca"]["both"]
-        spans.append(100 * np.quantile(table1.averages(column, runs, [round(STEPS / dt)])[0][0], [0.005, 0.995]))
-    np.testing.assert_allclose(spans, [[low, high], [low_2, high_2]], atol=0.0015)
-    assert spans[1][1] > spans[0][0]
-
-
-def test_the_printed_numbers_are_those_of_the_ledger():
-    items = reproduction.published("2016_prediction").items
-    for key, numbers in table1.PRINTED.items():
-        parts = ["estimation", *(f"prediction.{N}" for N in range(1, 6))]
-        assert [float(items[f"table1.{part}.{key}"].printed) for part in parts] == list(numbers)
 
 
 def test_no_figure_of_the_article_is_empty(tmp_path):
