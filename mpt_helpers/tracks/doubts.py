@@ -65,8 +65,8 @@ def is_clock_as_number(numbers: Array) -> bool:
 
 
 def refuse_signs(name: str, others: dict[str, list[str]], numbers: dict[str, Array]) -> None:
-    """Refuse latitudes and longitudes whose sign stands in a column of its own, as N or S, E or W."""
-    for what, plus, minus in (("lat", "N", "S"), ("lon", "E", "W")):
+    """Refuse latitudes and longitudes, {column: degrees}, whose sign stands in a column of its own, as N or S."""
+    for what, plus, minus in zip(numbers, "NE", "SW", strict=True):
         for column, cells in others.items():
             letters = np.array([cell.strip().upper()[:1] for cell in cells])
             of_this = {cell.strip().upper() for cell in cells} <= {plus, minus, "NORTH", "SOUTH", "EAST", "WEST", ""}

@@ -287,7 +287,7 @@ def _of_table(name, names, values, columns, said, index=None, separators=""):
     if lat is None:
         metres = place = np.column_stack([numbers["x"], numbers["y"]])
     else:
-        refuse_signs(name, others, numbers)
+        refuse_signs(name, others, {names[found[what]]: numbers[what] for what in ("lat", "lon")})
         place = np.column_stack([lon * np.cos(np.radians(lat)), lat])
     refuse_several(name, others, time, place)
     nothing, one = np.full(N, math.nan), np.ones(N, dtype=np.int64)
@@ -356,11 +356,14 @@ def _times(name, column, values):
         times = [_time_or_none(text, row, unread) for row, text in enumerate(texts)]
         return np.array(times, dtype=np.int64), unread, True
     convert = f"frame[{column!r}] = pandas.to_datetime(frame[{column!r}]"
-    if np.median(np.abs(numbers[known])) > LATEST:
-        way = f"{convert}, unit='ms'), or format='%Y%m%d%H%M%S'"
-        raise ValueError(f"{name}: needs ISO 8601 or Unix seconds in {column!r}, got {texts[0]!r:.40}: {way})")
+    usual = np.median(np.abs(numbers[known]))
+    if usual > LATEST:
+        ways = [(1e12, "format='%y%m%d%H%M%S'"), (1.9e13, "unit='ms'"), (2.1e13, "format='%Y%m%d%H%M%S'")]
+        ways += [(1e14, "unit='ms'"), (1e17, "unit='us'"), (math.inf, "unit='ns'")]
+        way = next(f"{convert}, {each})" for most, each in ways if usual < most)
+        raise ValueError(f"{name}: needs ISO 8601 or Unix seconds in {column!r}, got {texts[0]!r:.40}: {way}")
     if is_clock_as_number(numbers[known]):
-        way = f"{convert}.astype(str).str.zfill(6), format='%H%M%S'), with the date before it"
+        way = f"{convert}, format='%H%M%S'), read as texts, with the date before them"
         raise ValueError(f"{name}: needs seconds in {column!r}, got a clock's digits as {texts[0]!r:.40}: {way}")
     time = np.full(len(texts), NO_TIME, dtype=np.int64)
     known &= np.abs(numbers) < LATEST
