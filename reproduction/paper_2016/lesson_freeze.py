@@ -1,0 +1,90 @@
+"""The drawings of the lesson on freezing a filter: its start, and a car that brakes."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mpt_helpers.kalman import KalmanFilter
+from mpt_helpers.model import constant_velocity
+from mpt_helpers.steady import SteadyStateFilter
+from reproduction import plots
+
+SPEED, Q, R = 20.0, 0.01, 0.1  # of the car (m/s); the paper's noises at constant velocity, one measurement a second
+UNKNOWN = 1e4 * np.eye(2)  # the covariance of a start of which nothing is known
+
+
+def typical_errors(steps=25, after=8):
+    """Return the rms position error of a car that nothing pushes, (steps,) of two filters, exact and without a seed.
+
+    The first is frozen at once and guesses that the car rests at zero, as the paper's. The second lets its gain vary
+    for the first steps, from a start of which nothing is known: it is given as the limit of ever wider starts, so that
+    the guess no longer matters.
+
+    >>> at_once, later = typical_errors()
+    >>> print(at_once[:3].round(1), later[[0, 24]].round(2))
+    [ 9.  11.2  9.8] [0.32 0.21]
+    """
+    model = constant_velocity(1.0, Q, R)
+    F, H, identity = model.F, model.H, np.eye(2)
+    settled = SteadyStateFilter.from_kalman(model).B
+    varying = KalmanFilter(replace(model, P0=UNKNOWN)).coefficients(after).B
+    found = []
+    for gains in ([settled] * steps, [*varying, *[varying[-1]] * (steps - after)]):
+        off, P = np.array([0.0, -SPEED]), np.zeros((2, 2))
+        rms = []
+        for K in gains:
+            left = identity - K @ H
+            off, P = left @ F @ off, left @ F @ P @ F.T @ left.T + R * K @ K.T
+            rms.append(np.sqrt(off[0] ** 2 + P[0, 0]))
+        found.append(np.array(rms))
+    return found
+
+
+def draw_start(steps=25):
+    """Return a figure of `typical_errors`, on a logarithmic axis."""
+    at_once, later = typical_errors(steps)
+    k = np.arange(1, steps + 1)
+    plots.use_style()
+    fig, axes = plots.panels([["error"]], height=3.4)
+    ax = axes["error"]
+    measured = ax.axhline(np.sqrt(R), color=plots.COLOUR_OF["measured"], ls=":", label="one measurement")
+    (frozen,) = ax.semilogy(k, at_once, color=plots.COLOUR_OF["steady"], label="frozen at once, as in the paper")
+    (varying,) = ax.semilogy(k, later, color=plots.COLOUR_OF["kalman"], ls="--", label="the gain varies first")
+    ax.set_ylim(0.1, 20)
+    ax.set_yticks([0.1, 0.3, 1, 3, 10], ["0.1", "0.3", "1", "3", "10"])
+    ax.minorticks_off()
+    zero = at_once[:10].argmin()
+    crossing = f"at step {k[zero]} its mean error\npasses through zero"
+    ax.annotate(crossing, (k[zero], at_once[zero]), (2, 52), textcoords="offset points", color=frozen.get_color(),
+                arrowprops={"arrowstyle": "-", "color": "0.6", "relpos": (0, 0)})  # fmt: skip
+    plots.label_line(varying, f"the gain varies first: settles at {later[-1]:.2f} m", at=5, xytext=(0, -26))
+    ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(R)), (0, 5), textcoords="offset points", ha="right",
+                color=measured.get_color())  # fmt: skip
+    ax.set_ylabel("typical error at 20 m/s (m)")
+    plots.label_line(frozen, f"frozen at once: up to {at_once.max():.0f} m off", at=3, xytext=(10, 4))
+    plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {at_once.max():.0f} m off")
+    ax.get_legend().remove()
+    return fig
+
+
+def draw_braking(misses, seconds=5):
+    """Return a figure of how far predictions lie beyond the true place, by the second at which they were made.
+
+    misses maps a brake in m/s² to {name of a filter: misses (m) of the predictions of seconds 0, 1, ...}.
+    """
+    styles = [(plots.COLOUR_OF["kalman"], "-"), (plots.COLOURS[2], "--"), (plots.COLOURS[2], "-")]
+    plots.use_style()
+    names = [f"{brake:g} m/s²" for brake in misses]
+    fig, ax = plots.panels([names], height=3.4)
+    ax[names[1]].sharey(ax[names[0]])
+    for name, of_filters in zip(names, misses.values(), strict=True):
+        lines = []
+        for (filter_name, off), (colour, style) in zip(of_filters.items(), styles, strict=True):
+            lines += ax[name].plot(np.arange(len(off)), off, style, color=colour, marker=".", label=filter_name)
+        ax[name].axhline(0, color="0.4", lw=1.0)
+        plots.finish(ax[name], "second of the brake", f"a brake of {name}")
+        ax[name].get_legend().remove()
+    ax[names[0]].set_ylabel(f"predicted {seconds} s ahead,\nbeyond the true place (m)")
+    fig.legend(lines, list(of_filters), loc="outside lower center", ncols=1)
+    fig.suptitle("No filter foresees the brake; one learns it", x=0.02, ha="left", weight="bold")
+    return fig

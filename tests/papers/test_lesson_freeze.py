@@ -1,0 +1,144 @@
+"""The lesson on freezing a filter: it agrees with the package, and each number of its prose is computed here."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import ROOT, cells_of, prose, source
+
+import mpt_helpers as mpt
+from reproduction import burden
+from reproduction.paper_2016 import lesson_freeze as lesson
+
+CELLS = {cell["id"]: cell for cell in cells_of(ROOT / "notebooks" / "lessons" / "freeze_the_filter.ipynb")}
+TEXT = re.sub(r"\s+", " ", prose(CELLS.values()).replace("*", ""))
+UNKNOWN = 1e4 * np.eye(2)
+VELOCITY = mpt.constant_velocity(1.0, lesson.Q, lesson.R, P0=UNKNOWN)
+SETTLED = mpt.SteadyStateFilter.from_kalman(VELOCITY)
+
+
+def says(text):
+    """Require that the lesson says this; numbers in it are computed by the test."""
+    assert re.sub(r"\s+", " ", text) in TEXT, text
+
+
+@pytest.fixture(scope="module")
+def taught():
+    """The names that the lesson's cells define, without its drawings."""
+    names = {"dt": 1.0, "q": 0.01, "R": 0.1}
+    for id in ("filter", "freeze", "brakes"):
+        exec(source(CELLS[id]), names)
+    return names
+
+
+def test_the_filter_that_is_taught_is_that_of_the_package(taught):
+    _, z = mpt.simulate(replace(VELOCITY, P0=np.zeros((2, 2))), 40, np.random.default_rng(1))
+    for model, make in (
+        (VELOCITY, "motion"),
+        (mpt.constant_acceleration(1.0, 0.01, 0.1, P0=1e4 * np.eye(3)), "motion_3"),
+    ):
+        F, Q = taught[make](1.0, 0.01)
+        np.testing.assert_allclose(F, model.F)
+        np.testing.assert_allclose(Q, model.Q)
+        x, gains, P = taught["track"](z[:, 0], F, Q, 0.1, model.P0, vary=40)
+        e = mpt.KalmanFilter(model).estimates(z)
+        np.testing.assert_allclose(x[:, :, 0], e.x, atol=1e-6)
+        np.testing.assert_allclose(P, e.P[-1], atol=1e-9)
+        np.testing.assert_allclose(gains[-1], e.P[-1] @ model.H.T / 0.1, atol=1e-6)
+
+
+def test_the_start_comes_out_by_hand():
+    K = SETTLED.B[:, 0]
+    says("a filter that knows the velocity to 0.14 m/s")
+    assert round(np.sqrt(SETTLED.P[1, 1]), 2) == 0.14
+    says("It moves by 0.549 · 20 = 11.0 m, and its velocity by 0.212 · 20 = 4.2 m/s.")
+    assert K.round(3).tolist() == [0.549, 0.212]
+    assert (20 * K).round(1).tolist() == [11.0, 4.2]
+    says(
+        "It is now 9.0 m behind and 15.8 m/s too slow. In the next second it falls back to 9.0 + 15.8 = 24.8 m behind."
+    )
+    says("The second measurement takes 0.549 of that away, and leaves 11.2 m. That is the top.")
+    behind = 20 * (1 - K)
+    assert behind.round(1).tolist() == [9.0, 15.8]
+    assert round((1 - K[0]) * behind.sum(), 1) == 11.2
+
+
+def test_the_picture():
+    """The exact errors of the picture are those of simulated cars that nothing pushes."""
+    says("For twelve steps, but for one moment, the frozen filter is worse than no filter. The other only improves.")
+    at_once, later = lesson.typical_errors(40)
+    one = np.sqrt(lesson.R)
+    assert np.flatnonzero(at_once > one).max() + 1 == 12
+    assert (at_once[:12] < one).sum() == 1
+    assert (np.diff(later) < 1e-4).all()  # a tenth of a millimetre: the start was 10⁴ I and not unknown
+    says("From step 15 on the two are the same.")
+    assert np.abs(at_once / later - 1)[14:].max() < 0.01
+    truth = lesson.SPEED * np.arange(1, 41)[:, None]
+    z = truth + one * np.random.default_rng(2).normal(size=(40, 20_000))
+    off = SETTLED.filter(z[:, None])[:, 0] - truth
+    np.testing.assert_allclose(np.sqrt((off**2).mean(axis=1)), at_once, rtol=0.02)  # known to 0.5 %
+
+
+def test_a_line_through_two_measurements_is_a_start_for_this_sensor():
+    says(
+        "start the frozen filter on the line through the first two measurements, and with this sensor it is never worse"
+    )
+    A, B = SETTLED.A, SETTLED.B
+    noise = np.sqrt(lesson.R) * np.random.default_rng(3).normal(size=(30, 200_000))
+    x, rms = np.array([noise[1], noise[1] - noise[0]]), []
+    for z in noise[2:]:
+        x = A @ x + B * z
+        rms.append(np.sqrt((x[0] ** 2).mean()))
+    says("0.36 m")
+    assert max([np.sqrt(lesson.R), *rms]) == pytest.approx(0.36, abs=0.005)
+
+
+def test_the_steps_to_freeze(taught):
+    says("eight for ours, 39 for one that is wrong by 10 m")
+    assert taught["freeze_from"](*taught["motion"](1.0, 0.01), 0.1) == 8
+    assert taught["freeze_from"](*taught["motion"](1.0, 0.01), 100.0) == 39
+
+
+def test_the_operations_are_those_of_the_paper():
+    says("A step takes 69 operations while a Kalman filter computes its gain, and 10 with a constant gain")
+    assert burden.total(burden.kalman(2, 1)) == 69
+    assert burden.total(burden.steady_state(2, 1)) == 10
+
+
+def test_a_third_of_what_is_unknown_in_five_seconds_are_pushes_to_come(taught):
+    says("A third of the square of the 1.10 m are the pushes still to come.")
+    F, Q = taught["motion"](5, 0.01)
+    ahead = F @ SETTLED.P @ F.T + Q
+    assert round(np.sqrt(ahead[0, 0]), 2) == 1.10
+    assert Q[0, 0] / ahead[0, 0] == pytest.approx(1 / 3, abs=0.03)
+
+
+def test_the_braking(taught):
+    misses, motion, motion_3 = (taught[name] for name in ("misses", "motion", "motion_3"))
+    says("it needs a surprise of 2/0.212 = 9.4 m each time")
+    assert round(2 / SETTLED.B[1, 0], 1) == 9.4
+    says("misses by 16 m where ours misses by 42, and on a calm road it is three times as restless")
+    over = [np.sqrt(np.mean(misses(make, 0.01, 2) ** 2)) for make in (motion_3, motion)]
+    assert [round(each) for each in over] == [16, 42]
+    says("The prediction of second 5 of the gentle brake misses by 4.1 m with our list of gains, and by 3.3 m if two")
+    assert round(misses(motion_3, 0.01, 2)[5], 1) == 4.1
+    assert round(misses(motion_3, 0.01, 2, steps_more=2)[5], 1) == 3.3
+    says("With the rule it does not.")
+    assert np.abs(misses(motion_3, 0.01, 2)[6:]).max() < 1.5
+    assert misses(motion_3, 0.01, 2, stops=False)[10] < -20
+
+
+@pytest.mark.parametrize("brake", [1, 2, 3, 4, 5, 6, 8])
+def test_the_rule_makes_no_braking_worse(taught, brake):
+    """For brakes that the lesson does not show, too; of a filter that learns fast, as the advice says."""
+    misses = taught["misses"]
+    for q in (0.01, 1.0):
+        with_rule, without = (np.mean(misses(taught["motion_3"], q, brake, stops) ** 2) for stops in (True, False))
+        assert with_rule <= 1.001 * without
+
+
+def test_a_position_far_from_zero_is_taken_for_speed():
+    says("at 10 km, 5,000 m/s")
+    x = mpt.KalmanFilter(VELOCITY).filter([[10_000.0]])
+    assert round(x[0, 1], -2) == 5000
