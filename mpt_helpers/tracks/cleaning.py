@@ -467,7 +467,8 @@ def no_fixes_of_their_own(t, z, another, rounding):
     speed = moved[later] / seconds[later]
     moving = speed > np.nanmedian(speed) / 2
     held = (np.diff(np.flatnonzero(new)) > 1)[later]
-    if held[moving].mean() < REPEATED or np.nanmedian(moved) < STEPS_OF_GRID * math.sqrt(12 * rounding):
+    grid = max(math.sqrt(12 * rounding), _coarse_grid(z[first]))
+    if held[moving].mean() < REPEATED or np.nanmedian(moved) < STEPS_OF_GRID * grid:
         return again, said
     longest = float(np.quantile(seconds[later][moving & held], LEVEL))
     since = np.floor((t[rows] - t[first][np.cumsum(new) - 1]) / longest)
@@ -475,6 +476,19 @@ def no_fixes_of_their_own(t, z, another, rounding):
     again[rows[repeats]] = True
     said.append(f"{repeats.sum()} rows repeat a position while the mobile moves on: they are no fixes")
     return again, said
+
+
+def _coarse_grid(z):
+    """Return the step that nearly all changes of one of the axes of positions (N, m) are multiples of, or zero."""
+    grid = 0.0
+    for steps in np.abs(np.diff(z, axis=0)).T:
+        steps = steps[steps > 1e-3 * np.nanmax(steps, initial=0.0)]
+        if not len(steps):
+            continue
+        least = np.quantile(steps, 1 - LEVEL)
+        if np.mean(np.abs(steps / least - np.round(steps / least)) < ON_GRID) > LEVEL:
+            grid = max(grid, float(least))
+    return grid
 
 
 def begins(t: Array, another: NDArray[np.bool_], pause: float | None) -> NDArray[np.bool_]:
