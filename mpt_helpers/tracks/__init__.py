@@ -176,12 +176,10 @@ def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) ->
     if time[k] == NO_TIME:
         unread = recording.unread.get(int(rows[k]))
         return "no time" if unread is None else f"a time that cannot be read ({unread!r:.40})"
-    before = in_order[in_order < k]
-    last = time[before[-1]] if len(before) else None
-    moment = moment_of(time[k])
-    if last is None or last < time[k]:
-        return f"{moment:%Y-%m-%d %H:%M:%S} before an earlier time"
-    return f"{moment:%Y-%m-%d %H:%M:%S} {'again' if last == time[k] else 'after a later time'}"
+    moment, before = f"{moment_of(time[k]):%Y-%m-%d %H:%M:%S}", time[in_order[in_order < k]]
+    if time[k] in time[in_order]:
+        return f"{moment} twice"
+    return f"{moment} {'after a later time' if len(before) and before[-1] > time[k] else 'before an earlier time'}"
 
 
 def _no_times(recording):
