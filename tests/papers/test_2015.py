@@ -204,7 +204,7 @@ def test_the_conclusion_on_steady_state_names_the_pair_that_is_the_other_way_rou
         if "SS" in slow and "SS" not in fast and counts[slow] >= counts[fast]
     ]
     assert across == [("JSSKLF A", "KF B")]
-    assert "JSSKLF A with 216 than KF B with 207" in VERDICTS["speed.3"].computed
+    assert "JSSKLF A with 216 than KF B with 207" in VERDICTS["speed.3"].beyond
 
 
 def test_model_b_takes_the_shares_that_the_ledger_says():
