@@ -246,15 +246,14 @@ def long_tracks():
 
 
 def pieces():
-    """Rows for the code that the article on 2014 teaches, beside what else somebody might write for one long track."""
+    """Rows for the code that the lesson on pieces teaches, beside what else somebody might write for one long track."""
     axis = replace(AXIS, H=[[1, 0]], P0=100 * np.eye(2))
     z = mpt.simulate(axis, ROWS, np.random.default_rng(0))[1]
     gappy = np.where(np.random.default_rng(1).random((ROWS, 1)) < 0.05, np.nan, z)
-    article, kf, track = peers.taught(), mpt.KalmanFilter(axis), f"{ROWS:,} rows as taught"
-    H = np.array([[1.0, 0.0]])
+    lesson, kf, track = peers.taught(), mpt.KalmanFilter(axis), f"{ROWS:,} rows as taught"
     works = {
-        f"{track}: in pieces": partial(article["in_pieces"], gappy[:, 0], 80, H),
-        f"{track}: plain loop of numpy": partial(article["one_by_one"], gappy[:, 0], H),
+        f"{track}: in pieces": partial(lesson["in_pieces"], gappy[:, 0], 80),
+        f"{track}: plain loop of numpy": partial(lesson["one_by_one"], gappy[:, 0]),
         f"{track}: Python numbers": partial(peers.plain_numbers(axis), gappy),
         f"{track}: this package": partial(kf.filter, gappy),
     }
@@ -264,8 +263,8 @@ def pieces():
     for name, work in works.items():
         same(work(), expected, name)
     early = f"{track}: begun 40 rows early"
-    works[early] = partial(article["begun_early"], gappy[:, 0], 80, H)
-    same(works[early]()[100:], expected[100:], early)  # in the first rows it knows nothing of the start
+    works[early] = lambda: lesson["begun_early"](gappy[:, 0], 80)[0]
+    same(works[early](), expected, early)
     whole = f"{track}, none missing: lfilter"
     works[whole] = partial(peers.by_lfilter(steady_of(axis)), z)
     same(works[whole]()[100:], kf.filter(z)[100:, 0], whole)  # in 100 rows the start is forgotten to 1e-16
@@ -274,7 +273,7 @@ def pieces():
     return [row(samples, ours, each, tracks=1) for each in others]
 
 
-ROWS = 10_000  # of the article's recording
+ROWS = 10_000  # of the lesson's recording
 # Goals, by states and rows.
 LOOP = {(4, 200): (">=", 1), (4, 12_000): (">=", 10), (4, 100_000): (">=", 20)}
 IN_C = {(4, 12_000): (">=", 1.3), (4, 100_000): (">=", 2.5)}

@@ -21,8 +21,8 @@ from mpt_helpers.equations import predicted_covariance
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("cc")
-ARTICLE = HERE.parent / "notebooks" / "2014_gsm_2d.ipynb"
-TAUGHT = ("kalman-step", "one-by-one", "early", "pretend", "relay", "pieces")  # the cells of it that define its filters
+LESSON = HERE.parent / "notebooks" / "lessons" / "a_track_in_pieces.ipynb"
+TAUGHT = ("filter", "early", "pretend", "mend-code", "in-pieces")  # the cells of it that define its filters
 
 try:
     import jax
@@ -144,12 +144,12 @@ def dynamax_vmap(model):
 
 
 # One track of one axis whose positions are measured, H = [1 0], from x(0/0) = 0 and P(0/0) = p I, gaps as NaN: the code
-# of the article on 2014, and what somebody might write instead. Each takes z (N, 1).
+# of the lesson on pieces, and what somebody might write instead. Each takes z (N, 1).
 
 
 def taught():
-    """Return what the article on 2014 defines, by name: its step in numpy, its loop `one_by_one` and `in_pieces`."""
-    names, cells = {}, json.loads(ARTICLE.read_text(encoding="utf-8"))["cells"]
+    """Return what the lesson on pieces defines, by name: `step`, `one_by_one`, `begun_early` and `in_pieces`."""
+    names, cells = {}, json.loads(LESSON.read_text(encoding="utf-8"))["cells"]
     for cell in cells:
         if cell["id"] in TAUGHT:
             exec("".join(cell["source"]), names)

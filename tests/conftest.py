@@ -21,8 +21,6 @@ talk_through_files()
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))  # one for each paper
 LESSONS = sorted(ROOT.glob("notebooks/lessons/*.ipynb"))
-# Papers whose notebook is not yet the reproduction alone.
-NOT_YET = {"2016_prediction"}
 GIVES_A_VERDICT = re.compile(r"\bpaper\.(check|claims?|cannot_check|report|table|equal|lacking)\(")
 AXIS = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)
 MODELS_2016 = {"cv": mpt.constant_velocity(1.0, 0.01, 0.1), "ca": mpt.constant_acceleration(1.0, 0.01, 0.1)}
@@ -85,12 +83,6 @@ def parts(cells):
         if cell["cell_type"] == "markdown" and re.match(r"##? Part II\b", source(cell)):
             return cells[:i], cells[i:]
     return cells, []
-
-
-def part_one(path):
-    """The text of Part I of a notebook in a file."""
-    article, _ = parts(cells_of(path))
-    return prose(article)
 
 
 @pytest.fixture(params=[*NOTEBOOKS, *LESSONS], ids=lambda path: path.stem)

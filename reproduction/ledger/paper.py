@@ -142,14 +142,17 @@ class Paper:
         computed = "-" if counted is None else f"{counted:.6g}"
         return self._give(item, computed, CANNOT_BE_CHECKED, "reading", missing, cause)
 
-    def table(self, id: str, computed, *, basis: str = "", extra: Mapping[str, Iterable] | None = None) -> Shown:
+    def table(
+        self, id: str, computed, *, basis: str = "", reason: str = "", extra: Mapping[str, Iterable] | None = None
+    ) -> Shown:
         """Check all cells of a table of the paper; return it as the paper lays it out, printed beside computed.
 
         computed maps the items' ids to values, or has the values in reading order (of a grid, the whole array).
         A value is a number; (number, (low, high)) with the band of simulations; for a formula or a text (whether it
         holds, as in `claim`, what is right, how that was seen), or a function of the printed text that returns these;
-        or a text that says why it cannot be checked. Cells that our copy has lost are shown and not judged. extra has
-        columns of ours for the right, {head: cells}.
+        or a text that says why it cannot be checked. Cells that our copy has lost are shown and not judged. reason is
+        that of all numbers, such as the reading by which they are judged. extra has columns of ours for the right,
+        {head: cells}.
         """
         layout = self.layouts[id]
         if not isinstance(computed, Mapping):
@@ -157,7 +160,7 @@ class Paper:
             computed = dict(zip(layout.ids, values, strict=True))
         items = [self.items[each] for each in layout.ids]
         decimals = max((item.decimals for item in items if item.kind == "number"), default=0)  # of what is lost
-        cells = {item.id: self._cell(item, computed[item.id], basis, layout.grid, decimals) for item in items}
+        cells = {item.id: self._cell(item, computed[item.id], basis, reason, layout.grid, decimals) for item in items}
         caption = layout.title
         if layout.ids:
             caption += f". {_agreeing(self._to_report)}."
@@ -194,7 +197,7 @@ class Paper:
             rows.append([place(given), given.printed, what])
         return self._shown(Grid(["", "what cannot be checked", "why"], rows, sentences=True))
 
-    def _cell(self, item, value, basis, grid, decimals):
+    def _cell(self, item, value, basis, reason, grid, decimals):
         """Check one cell of a table, and return it as it is shown."""
         if callable(value):
             value = value(item.printed)
@@ -209,7 +212,8 @@ class Paper:
             given = self.claim(item.id, holds, evidence, basis=basis or item.basis or "arithmetic")
         else:
             value, band = value if isinstance(value, tuple) else (value, None)
-            given = self.check(item.id, float(value), basis=basis or item.basis or "arithmetic", band=band)
+            basis = basis or item.basis or "arithmetic"
+            given = self.check(item.id, float(value), basis=basis, band=band, reason=reason)
             right = f"{value:.{item.decimals}f}"
             if band:
                 right += f" ({band[0]:.{item.decimals}f} to {band[1]:.{item.decimals}f})"

@@ -26,7 +26,7 @@ def mark(verdict: str) -> str:
 class Layout:
     """A table as the paper lays it out; `{id}` stands for an item, all else is text.
 
-    A grid has too many cells to print both numbers in each: there one number says that printed and computed agree.
+    A grid has too many cells, or too long ones, to print both texts in each: one alone says that both agree.
     wrong says in a sentence what is wrong, in place of one for each cause.
     """
 
@@ -106,7 +106,9 @@ def laid_out(layout: Layout, cells: Mapping[str, Cell], extra: Mapping[str, Iter
         lines.append([*(cells[item[1]] if item else cell for item, cell in zip(found, row, strict=True)), *more])
     if layout.grid:  # names of rows break nowhere, those of columns behind their number
         lines[0] = [_unbroken(name, "<br>") for name in lines[0]]
-        lines = [lines[0], *([_unbroken(line[0], "&nbsp;"), *line[1:]] for line in lines[1:])]
+        for line in lines[1:]:
+            if isinstance(line[0], str):  # else it is an item
+                line[0] = _unbroken(line[0], "&nbsp;")
     return lines
 
 

@@ -2,7 +2,7 @@
 
 A reading says in which unit the table is and how much process noise the tracks have, as a multiple of the filter's. The
 axis and the length of the averages stay open: probabilities are means over the four axes and over lengths, with equal
-weight for equal factors. The columns count as independent, but for `same_measurement_noise`.
+weight for equal factors. The columns count as independent.
 """
 
 from dataclasses import replace
@@ -29,6 +29,7 @@ class Reading(NamedTuple):
 
 PERCENT = Reading("percent", 0.0)  # of exact motion
 FRACTION = Reading("fraction", 1.0)  # of motion with the process noise of Q
+FOUR = (PERCENT, FRACTION, Reading("fraction", 0.0), Reading("percent", 1.0))
 
 
 def simulated(columns, noise, runs, seed):
@@ -39,26 +40,16 @@ def simulated(columns, noise, runs, seed):
     return ratios
 
 
-def all_samples(columns, reading, seed, runs=RUNS, lengths=None, average=averages):
-    """Return the averages of simulated runs in the unit of a reading: {(axis, key): (lengths, 6, runs)}.
-
-    `average` makes them from |e| / |s|: `averages`, or another function with its arguments.
-    """
+def all_samples(columns, reading, seed, runs=RUNS, lengths=None):
+    """Return the averages of simulated runs in the unit of a reading: {(axis, key): (lengths, 6, runs)}."""
     if lengths is None:
         lengths = LENGTHS[reading.unit]
     ratios = simulated(columns, reading.noise, runs, seed)
     samples = {}
     for key, column in columns.items():
         for axis in AXES:
-            samples[axis, key] = UNITS[reading.unit] * average(column, ratios[key][axis], lengths)
+            samples[axis, key] = UNITS[reading.unit] * averages(column, ratios[key][axis], lengths)
     return samples
-
-
-def averages_within(column, ratio, lengths):
-    """Return `averages` that stop where their target leaves the run: N steps earlier than the estimate's."""
-    lengths = np.asarray(lengths)
-    each = [averages(column, ratio, lengths - N)[:, N] for N in range(table1.LARGEST_N + 1)]
-    return np.stack(each, axis=1)
 
 
 def log_probabilities(samples, columns):
@@ -71,75 +62,13 @@ def weights(lengths):
     return np.gradient(np.log(lengths))
 
 
-def probability(log_p, lengths, axes=AXES, keys=("cv", "ca"), only=None):
+def probability(log_p, lengths, axes=AXES, keys=("cv", "ca")):
     """Return the probability of the printed columns under one rule for all keys, but for a constant common to all.
 
-    log_p is that of `log_probabilities`. The mean is over the axes, and over the lengths or at one length only.
+    log_p is that of `log_probabilities`. The mean is over the axes and the lengths.
     """
-    weight = weights(lengths) if only is None else lengths == only
     both = [sum(log_p[axis, key] for key in keys) for axis in axes]
-    return float(np.mean([weight @ np.exp(each) for each in both]))
-
-
-def same_measurement_noise(columns, reading, seed, runs=RUNS):
-    """Return `probability` if both columns had the same measurement noise, as with one seed for all runs."""
-    shape = (2, table1.TRANSIENT + table1.LARGEST_N, 1, runs)
-    v = np.sqrt(table1.R) * np.random.default_rng([seed, 2]).standard_normal(shape)
-    lengths = LENGTHS[reading.unit]
-    ratios = {}
-    for i, (key, column) in enumerate(columns.items()):
-        ratios[key] = relative_errors(column, reading.noise, np.random.default_rng([seed, 3 + i]), runs, v)
-    table = np.concatenate([column.printed for column in columns.values()])[:, None]
-    p = []
-    for axis in AXES:
-        own = [UNITS[reading.unit] * averages(column, ratios[key][axis], lengths) for key, column in columns.items()]
-        p.append(weights(lengths) @ np.exp(log_likelihood(np.concatenate(own, axis=1), table)[:, 0]))
-    return float(np.mean(p))
-
-
-def of_means(samples, columns, lengths, runs):
-    """Return `probability` if each printed number is the mean of some runs."""
-    narrower = {}
-    for name, each in samples.items():
-        mean = each.mean(axis=2, keepdims=True)
-        narrower[name] = mean + (each - mean) / np.sqrt(runs)
-    return probability(log_probabilities(narrower, columns), lengths)
-
-
-def length_from(log_p, lengths, keys, axis="both"):
-    """Return the density of the length given some columns (lengths,), its mean and its standard deviation."""
-    log_density = sum(log_p[axis, key] for key in keys)
-    density = np.exp(log_density - log_density.max())
-    share = density * weights(lengths)
-    mean = np.average(lengths, weights=share)
-    spread = np.sqrt(np.average((lengths - mean) ** 2, weights=share))
-    return density, float(mean), float(spread)
-
-
-def best(log_p, lengths):
-    """Return the axis and the length under which the printed table is most probable."""
-    total = np.array([log_p[axis, "cv"] + log_p[axis, "ca"] for axis in AXES])
-    axis, i = np.unravel_index(total.argmax(), total.shape)
-    return AXES[axis], int(lengths[i])
-
-
-def drawn_tables(columns, reading, axis, L, seed, tables=1000):
-    """Return tables as a reading prints them: {key: (6, tables)}, with four decimals."""
-    ratios = simulated(columns, reading.noise, tables, seed)
-    result = {}
-    for key, column in columns.items():
-        result[key] = (UNITS[reading.unit] * averages(column, ratios[key][axis], [L])[0]).round(4)
-    return result
-
-
-def fit(samples, lengths, tables):
-    """Return the log-probability of tables {key: (6, tables)}: averaged over axes and lengths, and at the best."""
-    each = []
-    for axis in AXES:
-        each.append(sum(log_likelihood(samples[axis, key], table) for key, table in tables.items()))
-    each = np.array(each)
-    weighted = each + np.log(weights(lengths))[:, None]
-    return np.logaddexp.reduce(weighted.reshape(-1, weighted.shape[2])), each.max(axis=(0, 1))
+    return float(np.mean([weights(lengths) @ np.exp(each) for each in both]))
 
 
 def passes(samples, columns, axis):
@@ -173,6 +102,48 @@ def log10_at_best(columns, ratio, seed, runs=500):
             total = total + log_likelihood(samples, column.printed[:, None])
         found.append(total.max())
     return float(max(found) / np.log(10))
+
+
+def bands(columns, seed):
+    """Return the central 99 % of 10,000 runs, {key: (2, 6)}, of the reading by which Table 1 is judged.
+
+    That is percent of exact motion, the mean of both axes, 10,000 steps.
+    """
+    means = {key: [] for key in columns}
+    for each in range(seed, seed + 5):  # in five parts: all at once would take a gigabyte
+        for key, ratio in simulated(columns, PERCENT.noise, RUNS, each).items():
+            means[key].append(UNITS[PERCENT.unit] * averages(columns[key], ratio["both"], [10_000])[0])
+    return {key: np.quantile(np.hstack(each), [0.005, 0.995], axis=1) for key, each in means.items()}
+
+
+def compared(columns, seed):
+    """Return the log-probabilities of the print under the four readings, and header and rows of a table of them.
+
+    The log-probabilities are {Reading: {(axis, key): (lengths,)}}.
+    """
+    log_p, rows = {}, []
+    for reading in FOUR:
+        lengths = LENGTHS[reading.unit]
+        samples = all_samples(columns, reading, seed)
+        log_p[reading] = log_probabilities(samples, columns)
+        passed = {axis: passes(samples, columns, axis) for axis in AXES}
+        axis = max(passed, key=lambda name: passed[name].max())
+        most, length = passed[axis].max(), lengths[passed[axis].argmax()]
+        behind = probability(log_p[PERCENT], LENGTHS[PERCENT.unit]) / probability(log_p[reading], lengths)
+        against = "1" if reading == PERCENT else f"1 : {rough(behind)}"
+        motion = "with the noise of Q" if reading.noise else "as stated"
+        rows.append([reading.unit, motion, f"{most} of 12", f"axis {axis}, {length} steps", against])
+    header = ["unit", "motion", "in the 99 % band of runs", "for example", "odds to the first"]
+    return log_p, header, rows
+
+
+def odds(log_p, **rule):
+    """Return how many times as probable the print is as percent of exact motion than as fractions of noisy motion.
+
+    log_p is that of `compared`, rule what `probability` takes.
+    """
+    p = [probability(log_p[reading], LENGTHS[reading.unit], **rule) for reading in (PERCENT, FRACTION)]
+    return p[0] / p[1]
 
 
 def rough(ratio):

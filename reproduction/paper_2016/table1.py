@@ -12,6 +12,7 @@ from math import factorial
 import numpy as np
 from scipy.special import erf
 
+from mpt_helpers.metrics import error_moments
 from mpt_helpers.model import constant_acceleration, constant_velocity, simulate
 from mpt_helpers.steady import SteadyStateFilter
 
@@ -136,6 +137,12 @@ def of_both_axes(column, L, estimator=None):
     return np.mean([expected_averages(column, axis, L, estimator)[:, -1] for axis in (0, 1)], axis=0)
 
 
+def average_of_measurements(column, L):
+    """Return the expected average of both axes over L steps of the bare measurements, without a filter."""
+    inverse = np.mean([1 / column.positions(axis, L)[0] for axis in (0, 1)])
+    return float(inverse * expected_absolute(0.0, R))
+
+
 def settled_averages(column, L):
     """Return the averages of both axes over L steps, (6,), of the same filter if it had settled before the first.
 
@@ -145,6 +152,19 @@ def settled_averages(column, L):
     _, variance = mean_and_variance(column, 0, 2 * TRANSIENT)
     error = expected_absolute(0.0, variance[:, -1:])
     return np.mean([(error / column.positions(axis, L)).mean(axis=1) for axis in (0, 1)], axis=0)
+
+
+def settled_sigma(column, seconds):
+    """Return σ of the position these seconds ahead (array), after the start; the mobile moves exactly as stated.
+
+    >>> settled_sigma(columns()["cv"], [0, 5]).round(3)
+    array([0.214, 0.571])
+    """
+    model = column.steady.model
+    P = error_moments(column.steady, column.truth(0), 2 * TRANSIENT).covariance[-1]
+    make = {2: constant_velocity, 3: constant_acceleration}[model.n]
+    rows = [make(ahead, Q, R).F[0] if ahead else np.eye(model.n)[0] for ahead in seconds]
+    return np.sqrt([row @ P @ row for row in rows])
 
 
 def share_of_the_start(ratio, steps=10):

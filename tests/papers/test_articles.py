@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from conftest import GIVES_A_VERDICT, LESSONS, NOT_YET, ROOT, cells_of, prose, source
+from conftest import GIVES_A_VERDICT, LESSONS, ROOT, cells_of, prose, source
 
 from reproduction.ledger import keys, published, stored_verdicts
 from reproduction.ledger.contents import BETWEEN, contents
@@ -45,7 +45,7 @@ def text_of(cells):
     return "\n".join("".join(each.get("text/plain", "")) for each in data)
 
 
-@pytest.fixture(params=[key for key in keys() if published(key).rows and key not in NOT_YET])
+@pytest.fixture(params=[key for key in keys() if published(key).rows])
 def paper(request):
     """A paper, and the cells of its notebook."""
     return published(request.param), cells_of(ROOT / "notebooks" / f"{request.param}.ipynb")

@@ -169,7 +169,7 @@ def test_the_line_of_figures_3_and_4_is_that_of_numpy():
 # What the verdicts rest on
 
 
-def simulated(q, M, seed=5):
+def simulated(M, seed=5):
     """True states and measurements of GPS and INS on M tracks of 100 steps at 0.2 m/s."""
     true = checks.track(0.2)
     z = (true[:, :2] + [0, checks.BIAS])[..., None]
@@ -179,18 +179,24 @@ def simulated(q, M, seed=5):
 def test_the_errors_after_100_steps_are_those_of_many_tracks():
     """Those of 4,000 tracks, whose rms is known to 1.1 %; four of it."""
     kf = mpt.KalmanFilter(checks.model(0.01))
-    true, z = simulated(0.01, 4000)
+    true, z = simulated(4000)
     error = kf.filter(z)[-1] - true[-1][:, None]
     np.testing.assert_allclose(checks.after_100(kf.filter), mpt.metrics.rms(error, axis=1), rtol=0.045)
     F = np.array([[1, 1.0], [0, 1]])
-    alone = mpt.LinearModel(F=F, H=[[1, 0]], Q=np.diag([0, 0.01]), R=[[1.0]], P0=checks.P0[:2, :2])
+    alone = mpt.LinearModel(F=F, H=[[1, 0]], Q=np.diag([0, 1.0]), R=[[1.0]], P0=checks.P0[:2, :2])
     error = mpt.KalmanFilter(alone).filter(z[:, :1])[-1, 0] - true[-1, 0]
-    assert checks.gps_alone(0.01) == pytest.approx(mpt.metrics.rms(error), rel=0.045)
+    assert checks.gps_alone(1.0) == pytest.approx(mpt.metrics.rms(error), rel=0.045)
+
+
+def test_a_track_moves_by_the_printed_matrix_from_where_the_filter_starts():
+    true = np.vstack([[0, 0.02, checks.BIAS], checks.track(0.02)])
+    np.testing.assert_allclose(true[1:], true[:-1] @ checks.model().F.T)
+    assert checks.model().x0[0] == 0
 
 
 def test_a_reading_of_the_third_row_is_that_of_many_tracks():
     """GPS less Δt times the INS, fed to the filter of three rows of the package."""
-    true, z = simulated(0.01, 4000)
+    true, z = simulated(4000)
     fed = np.concatenate([z, z[:, :1] - z[:, 1:]], axis=1)
     kf = mpt.KalmanFilter(checks.model(0.01, r33=1.0))
     made, stated = checks.third_row("GPS - Δt INS")

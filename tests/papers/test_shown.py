@@ -117,6 +117,20 @@ def test_a_grid_shows_one_number_where_both_agree(paper):
     assert "<th>2<br>LF&nbsp;B</th>" in shown.html()
 
 
+def test_the_numbers_of_a_table_may_share_a_reason(paper):
+    shown = paper.table("both", VALUES, basis="simulation", reason="Read as metres.")
+    assert [each.reason.startswith("Read as metres.") for each in shown] == [True, True, True, False]
+
+
+def test_a_grid_may_have_items_as_names_of_its_rows():
+    rows = '[["{equal}", "{count}"], ["a total", "17"]]'
+    text = f'[[tables]]\nid = "long"\ntitle = "Table 7"\nhead = ["what it says", "count"]\nrows = {rows}\ngrid = true\n'
+    value = {"equal": (True, "A equals B", "counted"), "count": 17}
+    shown = read_paper("test", WITH_TABLES + text).table("long", value, basis="arithmetic")
+    assert repr(shown).splitlines()[2:] == ["A equals B    17", "a total       17"]
+    assert "<td>a&nbsp;total</td>" in shown.html()
+
+
 def test_a_table_of_names_has_no_verdict_and_takes_columns_of_ours(paper):
     shown = paper.table("names", [], extra={"computed": ["0.1"]})
     assert list(shown) == []

@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import MODELS_2016, ROOT, cells_of, parts, source
+from conftest import MODELS_2016
 from scipy.stats import multivariate_normal
 
 import mpt_helpers as mpt
-from reproduction import ledger
-from reproduction.ledger.verdicts import CANNOT_BE_CHECKED, ERRATUM, IN_PART, REPRODUCED
 from reproduction.paper_2016 import table1
 
 COLUMNS = table1.columns()
@@ -201,14 +199,3 @@ def test_the_odds_point_to_the_reading_that_made_a_table():
         ]
         right = best[made] > best[1 - made]
         assert right.mean() > 0.9
-
-
-def test_the_notebook_counts_what_the_verdicts_say():
-    path = ROOT / "notebooks" / "2016_prediction.ipynb"
-    _, evidence = parts(cells_of(path))
-    tally = ledger.stored_verdicts(path).tally()
-    causes = ", ".join(tally.cause_text(kind) for kind in ("slip", "wording", "finding"))
-    assert set(tally.claims) == {REPRODUCED, IN_PART, ERRATUM, CANNOT_BE_CHECKED}
-    others = f"{tally.claims[IN_PART]} holds under a condition, {tally.claims[ERRATUM]} contradicts its own paper, "
-    others += f"and {tally.claims[CANNOT_BE_CHECKED]} cannot be"
-    assert f"{causes}. {tally.claims_text()}, {others} checked." in source(evidence[0])

@@ -61,10 +61,6 @@ def copy(tmp_path_factory):
     (copy / name).write_text(f"{MODULE}\n", encoding="utf-8")
     path = copy / "docs" / "papers.toml"
     path.write_text(f"{path.read_text(encoding='utf-8')}\n{words}", encoding="utf-8")
-    path = copy / "README.md"
-    (line,) = blocks("text")
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("\n\n**Everything again", f"\n{line}\n**Everything again", 1), encoding="utf-8")
     write_the_notebook(copy / "notebooks" / f"{KEY}.ipynb")
     run(copy, "-c", MAKES)
     return copy
@@ -77,7 +73,7 @@ def write_the_notebook(path):
         if kind == "markdown":
             notebook.cells.append(nbformat.v4.new_markdown_cell(text))
         elif text != MODULE:
-            metadata = FOLDED if text.startswith("# Ledger") else {}
+            metadata = FOLDED if text.startswith("# ") or "save_figure(fig" in text else {}
             notebook.cells.append(nbformat.v4.new_code_cell(text, metadata=metadata))
     nbformat.write(notebook, path)
 
@@ -97,37 +93,44 @@ def said(copy, monkeypatch, capsys):
 def test_the_new_paper_has_its_verdicts(said):
     given = {each["id"]: each for each in json.loads(said(KEY, "--json"))}
     verdicts = {id: each["verdict"] for id, each in given.items()}
-    assert verdicts == {"gain": "reproduced", "variance": "differs", "units": "reproduced"}
-    assert given["variance"]["cause"] == "digits-exchanged"
-    assert given["variance"]["computed"] == "0.618034"
-    assert {each["basis"] for each in given.values()} == {"exact", "identity"}
+    values = {"table1.gain": "reproduced", "table1.variance": "differs"}
+    assert verdicts == values | {"units": "reproduced", "figure1": "cannot be checked"}
+    assert given["table1.variance"]["cause"] == "digits-exchanged"
+    assert given["table1.variance"]["computed"] == "0.618034"
+    assert {each["basis"] for each in given.values()} == {"exact", "identity", "reading"}
 
 
 def test_the_new_paper_is_counted_beside_the_others(said):
     others = keys()
     shown = said()
     assert re.findall(r"(?m)^(\w+): ", shown) == sorted([KEY, *others])
-    assert f"{KEY}: 1 of 1 claims hold; 1 of 2 numbers" in " ".join(shown.split())
     assert "The filter is a little better than printed." in " ".join(shown.split())
 
 
+def test_the_front_of_its_notebook_has_its_contents(copy):
+    front = "".join(cells_of(copy / "notebooks" / f"{KEY}.ipynb")[0]["source"])
+    assert "| [Table 1](#Table-1) | the settled filter | ✗ 1 of 2 wrong: digits exchanged |" in front
+    assert "| [Figure 1](#Figure-1) | the variance of the first steps | picture lost in our copy; redrawn |" in front
+
+
 def test_the_projects_tests_of_papers_and_pages_pass_with_the_new_paper(copy):
-    files = [f"tests/test_{name}.py" for name in ("readme", "ledger", "notebooks", "articles")]
-    files.append("tests/test_package.py::test_the_upper_half_keeps_to_its_rooms")
+    files = [
+        "tests/site/test_readme.py",
+        *(f"tests/papers/test_{name}.py" for name in ("ledger", "notebooks", "articles")),
+    ]
     said = run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files)
     assert " passed" in said
-    assert f"| [{KEY}](notebooks/{KEY}.ipynb) | 1 | 1 | 0 | 0 | 0 | 0 |" in (copy / "README.md").read_text(
-        encoding="utf-8"
-    )
+    readme = (copy / "README.md").read_text(encoding="utf-8")
+    assert f"| [A random walk (1960)](notebooks/{KEY}.ipynb) | How well can a random walker be known? |" in readme
 
 
 def test_the_site_has_the_new_paper(copy):
     run(copy, "-c", SITE)
     source = copy / "docs" / "_build" / "source"
-    papers = (source / "papers.md").read_text(encoding="utf-8")
-    assert f"1960: A random walk is known to 0.79, not to 0.83 <notebooks/{KEY}>" in papers
-    assert "How far off is a walker whose steps are random?" in papers
-    assert "is 0.618034, not 0.681" in papers
+    home = (source / "index.md").read_text(encoding="utf-8")
+    assert f'<a href="notebooks/{KEY}.html#table-1" aria-label="Table 1 of 1960">1</a>' in home
+    assert "How well can a random walker be known?" in home
+    assert "Are the digits 1 and 8 of the variance exchanged?" in (source / "ledger.md").read_text(encoding="utf-8")
     assert (source / "notebooks" / f"{KEY}.ipynb").is_file()
 
 
@@ -140,7 +143,7 @@ def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
 
 def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
     cells = [cell for path in NOTEBOOKS for cell in cells_of(path)]
-    folded = [cell["metadata"] for cell in cells if "ledger" in cell["metadata"].get("tags", [])]
+    folded = [cell["metadata"] for cell in cells if "hide-input" in cell["metadata"].get("tags", [])]
     assert [each for each in folded if each != FOLDED] == []
 
 
@@ -258,5 +261,5 @@ def test_the_three_files_are_as_the_project_wants_its_modules(copy):
     shutil.copy(ROOT / "pyproject.toml", copy)
     run(copy, "-m", "ruff", "check", *files)
     run(copy, "-m", "ruff", "format", "--check", *files)
-    tests = "tests/test_package.py", "tests/test_readme.py::test_the_layout_names_every_part_of_the_package"
+    tests = ["tests/core/test_package.py"]
     assert " passed" in run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files, *tests)

@@ -1,0 +1,148 @@
+"""What the time step, the measurement noise and the motion do to the errors of 2016, for Sections 5.1 and 5.2."""
+
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from . import table1
+
+SECONDS = 10_000  # of a run, as Table 1 is read
+STEPS = 10_000  # for what is compared over as many steps
+VARIED = {"dt": (0.5, 1.0, 2.0), "r": (0.05, 0.1, 0.2), "size": (0.5, 1.0, 2.0)}  # Δt, R and times the stated motion
+WIDE = (0.001, 0.01, *VARIED["r"], 1.0, 10.0)  # variances of a measurement, m²
+NAMES = {"sigma": "σ after the start", "average": "the average of Table 1"}
+PARTS = ("estimation", "prediction")  # N = 0 and N = 1
+
+
+@cache
+def measures(key, dt=table1.DT, r=table1.R, size=1.0):
+    """Return two errors of the estimate and of the prediction one step ahead, {measure: (2,)}.
+
+    "sigma" is σ of the position after the start in metres, of the prediction one second ahead; "average" is that of
+    Table 1 in percent, the mean of both axes over as much time.
+
+    >>> measures("cv")["sigma"].round(3), measures("cv")["average"].round(4)
+    (array([0.214, 0.278]), array([0.0111, 0.0141]))
+    """
+    column = table1.columns(dt, table1.Q, r, size)[key]
+    average = 100 * table1.of_both_axes(column, round(SECONDS / dt))[:2]
+    return {"sigma": table1.settled_sigma(column, [0, 1]), "average": average}
+
+
+def varied(key, what, N, measure, values=None):
+    """Return a measure for the values of `VARIED`, or others, of one quantity, with all else as in the paper.
+
+    >>> varied("cv", "dt", 0, "sigma").round(2)
+    array([0.17, 0.21, 0.25])
+    """
+    return np.array([measures(key, **{what: value})[measure][N] for value in values or VARIED[what]])
+
+
+def factor(values):
+    """Return the largest value over the least."""
+    return values.max() / values.min()
+
+
+def table(key):
+    """Return header and rows of the table of errors for three values of each quantity."""
+    named = {"dt": "Δt = {:g}, {:g}, {:g} s", "r": "R = {:g}, {:g}, {:g} m²", "size": "motion × {:g}, {:g}, {:g}"}
+    header = ["", *(name.format(*VARIED[what]) for what, name in named.items())]
+    digits = {"sigma": ("m", 2), "average": ("%", 4)}
+    rows = []
+    for measure, (N, name) in product(NAMES, enumerate(("estimate", "prediction"))):
+        unit, decimals = digits[measure]
+        cells = [", ".join(f"{each:.{decimals}f}" for each in varied(key, what, N, measure)) for what in VARIED]
+        rows.append([f"{NAMES[measure]}, {name} ({unit})", *cells])
+    return header, rows
+
+
+def claims(key, part):
+    """Return what we find of three claims on a part, "estimation" or "prediction", as `Paper.claims` takes it."""
+    N = PARTS.index(part)
+    by = {(what, measure): varied(key, what, N, measure) for what, measure in product(VARIED, NAMES)}
+    found = {}
+
+    holds = {"the time step has no effect": bool(np.isclose(factor(by["dt", "sigma"]), 1))}
+    told = []
+    for measure, name in NAMES.items():
+        step, noise = factor(by["dt", measure]), factor(by["r", measure])
+        holds[f"the time step affects {name} less than the noise does"] = bool(step < noise)
+        told.append(f"{name}: by a factor of {step:.2f} from 0.5 to 2 s, and by {noise:.2f} for four times R")
+    beyond = f"Over as many steps, not as much time, the average changes {over_as_many_steps(key, N):.1f}-fold."
+    found[f"{key}.{part}.dt"] = holds, "; ".join(told), beyond
+
+    growing = [np.diff(varied(key, "r", N, measure, WIDE)) > 0 for measure in NAMES]
+    evidence = f"both errors grow from R = {WIDE[0]} to {WIDE[-1]:g} m²"
+    found[f"{key}.{part}.r"] = bool(np.all(growing)), evidence
+
+    same = factor(by["size", "sigma"])
+    evidence = "A, B and σ do not contain it; the average of Table 1, which divides by the position, changes by a"
+    evidence += f" factor of {factor(by['size', 'average']):.2f} from half to double"
+    beyond = f"In metres the error of the start is proportional to it: {metres_of_the_start(key, N)}."
+    found[f"{key}.{part}.motion"] = bool(np.isclose(same, 1, rtol=1e-9)), evidence, beyond
+    return found
+
+
+def over_as_many_steps(key, N):
+    """Return the factor by which the average of Table 1 over as many steps changes with the time step."""
+    columns = [table1.columns(dt=dt)[key] for dt in VARIED["dt"]]
+    return factor(np.array([table1.of_both_axes(column, STEPS)[N] for column in columns]))
+
+
+def metres_of_the_start(key, N):
+    """Return in words the largest mean error of the start on the x axis, for the motions of `VARIED`."""
+    largest = []
+    for size in VARIED["size"]:
+        column = table1.columns(size=size)[key]
+        mean, _ = table1.mean_and_variance(column, 0, table1.TRANSIENT)
+        largest.append(np.abs(mean[N]).max())
+    return "{:.2g}, {:.2g} and {:.2g} m on x for half, once and twice the motion".format(*largest)
+
+
+def satisfying(key):
+    """Return what we find of the claim that the filter produces satisfying estimates, as `Paper.claims` takes it."""
+    column = table1.columns()[key]
+    sensor = np.sqrt(table1.R)
+    sigma, average = measures(key)["sigma"][0], measures(key)["average"][0]
+    raw = 100 * table1.average_of_measurements(column, STEPS)
+    later = f"after step {caught_up(key)} the estimates are better than the measurements"
+    holds = {f"{later} (σ = {sigma:.2f} m against {sensor:.2f} m)": bool(sigma < sensor)}
+    all_steps = f"they are better in the average of Table 1 ({average:.4f} % against {raw:.4f} %)"
+    holds[all_steps] = bool(average < raw)
+    x, y = (np.sqrt(mean[0] ** 2 + variance[0]).max() for mean, variance in of_the_start(column))
+    evidence = f"after the start {sensor / sigma:.1f} times better than a measurement; in the average of Table 1"
+    return (
+        holds,
+        f"{evidence} {average / raw:.1f} times worse; rms error of the start up to {x:.2g} m (x), {y:.2g} m (y)",
+    )
+
+
+def caught_up(key):
+    """Return the last step at which the mean absolute error of the estimate is not below that of a measurement.
+
+    >>> caught_up("cv"), caught_up("ca")
+    (13, 6)
+    """
+    raw = table1.expected_absolute(0.0, table1.R)
+    worse = [
+        table1.expected_absolute(mean[0], variance[0]) >= raw for mean, variance in of_the_start(table1.columns()[key])
+    ]
+    return int(np.flatnonzero(np.any(worse, axis=0))[-1]) + 1  # counted from 1
+
+
+def of_the_start(column):
+    """Return mean and variance of the errors of the first steps, for the axes x and y."""
+    return [table1.mean_and_variance(column, axis, table1.TRANSIENT) for axis in (0, 1)]
+
+
+def steps_ahead(key):
+    """Return what we find of the claim on predictions some steps ahead, as `Paper.claims` takes it."""
+    column = table1.columns()[key]
+    average = table1.of_both_axes(column, STEPS)
+    ratio = average[2:] / average[1]
+    _, variance = table1.mean_and_variance(column, 0, 2 * table1.TRANSIENT)
+    later = np.sqrt(variance[2:, -1] / variance[1, -1])
+    four = "{:.2f}, {:.2f}, {:.2f} and {:.2f} times that one step ahead"
+    evidence = f"the averages of Table 1 two to five steps ahead are {four.format(*ratio)}"
+    return bool(ratio[0] < 2), evidence, f"In metres, after the start, the errors are {four.format(*later)}."
