@@ -235,7 +235,7 @@ def wet_delay(height=0.0):
     """Return the delay (m) of the vapour of the tropics in the zenith, at a height in metres (RTCA/DO-229).
 
     >>> round(wet_delay(), 3)
-    0.275
+    0.274
     """
     at_sea = 1e-6 * REFRACTION * GAS / (GRAVITY * (EXPONENT + 1) - LAPSE * GAS) * VAPOUR / WARM
     return at_sea * (1 - LAPSE * height / WARM) ** ((EXPONENT + 1) * 9.80665 / (GAS * LAPSE) - 1)

@@ -70,17 +70,32 @@ def smooth(cases, hatch):
     return lesson.smoothed(cases, hatch)
 
 
-def test_numbers_with_decimals_are_printed_by_cells_or_stand_in_a_test():
-    """A number of the prose that no cell prints must stand in this file, where its test computes it."""
-    here = (ROOT / "tests" / "papers" / "test_lesson_averaging.py").read_text(encoding="utf-8")
+# Numbers that no cell prints: computed in tests below, or of recordings that are not shipped.
+FORMULA = {"1.42", "1.56", "0.78", "0.05", "0.82", "1.07", "1.1", "4.7"}
+COMPUTED = FORMULA | {"0.1", "1.9", "0.02", "1.3", "2.55", "1.55"}
+NOT_SHIPPED = {"10.1", "7.3", "0.7"}
+
+
+def test_numbers_with_decimals_are_printed_by_cells_or_computed_in_a_test():
     out = "\n".join(shown(cell) for cell in CELLS.values() if cell["cell_type"] == "code")
     for number in re.findall(r"(?<![\d.])\d+\.\d+(?![\d.])", TEXT):
-        assert re.search(rf"(?<![\d.]){re.escape(number)}(?!\d)", out + here), number
+        printed_as_it_is = re.search(rf"(?<![\d.]){re.escape(number)}(?!\d)", out)
+        assert printed_as_it_is or number in COMPUTED | NOT_SHIPPED, number
 
 
 def test_what_comes_from_recordings_that_are_not_shipped_says_so():
     """Their numbers are not computed here: each sentence that has one names them."""
-    for number in ("10 m off", "1.1 m off", "37 to 94 %", "94 to 100 %", "2 to 8 %", "33 %", "10.1 m", "0.7 m off"):
+    for number in (
+        "10 m off",
+        "1.1 m off",
+        "37 to 94 %",
+        "94 to 100 %",
+        "2 to 8 %",
+        "33 %",
+        "10.1 m",
+        "0.7 m off",
+        "be 0.9",
+    ):
         (sentence,) = [each for each in re.split(r"(?<=[.:)]) ", TEXT) if number in each]
         before = TEXT[: TEXT.index(sentence) + len(sentence)][-320:]
         assert re.search("not shipped", before), number
@@ -412,6 +427,7 @@ def test_smoothing_begins_anew_after_what_is_missing(hatch, missing):
 
 
 def test_one_phase_gives_a_short_average_and_none_gives_none(days, cases, smooth, hatch, monkeypatch):
+    says(f"here by more than {recorded.SLIP} m in 30 s")
     says("there we smoothed with the phases of both frequencies: a receiver of one gets less")
     name = "NYA1, one frequency"
     for phase1, phases in ((days["NYA1"].phase1, 1), (np.full((2880, 32), np.nan), 0)):
