@@ -30,13 +30,21 @@ NEAR_THE_END = math.log(10)
 
 
 class Fit(NamedTuple):
-    """The result of `fit`.
+    """The result of `fit`; printed, it is a table of values and errors.
 
-    values: the parameters, by name
-    log_errors: the standard errors of their natural logarithms, by name: 0.1 stands for ten percent
-    filter: the filter with these values
-    log_likelihood: log L
-    errors_from: what the errors were made from, as "15 blocks of 300 fixes", "40 tracks" or "curvature"
+    Attributes
+    ----------
+    values : dict
+        The parameters, by name.
+    log_errors : dict
+        The standard errors of their natural logarithms, by name: 0.1 stands for ten percent.
+    filter : Filter
+        The filter with these values.
+    log_likelihood : float
+        log L.
+    errors_from : str
+        What the errors were made from, as "15 blocks of 300 fixes", "40 tracks" or "curvature".
+
     """
 
     values: dict[str, float]
@@ -45,39 +53,83 @@ class Fit(NamedTuple):
     log_likelihood: float
     errors_from: str
 
+    def _rows(self):
+        """Return the lines of the table: name, value, standard error of its logarithm, 95 % interval."""
+        rows = [("", "value", "log error", "95 % interval")]
+        for name, value in self.values.items():
+            error = self.log_errors[name]
+            low, high = value * np.exp([-1.96 * error, 1.96 * error]) if error < 300 else (0.0, math.inf)
+            rows.append((name, f"{value:.4g}", f"{error:.2g}", f"{low:.3g} to {high:.3g}"))
+        return rows
+
+    def _foot(self):
+        return f"log L = {self.log_likelihood:.6g}; errors from {self.errors_from}"
+
+    def __repr__(self) -> str:
+        rows = self._rows()
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+        return "\n".join([*lines, self._foot()])
+
+    def _repr_html_(self) -> str:
+        lines = ["".join(f"<td>{cell}</td>" for cell in row) for row in self._rows()]
+        body = "".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<table>{body}</table><p>{self._foot()}</p>"
+
 
 def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float) -> Fit:
     """Return the positive parameters that make measurements z most probable, jointly for all tracks.
 
-    make(**values) returns a model, for a Kalman filter, or a filter; z is (N, m) or (N, m, M), NaN where missing; start
-    has a first guess of each parameter by its name. The search runs on logarithms and shows its progress on a terminal.
-    Where all parameters scale Q and R alike, as q and r do, it goes along their ratio first; elsewhere, it is Nelder
-    and Mead's. Newton's steps follow, and a look further along each parameter.
+    The search runs on logarithms and shows its progress on a terminal. Where all parameters scale Q and R alike, as q
+    and r do, it goes along their ratio first; elsewhere it is Nelder and Mead's. Newton's steps follow, and a look
+    further along each parameter.
 
-    Rows at steps of different lengths need a filter with times `t`. Nothing tells that they were forgotten: the mobile
-    seems to move wildly, and q comes out a hundred times too large, and more.
+    `log_errors` hold for the data as they are, and not only if the model is right (White 1982): no recorded track
+    moves by one q, and the curvature of log L alone states errors five to twenty times too small there. So each track
+    is cut into blocks of 300 s, 6 to 20 of them in all (20 tracks or more are a block each), and the errors follow from
+    how much the scores of the blocks differ, by the sandwich H⁻¹ J H⁻¹ with Student's factor for few blocks. With fewer
+    than 12 fixes they are those of the curvature.
 
-    `log_errors` hold for the data as they are, and not only if the model is right (White 1982). No recorded track moves
-    by one q: the curvature of log L alone, which takes the model for true, states errors five to twenty times too
-    small there. So the score of each block of a track, by how much it pulls at the parameters, is computed, and the
-    errors follow from how much the blocks differ. A track is cut into a block for every 300 s, 6 to 20 of them. Of
-    several tracks each is cut into the same number of blocks, the smallest that makes as many in all; 20 tracks or more
-    are a block each. With few blocks Student's factor makes the errors larger, so that 1.96 of them hold 95 %. With
-    fewer than 12 fixes they are those of the curvature.
+    Parameters
+    ----------
+    make : callable
+        make(**values) returns a model, for a Kalman filter, or a filter. Rows at steps of different lengths need a
+        filter with times `t`: without them q comes out a hundred times too large, and nothing tells.
+    z : array_like, (N, m) or (N, m, M)
+        Measurements, NaN where missing.
+    **start : float
+        A first guess of each parameter by its name.
 
-    Warns (UserWarning) where log L does not fall as a parameter goes to zero, where a direction is flat, where a value
-    is so far from its guess that units may differ, of what `metrics.suspicious` finds, and where the first measurements
-    are far from the start of the model, so that the fit explains the distance as motion. Raises
-    ValueError for guesses that are not positive, for no more measurements than parameters, for a Kalman filter whose
-    start is far from the first measurement of a track, and where no guess has a likelihood; TypeError where make
-    returns something else.
+    Returns
+    -------
+    Fit
 
+    Warns
+    -----
+    UserWarning
+        Where log L does not fall as a parameter goes to zero, where it is flat, where a value is so far from its guess
+        that units may differ, of what `metrics.suspicious` finds, and where the first measurements are far from the
+        start of the model, so that the fit explains the distance as motion or noise.
+
+    Raises
+    ------
+    ValueError
+        For guesses that are not positive, no more measurements than parameters, a Kalman filter whose start is a
+        thousand standard deviations from the first measurement of a track, and guesses without a likelihood.
+    TypeError
+        Where make returns something else.
+
+    Examples
+    --------
     >>> from mpt_helpers.model import constant_velocity, simulate
     >>> make = lambda q, r: constant_velocity(dt=1.0, q=q, r=r, P0=np.eye(2))
     >>> _, z = simulate(make(q=0.04, r=0.5), N=500, rng=np.random.default_rng(1))
-    >>> found = fit(make, z, q=1.0, r=1.0)
-    >>> {name: f"{value:.3f}" for name, value in found.values.items()}
-    {'q': '0.035', 'r': '0.566'}
+    >>> fit(make, z, q=1.0, r=1.0)
+         value  log error     95 % interval
+    q  0.03501       0.21  0.0231 to 0.0531
+    r   0.5658      0.087    0.477 to 0.671
+    log L = -637.402; errors from 6 blocks of 83 fixes
+
     """
     if not callable(make):
         checks.refuse("make", "a function that returns a model or a filter", type(make).__name__, TypeError)
@@ -89,25 +141,29 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         checks.refuse("z", f"more measurements than parameters, of which there are {len(guess)}", count)
     estimator = _filter(make, guess)
     z = checks.measurements(z, estimator.model.m)
-    _require_a_start_near(estimator, z)
+    if (distance := _distance_of_the_start(estimator, z)) > ANOTHER_POSITION:
+        need = "a model whose x0 and P0 say where the tracks begin (x0 at the first measurement, or z - z[0])"
+        checks.refuse("make", need, f"first measurements {distance:.0f} standard deviations away")
     with tqdm(desc="fit", unit=" filters", disable=None, leave=False) as bar:
-        surprise = Surprise(make, list(guess), z, bar)
+        likelihood = NegativeLogLikelihood(make, list(guess), z, bar=bar)
         origin = np.log(list(guess.values()))
-        if not math.isfinite(surprise(origin)):
+        if not math.isfinite(likelihood(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters under which z has a likelihood", guess)
-        near = _start_of_the_search(surprise, origin)
-        best = lowest(surprise, origin, near)
-        to_zero = [_runs_to_zero(surprise, best, i) for i in range(len(best))]
-        blocks = _blocks(estimator, z)
-        log_errors = _log_errors(surprise, best, np.flatnonzero(np.logical_not(to_zero)), blocks)
-    log_errors = dict(zip(guess, log_errors.tolist(), strict=True))
+        near = _start_of_the_search(likelihood, origin)
+        best = lowest(likelihood, origin, near)
+        to_zero = [_runs_to_zero(likelihood, best, i) for i in range(len(best))]
+        blocks = blocks_of(estimator, z)
+        errors = log_errors(likelihood, best, np.flatnonzero(np.logical_not(to_zero)), blocks)
+    errors = dict(zip(guess, errors.tolist(), strict=True))
     ended = np.abs(best - (origin if near is None else near)) > FARTHEST - NEAR_THE_END
-    _warn_of_what_is_not_known(log_errors, dict(zip(guess, to_zero, strict=True)), dict(zip(guess, ended, strict=True)))
-    found = surprise.filter_at(best)
-    _warn_of_a_start_that_is_far(found, z)
-    _warn_of_data(metrics.suspicious(found, z), surprise.values_at(best), log_errors, guess)
-    return Fit(surprise.values_at(best), log_errors, found, -surprise(best), blocks.name)
+    _warn_of_what_is_not_known(errors, dict(zip(guess, to_zero, strict=True)), dict(zip(guess, ended, strict=True)))
+    found = likelihood.filter_at(best)
+    if (distance := _distance_of_the_start(found, z)) > FAR:
+        away = f"{distance:.0f} standard deviations from what x0 and P0 expect"
+        _warn(f"the first measurements are {away}: the fit explains the distance as motion or noise")
+    _warn_of_data(metrics.suspicious(found, z), likelihood.values_at(best), errors, guess)
+    return Fit(likelihood.values_at(best), errors, found, -likelihood(best), blocks.name)
 
 
 class Blocks(NamedTuple):
@@ -125,40 +181,41 @@ LEAST_SCALE = 1e-9
 
 
 @dataclass(frozen=True)
-class Surprise:
+class NegativeLogLikelihood:
     """-log L of measurements z as a function of a point, the natural logarithms of the parameters of `make`.
 
-    Its values are kept: a search comes back to its points.
+    counts (N,) are the rows whose innovations count, None where all do. Values are kept: a search comes back to them.
     """
 
     make: Callable[..., LinearModel | Filter]
     names: list[str]
     z: Array
-    bar: tqdm
+    counts: Array | None = None
+    bar: tqdm | None = None
     computed: dict[bytes, float] = field(default_factory=dict)
 
     def __call__(self, point: Array) -> float:
         """Return -log L, infinite where the model cannot be computed."""
         key = point.tobytes()
         if key not in self.computed:
-            self.computed[key] = self._at(point)
+            squares, log_det, count = self._terms(point)
+            self.computed[key] = 0.5 * float((squares + log_det + count * math.log(2 * math.pi)).sum())
         return self.computed[key]
 
-    def _at(self, point):
-        try:
+    def _terms(self, point):
+        """Return νᵀ S⁻¹ ν, log det S and the count of the numbers of each row (N, M), infinite where there are none."""
+        if self.bar is not None:
             self.bar.update()
-            return -float(np.sum(metrics.log_likelihood(self.filter_at(point), self.z)))
+        try:
+            terms = np.array(metrics.squares_of(self.filter_at(point), self.z), dtype=float)
         except (ValueError, FloatingPointError):
-            return math.inf
+            return np.full((3, len(self.z), 1), math.inf)
+        return terms if self.counts is None else np.where(self.counts[:, None], terms, 0.0)
 
     def by_block(self, point: Array, blocks: Blocks) -> Array:
-        """Return the share of each block in -log L (B,), infinite where the model cannot be computed."""
-        try:
-            self.bar.update()
-            squares, log_det, count = metrics.squares_of(self.filter_at(point), self.z)
-        except (ValueError, FloatingPointError):
-            return np.full(blocks.count, math.inf)
-        terms = 0.5 * (squares + log_det + count * math.log(2 * math.pi))
+        """Return the share of each block in -log L (B,)."""
+        squares, log_det, count = self._terms(point)
+        terms = np.broadcast_to(0.5 * (squares + log_det + count * math.log(2 * math.pi)), blocks.of_rows.shape)
         return np.bincount(blocks.of_rows.ravel(), terms.ravel(), blocks.count)
 
     def values_at(self, point: Array) -> dict[str, float]:
@@ -181,18 +238,14 @@ class Surprise:
 
             -log L = [Σ log det S + count (log c + 1 + log 2π)] / 2
 
-        The first rows are left out: there P0 shows, which is not c P0.
+        Unless `counts` says which rows count, the first ones are left out: there P0 shows, which is not c P0.
         """
-        first = min(ROWS_OF_A_START * self.filter_at(point).model.n, len(self.z) // 4)
-        try:
-            self.bar.update()
-            squares, log_det, count = (each[first:].sum() for each in metrics.squares_of(self.filter_at(point), self.z))
-        except (ValueError, FloatingPointError):
-            return 0.0, math.inf
-        if count == 0:
+        first = min(ROWS_OF_A_START * self.filter_at(point).model.n, len(self.z) // 4) if self.counts is None else 0
+        squares, log_det, count = (float(each[first:].sum()) for each in self._terms(point))
+        if count == 0 or not math.isfinite(squares):
             return 0.0, math.inf
         log_c = math.log(max(squares / count, LEAST_SCALE))
-        return log_c, 0.5 * float(log_det + count * (log_c + 1 + math.log(2 * math.pi)))
+        return log_c, 0.5 * (log_det + count * (log_c + 1 + math.log(2 * math.pi)))
 
 
 def _filter(make, values):
@@ -203,7 +256,7 @@ def _filter(make, values):
     return made
 
 
-def _start_of_the_search(surprise, origin):
+def _start_of_the_search(likelihood, origin):
     """Return a point near the lowest one, by a search along one line, or None where there is no such line.
 
     One parameter is its own line. Of two, as q and r, c times both give often c Q and c R. Then `with_best_scale` gives
@@ -212,16 +265,16 @@ def _start_of_the_search(surprise, origin):
     start of a search of the likelihood itself.
     """
     if len(origin) == 1:
-        return along_a_line(lambda point: (0.0, surprise(point)), origin, np.ones(1))
-    if len(origin) > 2 or not _covariances_scale(surprise, origin):
+        return along_a_line(lambda point: (0.0, likelihood(point)), origin, np.ones(1))
+    if len(origin) > 2 or not _covariances_scale(likelihood, origin):
         return None
-    point = along_a_line(surprise.with_best_scale, origin, np.array([0.5, -0.5]))
-    return point if math.isfinite(surprise(point)) and _covariances_scale(surprise, point) else None
+    point = along_a_line(likelihood.with_best_scale, origin, np.array([0.5, -0.5]))
+    return point if math.isfinite(likelihood(point)) and _covariances_scale(likelihood, point) else None
 
 
-def _covariances_scale(surprise, point):
+def _covariances_scale(likelihood, point):
     """Tell whether twice all parameters give a Kalman filter with twice Q and R, and else change nothing but P0."""
-    one, two = (surprise.filter_at(each) for each in (point, point + math.log(2)))
+    one, two = (likelihood.filter_at(each) for each in (point, point + math.log(2)))
     if not (isinstance(one, KalmanFilter) and isinstance(two, KalmanFilter)):
         return False
     alike = [(getattr(one.model, name), getattr(two.model, name)) for name in ("F", "H", "x0")]
@@ -236,7 +289,7 @@ def _covariances_scale(surprise, point):
 FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
 
 
-def _blocks(estimator, z):
+def blocks_of(estimator: Filter, z: Array) -> Blocks:
     """Return the Blocks of measurements z: in each track the same number of blocks, of equal numbers of fixes.
 
     Of M tracks each is cut into `parts`, the least number of them that makes `wanted` blocks in all or more.
@@ -291,14 +344,14 @@ def covariance_of_scores(scores: Array) -> Array:
     return student**2 * count / (count - 1) * scores @ scores.T
 
 
-def _runs_to_zero(surprise, best, i):
+def _runs_to_zero(likelihood, best, i):
     """Tell whether log L falls by nothing as parameter i goes on towards zero."""
     lower = best.copy()
     lower[i] -= math.log(1000)
-    return surprise(lower) < surprise(best) + NOTHING
+    return likelihood(lower) < likelihood(best) + NOTHING
 
 
-def _log_errors(surprise, best, known, blocks):
+def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blocks: Blocks) -> Array:
     """Return the standard errors of the logarithms of all parameters (d,), infinite but for those that are `known`.
 
     known are the indices of the parameters that are moved; the others stay at their best values. The errors are the
@@ -310,7 +363,7 @@ def _log_errors(surprise, best, known, blocks):
     def of_known(point):
         moved = best.copy()
         moved[known] = point
-        return surprise.by_block(moved, blocks)
+        return likelihood.by_block(moved, blocks)
 
     errors = np.full(len(best), math.inf)
     if len(known) == 0:
@@ -355,46 +408,40 @@ def _warn_of_what_is_not_known(log_errors, to_zero, ended):
             _warn(f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters")
 
 
-# Squared distances from the start to the first measurement, over the variance: a fit is refused from the first on, and
-# warned of from the second on, since it explains the distance by a wrong q.
-ANOTHER_PLACE, FAR = 1e6, 100.0
-# A start may have been explained by so large a noise that it seems near. Then it is still beyond three standard
-# deviations, where one start in 370 is, and its square stands out from the usual ones, which are a thousandth of it.
-SUSPECT, STANDS_OUT = 9.0, 1000.0
+# Standard deviations from the start to what the measurements say of it: a fit is refused from the first on, and warned
+# of from the second on, since it explains the distance by a wrong q and r.
+ANOTHER_POSITION, FAR = 1e3, 10.0
 
 
-def _require_a_start_near(estimator, z):
-    distance = _squared_distance_of_the_start(estimator, z)
-    if distance > ANOTHER_PLACE:
-        need = "a model whose x0 and P0 say where the tracks begin (x0 at the first measurement, or z - z[0])"
-        checks.refuse("make", need, f"first measurements {math.sqrt(distance):.0f} standard deviations away")
+def _distance_of_the_start(estimator, z):
+    """Return how far x0 is from the start that the measurements of a track want, in standard deviations; the largest.
 
-
-def _warn_of_a_start_that_is_far(estimator, z):
-    distance = _squared_distance_of_the_start(estimator, z)
-    values, S = metrics.innovations(estimator, z)
-    usual = float(np.nanmedian(values**2 / np.einsum("kjj...->kj...", S)))
-    if distance > FAR or distance > max(SUSPECT, STANDS_OUT * usual):
-        away = f"{math.sqrt(distance):.0f} standard deviations from what x0 and P0 expect"
-        _warn(f"the first measurements are {away}: the fit explains the distance as motion or noise")
-
-
-def _squared_distance_of_the_start(estimator: Filter, z: ArrayLike) -> float:
-    """Return the largest squared distance of a first measurement from what x0 expects, over its variance by P0 and R.
-
-    The motion's own noise does not count: it is what a fit would explain the distance by. Filters of other kinds than
-    the Kalman filter are not looked at.
+    The innovations are linear in the start: e = e_0 - G d for x0 + d. Least squares weighted by S, with P0 = 0, gives d
+    and its covariance V, and what is left of e its scale c: a fit to a far start makes S too large, but all of S alike.
+    The distance is the root of dᵀ (P0 + c V)⁻¹ d. Filters of other kinds than the Kalman filter are not looked at.
     """
     if not isinstance(estimator, KalmanFilter):
         return 0.0
-    z = np.asarray(z, dtype=float).reshape(len(z), estimator.model.m, -1)
-    seen = ~np.isnan(z)
-    first = seen.any(axis=1).argmax(axis=0)  # of each track
-    epochs, tracks = np.arange(len(z))[:, None, None], np.arange(len(first))
-    quiet = replace(estimator.model, Q=np.zeros_like(estimator.model.Q))
-    values, S = metrics.innovations(replace(estimator, model=quiet), np.where(epochs == first, z, np.nan))
-    squares = values[first, :, tracks] ** 2 / np.einsum("Mjj->Mj", S[first, :, :, tracks])
-    return float(np.max(squares, initial=0.0, where=seen[first, :, tracks]))
+    model = estimator.model
+    z = z.reshape(len(z), model.m, -1)
+    exact = replace(model, P0=np.zeros_like(model.P0))
+    e, S = (np.moveaxis(each, -1, 1) for each in metrics.innovations(replace(estimator, model=exact), z))
+    nothing = np.where(np.isnan(z), np.nan, 0.0)
+    units = [replace(estimator, model=replace(exact, x0=unit)) for unit in np.eye(model.n)]
+    G = np.stack([-np.moveaxis(metrics.innovations(unit, nothing).values, -1, 1) for unit in units], axis=-1)
+    seen = np.isfinite(e)
+    eG = np.where(seen[..., None], np.concatenate([e[..., None], G], axis=-1), 0.0)  # (N, M, m, 1 + n)
+    S = np.where(seen[..., None] & seen[..., None, :], S, np.eye(model.m))
+    products = np.einsum("NMij,NMik->Mjk", eG, np.linalg.solve(S, eG))  # sums of eᵀ S⁻¹ e, eᵀ S⁻¹ G and Gᵀ S⁻¹ G
+    farthest = 0.0
+    for each, count in zip(products, seen.sum(axis=(0, 2)).tolist(), strict=True):
+        V = np.linalg.pinv(each[1:, 1:], hermitian=True)
+        d = V @ each[1:, 0]
+        left = max(each[0, 0] - d @ each[1:, 0], 0.0)
+        c = left / (count - model.n) if count > model.n else 1.0
+        distance = d @ np.linalg.pinv(model.P0 + c * V, hermitian=True) @ d
+        farthest = max(farthest, math.sqrt(max(float(distance), 0.0)))
+    return farthest
 
 
 def _warn(text):

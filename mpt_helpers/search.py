@@ -35,26 +35,29 @@ LINE = math.log(1e4) * np.arange(-6, 7)
 AROUND = math.log(10) * np.arange(-2, 3)
 
 
-def along_a_line(rated, origin, direction):
+def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH):
     """Return the lowest point origin + s direction (d,) that is found: the best of a few far apart, and then near it.
 
     rated(point) returns a shift and a value: the value is that of the point with the shift added to all its components.
+    reach are the values of s that are tried first; the last s is found to `close`.
     """
-    point = origin
-    for places in (LINE, AROUND):  # values of s
-        points = [point + s * direction for s in places]
-        shifts, values = zip(*map(rated, points), strict=True)
-        alike = (
-            np.array(values) <= min(values) + NOTHING
-        )  # several where r makes no difference, say: the nearest is best
-        best = int(np.argmin(np.where(alike, np.abs(places), np.inf)))
-        point = points[best] + shifts[best]
-    nearby = AROUND[1], AROUND[-2]
-    options = {"xatol": NEAR_ENOUGH}
-    found = minimize_scalar(lambda s: rated(point + s * direction)[1], bounds=nearby, method="bounded", options=options)
-    moved = point + found.x * direction
-    shift, value = rated(moved)
-    return moved + shift if value < rated(point)[1] else point
+    known = {}
+
+    def value(s):
+        if (key := round(float(s), 9)) not in known:
+            known[key] = rated(origin + s * direction)
+        return known[key][1]
+
+    s = 0.0
+    for places in (reach, AROUND):
+        places = s + places
+        values = np.array([value(each) for each in places])
+        alike = values <= values.min() + NOTHING  # several where r makes no difference, say: the nearest is best
+        s = float(places[np.argmin(np.where(alike, np.abs(places - s), np.inf))])
+    bounds = [each if math.isfinite(value(each)) else s for each in (s + AROUND[1], s + AROUND[-2])]
+    found = float(minimize_scalar(value, bounds=bounds, method="bounded", options={"xatol": close}).x)
+    s = found if value(found) < value(s) else s
+    return origin + s * direction + known[round(s, 9)][0]
 
 
 # A search goes on from a lower point further on so many times at most.

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import bisect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +22,7 @@ from .. import _checks as checks
 from .._checks import Array, Seconds
 from . import geodesy
 from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
-from .readers import NO_TIME, Recording, moment_of, read, read_gpx
+from .readers import NO_TIME, Recording, moment_of, read, read_frame, read_gpx
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
@@ -31,14 +31,11 @@ __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 # is counts as missing: some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 LARGEST_METRES = 2e7  # m: half around the Earth
-# Segments further apart than this (m) do not lie in one plane, where lengths are 0.3 % too short: each gets its own.
-ONE_PLANE = 500e3
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
 # Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
 DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
 GRIDS_OF_METRES = DECIMALS
-A_WHILE = 3600.0  # s between segments that overlap in time
 
 
 class Track(NamedTuple):
@@ -83,7 +80,7 @@ def gpx(
         pause = checks.duration("pause", pause)
     if origin is not None:
         origin = _origin(origin)
-    recording = read_gpx(path)
+    recording = read_gpx(Path(path))
     if (recording.time == NO_TIME).all():
         got = f"{recording.segments} track segments and {_no_times(recording)}"
         raise ValueError(f"{path}: needs a recorded track, got {got}")
@@ -163,8 +160,9 @@ def longest_in_order(time: Array) -> Array:
     for row in known[::-1].tolist():
         length = bisect.bisect_left(starts, turned[row])
         after[row] = starts_of[length - 1] if length else None
-        starts[length : length + 1] = [turned[row]]  # of two at one time the first stays
-        starts_of[length : length + 1] = [row]
+        if starts[length : length + 1] != [turned[row]]:  # of several at one time the last stays: it is the newest
+            starts[length : length + 1] = [turned[row]]
+            starts_of[length : length + 1] = [row]
     rows, row = [], starts_of[-1]
     while row is not None:
         rows.append(row)
@@ -178,12 +176,10 @@ def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) ->
     if time[k] == NO_TIME:
         unread = recording.unread.get(int(rows[k]))
         return "no time" if unread is None else f"a time that cannot be read ({unread!r:.40})"
-    before = in_order[in_order < k]
-    last = time[before[-1]] if len(before) else None
-    moment = moment_of(time[k])
-    if last is None or last < time[k]:
-        return f"{moment:%Y-%m-%d %H:%M:%S} before an earlier time"
-    return f"{moment:%Y-%m-%d %H:%M:%S} {'again' if last == time[k] else 'after a later time'}"
+    moment, before = f"{moment_of(time[k]):%Y-%m-%d %H:%M:%S}", time[in_order[in_order < k]]
+    if time[k] in time[in_order]:
+        return f"{moment} twice"
+    return f"{moment} {'after a later time' if len(before) and before[-1] > time[k] else 'before an earlier time'}"
 
 
 def _no_times(recording):
@@ -191,9 +187,11 @@ def _no_times(recording):
     unread = next(iter(recording.unread.values()), None)
     if unread is None:
         return "no times"
-    said = f"times that cannot be read, as {unread!r:.40}"
+    said = f"times that cannot be read, as {unread!a:.40}"
     if re.match(r"\s*\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}", unread):
-        said += ": is the day first, or the month? Write dates as 2025-05-03"
+        said += ": is the day first? frame['time'] = pandas.to_datetime(frame['time'], dayfirst=True)"
+    if re.match(r"\s*\d{1,2}:\d\d", unread):
+        said += ": a date is needed too: frame['time'] = pandas.to_datetime(frame['date'] + ' ' + frame['time'])"
     return said
 
 
@@ -207,9 +205,12 @@ def _no_degrees(lat, lon):
     if not len(lat):
         return "none"
     if np.abs(lat).max() > LARGEST_METRES:
-        return "much larger numbers: are they 1e7 to a degree? Columns of such are named latE7 and lonE7"
+        return "much larger numbers: are they 1e7 to a degree? frame[['lat', 'lon']] /= 1e7"
     if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
         return "latitudes beyond 90: are the two exchanged?"
+    if np.abs(lat).max() > MOST[0] and (np.abs([lat, lon]) % 100 < 60).all() and np.abs(lon).max() <= 18_000:
+        way = "frame['lat'] = frame['lat'] // 100 + frame['lat'] % 100 / 60, 'lon' alike, and signs"
+        return f"degrees and minutes as ddmm.mmmm of NMEA, {lat[0]:g}: {way}"
     return "others: none, metres, or the two exchanged"
 
 
@@ -254,34 +255,73 @@ def _heights(heights):
 
 
 def track(
-    path: str | PathLike[str],
+    source: str | PathLike[str] | Any,
     *,
-    columns: dict[str, str] | None = None,
+    columns: Mapping[str, str] | None = None,
     seconds: Seconds = 10.0,
     limit: float = 100.0,
     pause: Seconds | None = None,
     show: Callable[[str], None] = lambda _: None,
 ) -> Cleaned:
-    """Return the track of a GPX or CSV file without its faults, smoothed and with a band, as a Cleaned.
+    """Return the track of a GPX or CSV file, or of a pandas frame, without its faults, smoothed and with a band.
 
     All segments are read and smoothed, each for itself. Fixes without a time, with one that does not increase, and
-    without degrees are left out, and named in `report()`. Of a CSV, columns says which column has the time, lat, lon
-    (or east and north in m), height, hdop or accuracy (m); the others are found by their usual names. An hdop, or an
-    accuracy, says how precise fixes are relative to each other. seconds, limit, pause and show are those of `clean`.
+    without degrees are left out, and named in `report()`. An hdop, or an accuracy, says how precise fixes are relative
+    to each other. `to_frame()` of the result gives a frame back.
 
-    Raises ValueError for a file that holds no recorded track, naming what it has, and as `clean`.
+    Parameters
+    ----------
+    source : path or frame
+        A GPX file; or a CSV file or a frame with the columns `time` (ISO 8601, or Unix seconds) and `lat`, `lon` (°) or
+        `x`, `y` (m). They may have `ele` (m), `hdop` and `accuracy` (m) too. The index of a frame may be the time.
+    columns : dict, optional
+        Other names of these columns, as {"time": "when"}.
+    seconds, limit, pause, show
+        As of `clean`.
+
+    Returns
+    -------
+    Cleaned
+
+    Raises
+    ------
+    ValueError
+        For a file or frame that holds no recorded track, naming what it has, and as `clean`.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas
+    >>> t = pandas.date_range("2024-05-03T10:00", periods=300, freq="s", name="time")
+    >>> x = np.cumsum(np.sin(np.arange(300) / 40)) + np.random.default_rng(1).normal(0, 0.5, 300)
+    >>> c = track(pandas.DataFrame({"x": x, "y": x}, index=t))
+    >>> c.to_frame().columns.tolist()
+    ['time', 'x', 'y', 'v_x', 'v_y', 'sigma', 'sigma_v', 'kept', 'segment']
+
     """
-    path = Path(path)
     show("reading")
-    recording = read(path, columns)
+    if hasattr(source, "columns"):
+        return of_recording("frame", read_frame(source, columns), seconds, limit, pause, show)
+    path = Path(source)
+    return of_recording(path, read(path, columns), seconds, limit, pause, show)
+
+
+def of_recording(
+    path: Path | str,
+    recording: Recording,
+    seconds: Seconds,
+    limit: float,
+    pause: Seconds | None,
+    show: Callable[[str], None],
+) -> Cleaned:
+    """Return a Recording as a Cleaned; path is where it is from, for errors."""
     rows, left_out = usable(path, recording)
-    t = _one_clock(recording.time[rows] / 1e6, recording.segment[rows])
-    t, said = t - t[0], [*recording.said]
+    t = recording.time[rows] / 1e6
+    t, said = t - t.min(), [*recording.said, *_said_of_order(t, recording.segment[rows])]
     if recording.metres is None:
-        origins, plane, z = _in_planes(recording, rows)
+        charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], recording.segment[rows])
         grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
     else:
-        origins, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
+        charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
@@ -296,10 +336,10 @@ def track(
         rounding=max(grids) ** 2 / 12,
         show=show,
     )
-    return replace(c, source=Source(path, recording, rows, left_out, origins, plane, said))
+    return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
 
 
-def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
+def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
     """Return the rows of a recording that can be used, and how many others there are by reason."""
     time, N = recording.time, len(recording.time)
     if N == 0:
@@ -347,45 +387,14 @@ def _what_ails(steps):
     return ""
 
 
-def _one_clock(t, segment):
-    """Return times (s) that do not run back where a segment begins before the one before it has ended."""
-    t = t.copy()
-    for begin in np.flatnonzero(np.diff(segment)) + 1:
-        if t[begin] <= t[begin - 1]:
-            t[begin:] += t[begin - 1] + A_WHILE - t[begin]
-    return t
-
-
-def _in_planes(recording, rows):
-    """Return the origins of the planes, in which plane each fix lies, and positions (N, 2) in metres.
-
-    An origin is the fix nearest to the middle, which no outlier moves. All segments share one if they are near.
-    """
-    lat, lon = recording.lat[rows], recording.lon[rows]
-    where = geodesy.earth_centred(lat, lon, 0.0)
-    segment = recording.segment[rows]
-    middles = [_middle(where, np.flatnonzero(segment == number)) for number in np.unique(segment)]
-    apart = np.linalg.norm(where[:, middles] - where[:, [_middle(where, np.arange(len(rows)))]], axis=0)
-    one = apart.max() < ONE_PLANE
-    if one:
-        middles = [_middle(where, np.arange(len(rows)))]
-    plane = np.zeros(len(rows), dtype=np.intp) if one else np.unique(segment, return_inverse=True)[1]
-    origins, z = [], np.empty((len(rows), 2))
-    for k, middle in enumerate(middles):
-        own = plane == k
-        origins.append((float(lat[middle]), float(lon[middle]), 0.0))
-        z[own] = geodesy.to_plane(lat[own], lon[own], origins[-1])
-        # A fix beyond the horizon of the plane would be folded back into it: it is put as far away as it is.
-        chord = np.linalg.norm(where[:, own] - where[:, [middle]], axis=0)
-        far = chord > 4 * ONE_PLANE
-        z[np.flatnonzero(own)[far]] *= (chord[far] / np.maximum(np.linalg.norm(z[own][far], axis=1), 1.0))[:, None]
-    return origins, plane, z
-
-
-def _middle(where, rows):
-    """Return the row of those that is nearest to their median position."""
-    own = where[:, rows]
-    return int(rows[np.argmin(np.linalg.norm(own - np.median(own, axis=1)[:, None], axis=0))])
+def _said_of_order(t, segment):
+    """Say that segments are not in order of time, or overlap, as those of two receivers do."""
+    first = np.flatnonzero(np.append(True, np.diff(segment) != 0))
+    starts, ends = np.minimum.reduceat(t, first), np.maximum.reduceat(t, first)
+    order = np.argsort(starts, kind="stable")
+    if (starts[order][1:] < ends[order][:-1]).any():
+        return ["segments overlap in time, as of two receivers: each is a recording of its own"]
+    return [] if (np.diff(order) > 0).all() else ["segments are not in order of time"]
 
 
 def _precision(recording, rows):

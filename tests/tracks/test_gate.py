@@ -71,7 +71,7 @@ def test_the_example_of_a_receiver_that_stood_still():
     """The fixes of 30 m, at 30 to 33 s, in the middle of a track that moves 1 m a second."""
     z, times = np.arange(80.0)[:, None], np.arange(80.0)
     z[30:34] = 30.0
-    way = gate._Way([list(range(80))], z, times, np.zeros(80, dtype=int))
+    way = gate._Way([list(range(80))], z[:, None], times, np.zeros(80, dtype=int))
     (left,) = gate._without_stuck_ones([list(range(80))], way)
     assert left == [*range(30), *range(34, 80)]
 
@@ -104,7 +104,7 @@ def test_patience_and_limit_do_what_they_say(track):
     z[200:] += 500.0
     assert (mpt.gated(kf, z, patience=1000)[200:300] == -1).any()
     assert (mpt.gated(kf, z, limit=1e9) == 0).all()
-    assert (mpt.gated(kf, z, limit=0.5) == -1).sum() > 20
+    assert (mpt.gated(kf, z, limit=1.5) == -1).sum() > 20
 
 
 def test_a_row_without_measurements_is_no_fix(track):
@@ -135,36 +135,32 @@ def test_each_step_has_the_nis_of_the_engine_for_any_model_times_variances_corre
     _, z = mpt.simulate(kf.model, N, rng)
     if kind < 3:
         z[rng.random(z.shape) < 0.2] = np.nan
-    seen = ~np.isnan(z)
     refused = rng.random(N) < 0.2
-    steps = gate._steps_of(kf, z, seen)
-    assert isinstance(steps, gate._EqualAxes) == (kind == 3)
-    state, found = steps.origin(), np.full(N, np.nan)
+    steps = gate._Steps(kf, z[..., None])
+    state, found = steps.first(), np.full(N, np.nan)
     for k in range(N):
-        nis, state = steps.look(state, k)
-        if seen[k].any() and not refused[k]:
-            found[k] = nis
-            state = steps.take(state, k)
+        looked = steps.look(state, k)
+        state = looked.refused
+        if steps.fixes[k] and not refused[k]:
+            found[k], state = looked.nis, looked.taken
     masked = np.where(refused[:, None], np.nan, z)
     np.testing.assert_allclose(found, mpt.metrics.nis(kf, masked), rtol=1e-6)
     assert np.isfinite(found).sum() > 60
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_plain_numbers_and_matrices_take_the_same_steps(seed):
+def test_axes_that_share_a_covariance_take_the_same_steps_as_the_stacked_model(seed):
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.choice([1, 2, 5], 300)).astype(float)
-    kf = mpt.KalmanFilter(model(), t=t, r=rng.uniform(1, 9, (300, 1)) * np.ones(2))
+    r = rng.uniform(1, 9, (300, 1)) if seed else np.full((300, 1), 4.0)
+    axis = mpt.constant_velocity(dt=1.0, q=0.04, r=4.0, P0=np.diag([100.0, 100.0]))
     _, z = mpt.simulate(model(), 300, rng)
     z[rng.choice(300, 9, replace=False)] += 200
     z[150:] -= 700
     z[40:44] = np.nan
-    seen = ~np.isnan(z)
-    lengths = np.concatenate([[1.0], np.diff(t)])
-    plain = gate._steps_of(kf, z, seen)
-    assert isinstance(plain, gate._EqualAxes)
-    matrices = gate._AnyModel(kf.model, lengths, kf.r, z, seen)
-    found = [gate._in_sequence(each, seen.any(axis=1), {0, 90}, 100.0, 3) for each in (plain, matrices)]
+    stacked = gate._Steps(mpt.KalmanFilter(model(), t=t, r=r * np.ones(2)), z[..., None])
+    shared = gate._Steps(mpt.KalmanFilter(axis, t=t, r=r), z[:, None])
+    found = [gate._in_sequence(each, {0, 90}, 100.0, 3) for each in (stacked, shared)]
     assert found[0] == found[1]
     assert len(found[0]) >= 3  # the steps are longer than those of the model that drew z, so there are more
     assert sum(map(len, found[0])) < 296
@@ -183,7 +179,12 @@ def test_plain_numbers_and_matrices_take_the_same_steps(seed):
         (mpt.KalmanFilter(model()), np.zeros((9, 2, 3)), {}, "z: needs one track"),
         (mpt.KalmanFilter(model()), np.zeros((9, 3)), {}, "z: needs"),
         (mpt.KalmanFilter(model()), np.full((9, 2), np.inf), {}, "z: needs finite numbers"),
-        (mpt.KalmanFilter(model()), np.zeros((9, 2)), {"limit": 0}, "limit: needs a positive number"),
+        (
+            mpt.KalmanFilter(model()),
+            np.zeros((9, 2)),
+            {"limit": 0.99},
+            "limit: needs a squared distance in variances, above 1, as 100, got 0.99",
+        ),
         (mpt.KalmanFilter(model()), np.zeros((9, 2)), {"patience": 0}, "patience: needs an integer of at least 1"),
         (
             mpt.KalmanFilter(model(), t=np.arange(8.0)),

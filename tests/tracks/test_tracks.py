@@ -105,7 +105,7 @@ def test_heights_are_a_column_where_they_are_wanted_and_nan_where_the_file_has_n
 @pytest.mark.parametrize(
     ("fixes", "said"),
     [
-        ([fix(0), fix(1), fix(1)], r"got 2024-05-03 12:00:01 again in fix 3 of segment 2 \(1 such of its 3 fixes\)"),
+        ([fix(0), fix(1), fix(1)], r"got 2024-05-03 12:00:01 twice in fix 2 of segment 2 \(1 such of its 3 fixes\)"),
         ([fix(0), fix(9), fix(4)], r"got 2024-05-03 12:00:04 after a later time in fix 3 of segment 2"),
         ([fix(99), fix(1), fix(2)], r"got 2024-05-03 12:01:39 before an earlier time in fix 1 of segment 2"),
         ([fix(0), fix(None), fix(None)], r"got no time in fix 2 of segment 2 \(2 such of its 3 fixes\)"),
@@ -254,19 +254,3 @@ def test_the_track_of_the_guide_is_read():
 def test_an_infinite_latitude_is_no_position():
     with pytest.raises(ValueError, match="lat, lon: needs degrees"):
         tracks.local([57.0, np.inf], [9.9, 9.9])
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_segment_that_begins_before_the_last_has_ended_comes_a_while_after_it(seed):
-    """The steps within segments stay, and so do those between segments in order."""
-    rng = np.random.default_rng(seed)
-    lengths = rng.integers(1, 6, 5)
-    segment = np.repeat(np.arange(5), lengths)
-    t = np.concatenate([rng.uniform(0, 30) + np.cumsum(rng.uniform(0.5, 5.0, each)) for each in lengths])
-    steps = np.diff(t)
-    due = np.where((np.diff(segment) > 0) & (steps <= 0), tracks.A_WHILE, steps)
-    found = np.diff(tracks._one_clock(t, segment))
-    assert (found > 0).all()
-    within = np.diff(segment) == 0
-    np.testing.assert_allclose(found[within], steps[within], atol=1e-9)
-    np.testing.assert_allclose(found, due, atol=1e-9)

@@ -1,0 +1,289 @@
+"""Kinds of recordings that people report in public: times, repeats, wrong positions, long ways, rests."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+import mpt_helpers as mpt
+from mpt_helpers.tracks import clean, geodesy
+
+RADIUS = 6371008.8
+
+
+def ride(N=600, dt=1.0, speed=6.0, noise=2.0, seed=1):
+    """Times, true positions and fixes of a ride."""
+    rng = np.random.default_rng(seed)
+    heading = np.cumsum(rng.normal(0, 0.03 * np.sqrt(dt), N))
+    v = speed * (1 + 0.15 * np.sin(np.arange(N) * dt / 50)) * np.ones(N)
+    true = np.cumsum(np.column_stack([np.sin(heading), np.cos(heading)]) * v[:, None] * dt, axis=0)
+    return np.arange(N) * dt, true, true + noise * rng.standard_normal((N, 2))
+
+
+def gpx(path, t, lat, lon, segment=None):
+    """Write fixes as a GPX file."""
+    lines = ['<gpx version="1.1" creator="x" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>']
+    start = datetime(2022, 5, 3, 9, 15, tzinfo=UTC)
+    for k, (seconds, a, b) in enumerate(zip(t, lat, lon, strict=True)):
+        if segment is not None and k and segment[k] != segment[k - 1]:
+            lines.append("</trkseg><trkseg>")
+        time = (start + timedelta(seconds=float(seconds))).isoformat().replace("+00:00", "Z")
+        lines.append(f'<trkpt lat="{a:.7f}" lon="{b:.7f}"><time>{time}</time></trkpt>')
+    path.write_text("".join([*lines, "</trkseg></trk></gpx>"]))
+    return path
+
+
+def degrees(z):
+    return 52.3 + np.degrees(z[:, 1] / RADIUS), 4.9 + np.degrees(z[:, 0] / (RADIUS * np.cos(np.radians(52.3))))
+
+
+def bad_rows(kind):
+    k = np.arange(600)
+    return {
+        "one burst": (k >= 200) & (k < 260),
+        "two bursts": ((k >= 100) & (k < 160)) | ((k >= 400) & (k < 460)),
+        "six short ones": np.isin(k % 100, (7, 8, 9, 10, 11)),
+        "three of other lengths": ((k >= 50) & (k < 55)) | ((k >= 200) & (k < 290)) | ((k >= 450) & (k < 480)),
+        "at the start, and again": (k < 5) | ((k >= 200) & (k < 212)),
+    }[kind]
+
+
+@pytest.mark.parametrize("position", [(-3e5, -5.8e6), (3000.0, 200.0)], ids=["null island", "3 km off"])
+@pytest.mark.parametrize(
+    "kind", ["one burst", "two bursts", "six short ones", "three of other lengths", "at the start, and again"]
+)
+def test_bursts_at_one_wrong_position_are_refused_and_no_good_fix_is(kind, position):
+    t, _, z = ride()
+    bad = bad_rows(kind)
+    z[bad] = position
+    c = clean(t, z)
+    np.testing.assert_array_equal(c.refused, np.flatnonzero(bad))
+    assert c.q < 0.1
+    assert c.r == pytest.approx(4.0, rel=0.2)
+
+
+@pytest.mark.parametrize(("step", "held"), [(0.1, 10), (1.0, 5), (1.0, 10)])
+def test_rows_that_repeat_a_position_while_the_mobile_moves_on_are_no_fixes(step, held):
+    t, true, z = ride(N=6000 if step < 1 else 600, dt=step, speed=15.0)
+    own = np.arange(len(t)) // held * held
+    c = clean(t, z[own])
+    np.testing.assert_array_equal(c.repeats, own != np.arange(len(t)))
+    assert c.said == [f"{c.repeats.sum()} rows repeat a position while the mobile moves on: they are no fixes"]
+    assert len(c.refused) == 0
+    alone = clean(t[::held], z[::held])
+    assert (c.q, c.r) == pytest.approx((alone.q, alone.r), rel=0.02)
+    np.testing.assert_allclose(c.x[::held], alone.x, atol=0.1)
+    error = np.linalg.norm(c.x[:, ::2] - true, axis=1)[: -held + 1]
+    assert mpt.metrics.rms(error) < 1.5 * mpt.metrics.rms(np.linalg.norm(alone.x[:, ::2] - true[::held], axis=1))
+    assert c.report().count("no fixes") == 1
+
+
+def test_a_mobile_at_rest_repeats_its_position_and_its_fixes_count():
+    t, _, z = ride()
+    z = z.round(1)
+    z[200:320] = z[200]
+    c = clean(t, z)
+    assert not c.repeats.any()
+    assert c.said == []
+
+
+def test_a_rest_in_a_recording_of_repeats_keeps_a_fix_for_each_repeat():
+    t, true, _ = ride(N=6000, dt=0.1, speed=15.0)
+    rest = (t > 200) & (t < 260)
+    moved = np.where(rest[1:, None], 0, np.diff(true, axis=0))
+    true = np.vstack([true[:1], true[0] + np.cumsum(moved, axis=0)])
+    z = true[np.arange(6000) // 10 * 10] + 0.0
+    z += 2 * np.random.default_rng(5).standard_normal((600, 2))[np.arange(6000) // 10]
+    z[rest] = z[2010]
+    c = clean(t, z)
+    fixes = ~c.repeats & rest
+    assert 30 <= fixes.sum() <= 61
+    assert c.stretches == 1
+
+
+def test_of_fixes_at_one_time_the_last_counts():
+    """A receiver that catches up: five fixes, all with the time of the newest."""
+    t, true, z = ride(speed=15.0)
+    burst = np.minimum(np.arange(600) // 5 * 5 + 4, 599)
+    c = clean(t[burst], z)
+    np.testing.assert_array_equal(np.flatnonzero(~c.repeats), np.arange(4, 600, 5))
+    assert c.said == ["480 fixes have the time of the next one: only the last of each time counts"]
+    error = c.x[4::5, ::2] - true[4::5]
+    assert mpt.metrics.rms(np.linalg.norm(error, axis=1)) < 2.2
+    assert c.r == pytest.approx(4.0, rel=0.35)
+
+
+def test_of_fixes_at_one_time_in_a_file_the_newest_is_read(tmp_path):
+    t, _, z = ride()
+    path = gpx(tmp_path / "burst.gpx", t[np.minimum(np.arange(600) // 5 * 5 + 4, 599)], *degrees(z))
+    c = mpt.track(path)
+    np.testing.assert_array_equal(c.source.rows, np.arange(4, 600, 5))
+
+
+@pytest.mark.parametrize("years", [0.02, 3, 40])
+def test_a_long_pause_is_two_segments(years):
+    t, _, z = ride()
+    c = clean(np.where(np.arange(600) < 300, t, t + years * 365 * 86400), z)
+    plain = clean(t, z)
+    assert (c.stretches, len(c.refused), c.recordings) == (2, 0, [0, 300])
+    assert (c.q, c.r) == pytest.approx((plain.q, plain.r), rel=0.15)
+    low, high = c.plot().axes[1].get_xlim()
+    assert high - low < (30 if years > 1 else 1e5)  # minutes: the pause is left out
+
+
+@pytest.mark.parametrize("rows", [slice(0, 4), slice(596, 600)])
+@pytest.mark.parametrize("years", [-19.6, 19.6, 42])
+def test_a_few_fixes_years_away_are_faults_of_time(rows, years, tmp_path):
+    t, _, z = ride()
+    years = -abs(years) if rows.start == 0 else abs(years)
+    t[rows] += years * 365.25 * 86400
+    c = clean(t, z)
+    np.testing.assert_array_equal(c.refused, np.arange(600)[rows])
+    assert c.said == ["refused: 4 fixes whose time is months or years from all others"]
+    low, high = c.plot().axes[1].get_xlim()
+    assert high - low < 15  # minutes
+
+
+def test_segments_out_of_order_keep_their_times_and_say_so(tmp_path):
+    t, _, z = ride(N=900)
+    z[100] += 400.0
+    order = np.r_[300:600, 600:900, 0:300]
+    path = gpx(tmp_path / "order.gpx", t[order], *degrees(z[order]), segment=np.repeat([0, 1, 2], 300))
+    c = mpt.track(path)
+    assert "900 fixes in 0:14:59" in c.report()
+    assert "0:01:40 after the start" in c.report()
+    assert "segments are not in order of time" in c.report()
+    np.testing.assert_array_equal(c.refused, [700])
+    c.gpx(tmp_path / "smooth.gpx")
+    assert [each.t[0] for each in mpt.tracks.gpx(tmp_path / "smooth.gpx")] == [0, 300, -300]
+
+
+def test_two_receivers_in_one_file_keep_their_times(tmp_path):
+    t, _, z = ride(N=900)
+    other = z + np.random.default_rng(9).normal(0, 1, z.shape)
+    other[700] += 400.0
+    path = gpx(tmp_path / "two.gpx", np.r_[t, t], *degrees(np.vstack([z, other])), segment=np.repeat([0, 1], 900))
+    c = mpt.track(path)
+    assert "1,800 fixes in 0:14:59" in c.report()
+    assert "0:11:40 after the start" in c.report()
+    assert "overlap in time" in c.report()
+
+
+def test_times_that_run_back_within_a_segment_are_refused():
+    t, _, z = ride()
+    with pytest.raises(ValueError, match="t: needs times that do not decrease within a segment, got less in row 300"):
+        clean(np.where(np.arange(600) < 300, t + 1000, t), z, segment=np.arange(600) // 200)
+
+
+@pytest.mark.parametrize(
+    ("km", "step", "speed", "noise"), [(4500, 10, 250.0, 10.0), (9000, 10, 250.0, 0.0), (6000, 600, 8.0, 30.0)]
+)
+def test_a_flight_along_the_earth_has_its_length_its_speed_and_no_jump(km, step, speed, noise, tmp_path):
+    N = int(km * 1000 / (speed * step)) + 1
+    s = np.arange(N) * step * speed / RADIUS
+    lat0, azimuth = np.radians(35), np.radians(60)
+    lat = np.degrees(np.arcsin(np.sin(lat0) * np.cos(s) + np.cos(lat0) * np.sin(s) * np.cos(azimuth)))
+    up = np.cos(s) - np.sin(lat0) * np.sin(np.radians(lat))
+    lon = (140 + np.degrees(np.arctan2(np.sin(azimuth) * np.sin(s) * np.cos(lat0), up)) + 180) % 360 - 180
+    e, n = np.random.default_rng(3).normal(0, noise, (2, N)) / RADIUS
+    path = gpx(
+        tmp_path / "far.gpx", step * np.arange(N), lat + np.degrees(n), lon + np.degrees(e / np.cos(np.radians(lat)))
+    )
+    c = mpt.track(path)
+    assert (len(c.starts), len(c.refused)) == (0, 0)
+    found = c.summary()
+    true = geodesy.earth_centred(lat, lon, 0.0)  # the sphere of the test is not the Earth
+    length = np.linalg.norm(np.diff(true, axis=1), axis=0).sum()
+    assert found["kilometres"] == pytest.approx(length / 1000, rel=1e-4)
+    assert found["median_speed_km_h"] == pytest.approx(3.6 * length / (step * (N - 1)), rel=2e-3)
+    c.gpx(tmp_path / "smooth.gpx")
+    written = mpt.tracks.gpx(tmp_path / "smooth.gpx", origin=(0.0, 0.0))  # read only for its count
+    assert [len(each.t) for each in written] == [N]
+    off = np.linalg.norm(geodesy.earth_centred(*mpt.tracks.report.degrees_of(c), 0.0) - true, axis=0)
+    assert off.max() < max(noise, 0.1)
+
+
+def test_a_belt_gives_degrees_back_and_keeps_angles():
+    rng = np.random.default_rng(4)
+    lat, lon = 30 + np.cumsum(rng.uniform(0, 0.5, 150)), 150 + np.cumsum(rng.uniform(0, 1.0, 150))
+    (belt,), chart, z = geodesy.charts_of(lat, (lon + 180) % 360 - 180, np.zeros(150, int))
+    assert isinstance(belt, geodesy.Belt)
+    assert not chart.any()
+    back = belt.degrees(z)
+    np.testing.assert_allclose(back[0], lat, atol=1e-9)
+    np.testing.assert_allclose((back[1] - lon + 180) % 360 - 180, 0, atol=1e-9)
+    north, east = (belt.metres(lat + a, lon + b) - z for a, b in ((1e-5, 0.0), (0.0, 1e-5)))
+    cosine = (north * east).sum(axis=1) / np.linalg.norm(north, axis=1) / np.linalg.norm(east, axis=1)
+    np.testing.assert_allclose(cosine, 0, atol=1e-3)
+
+
+@pytest.mark.parametrize(("rho", "sigma"), [(0.0, 4.0), (0.9, 3.0), (0.95, 4.0), (0.99, 5.0)])
+def test_a_stop_is_found_beside_errors_that_last(rho, sigma):
+    """An hour with a rest of 20 minutes, while the fixes wander about."""
+    N, rng = 3600, np.random.default_rng(1)
+    t = np.arange(float(N))
+    v = np.where((t > 1200) & (t < 2400), 0, 5.0)
+    heading = np.cumsum(rng.normal(0, 0.03, N))
+    true = np.cumsum(np.column_stack([np.sin(heading), np.cos(heading)]) * v[:, None], axis=0)
+    error = rng.standard_normal((N, 2))
+    for k in range(1, N):
+        error[k] = rho * error[k - 1] + np.sqrt(1 - rho**2) * error[k]
+    found = clean(t, true + sigma * error).summary()
+    assert found["moving_seconds"] == pytest.approx(2401, abs=40)
+    assert found["kilometres"] == pytest.approx(v.sum() / 1000, rel=0.02)
+
+
+def test_a_player_who_runs_about_in_a_small_place_is_no_stop():
+    t = np.arange(600.0)
+    z = 8 * np.column_stack([np.sin(t / 3), np.sin(t / 4)]) + np.random.default_rng(2).normal(0, 0.3, (600, 2))
+    assert clean(t, z).summary()["moving_seconds"] > 500
+
+
+def test_rounded_walks_with_rests_are_cleaned_or_said_to_stand_still():
+    """Seventeen of a hundred were refused for the gaps between segments, which clean itself had made."""
+    still = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(10, 60))
+        z = np.cumsum(rng.normal(size=(n, 2)) * (rng.random((n, 1)) < 0.3), axis=0).round(0)
+        t = np.cumsum(rng.choice([1.0, 1.0, 5.0, 100.0], n))
+        try:
+            c = clean(t, z)
+        except ValueError as error:
+            still.append(str(error))
+        else:
+            assert np.isfinite(c.x[c.mask]).all()
+    assert len(still) < 5
+    assert all("z: needs a track that moves" in each for each in still)
+
+
+SHORT = ride(N=300)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"segment": np.zeros(299)}, r"segment: needs a number or a name for each of 300 rows, got shape \(299,\)"),
+        ({"rounding": np.nan}, "rounding: needs a number that is not negative, got nan"),
+        ({"rounding": "1"}, "rounding: needs a number that is not negative"),
+        ({"t": np.r_[np.zeros(299), 1.0]}, "t: needs at least 10 fixes at different times, got 2"),
+        ({"pause": 0.5}, "pause: needs recordings of three fixes and more, got 300 recordings of 300 fixes"),
+        ({"limit": 0.99}, "limit: needs a squared distance in variances, above 1"),
+        (
+            {"z": np.where(np.arange(300)[:, None] % 2 == [0, 1], SHORT[2], np.nan)},
+            "z: needs at least 10 fixes with all axes, got 0",
+        ),
+    ],
+)
+def test_what_cannot_be_cleaned_is_refused_by_name(given, said):
+    given = {"t": SHORT[0], "z": SHORT[2]} | given
+    with pytest.raises((ValueError, TypeError), match=said):
+        clean(**given)
+
+
+def test_segments_may_have_names_and_dates_for_times():
+    _, _, z = SHORT
+    dates = np.datetime64("2024-05-03T10:00", "s") + np.r_[150:300, 0:150].astype("m8[s]")
+    c = clean(dates, z, segment=["a"] * 150 + ["b"] * 150)
+    assert c.recordings == [0, 150]
+    np.testing.assert_array_equal(c.t, np.r_[150:300, 0:150])
