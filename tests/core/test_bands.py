@@ -10,7 +10,7 @@ from oracles import plain_band
 from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
-from mpt_helpers.bands import Ahead, LiveBand, ahead, coverage, following, interval_score, placebo
+from mpt_helpers.bands import ForecastErrors, LiveBand, ahead, coverage, following, interval_score, placebo
 
 AXIS = mpt.constant_velocity(dt=1.0, q=0.05, r=0.5, P0=np.diag([100.0, 100.0]))
 PLANE = mpt.stack(AXIS, AXIS)
@@ -29,12 +29,12 @@ def recorded(N=400, seed=0, model=PLANE):
 
 
 def an_ahead(errors, sigma=1.0, lag=1, seconds=None):
-    """An Ahead on a grid of one second, from errors (K, m), where every prediction waits for `lag` fixes."""
+    """Forecast errors on a grid of one second, from errors (K, m), where every prediction waits for `lag` fixes."""
     errors = np.asarray(errors, float)
     row = np.arange(len(errors))
     ones = np.ones(len(errors))
     sigma = np.broadcast_to(sigma, errors.shape).copy()
-    return Ahead(
+    return ForecastErrors(
         row * 1.0,
         row * 1.0 + lag,
         errors,
@@ -151,7 +151,7 @@ def test_times_that_are_a_horizon_apart_but_for_their_rounding_belong_together()
 def test_a_grid_gives_what_its_times_give():
     _, z = recorded()
     grid, times = (ahead(kf, z, 5.0) for kf in (mpt.KalmanFilter(PLANE), mpt.KalmanFilter(PLANE, t=np.arange(len(z)))))
-    for name in Ahead._fields:
+    for name in ForecastErrors._fields:
         np.testing.assert_allclose(getattr(grid, name), getattr(times, name), rtol=1e-9, atol=1e-9, err_msg=name)
 
 
@@ -532,7 +532,7 @@ def test_a_model_of_one_step_length_and_a_horizon_without_fixes_are_refused():
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda a: following(a.errors), "a: needs a Ahead"),
+        (lambda a: following(a.errors), "a: needs a ForecastErrors"),
         (lambda a: following(a, level=1.0), r"level: needs a number in \(0, 1\)"),
         (lambda a: following(a, before=an_ahead(a.errors, lag=2)), "before: needs predictions of 1 s and 2 axes"),
         (lambda a: following(a, before=an_ahead(a.errors[:, :1])), "before: needs predictions of 1 s and 2 axes"),
