@@ -196,25 +196,12 @@ def value(formula, **letters):
         checks.refuse("formula", "one that can be computed", repr(formula))
 
 
-def formula_holds(formula, operations, letters="nm"):
-    """Return whether a printed formula is the total of a filter's operations, for all letters from 1 to 8.
-
-    Two polynomials of degree 3 in each letter are equal if they agree on four values of each.
-
-    >>> formula_holds("2n² + 2nm - n", steady_state), formula_holds("2n²", steady_state)
-    (True, False)
-    """
-    for sizes in itertools.product(range(1, 9), repeat=len(letters)):
-        if value(formula, **dict(zip(letters, sizes, strict=True))) != total(operations(*sizes)):
-            return False
-    return True
-
-
 def formula(operations, right="", letters="nm", over=1):
     """Return a function for `Paper.table`: of a printed formula, whether it is the sum of these operations.
 
-    Where the operations are to be divided by a number, it is `over`; a formula may have several sides. right is the
-    formula that it should be, where it is another; it is held against the operations too.
+    It is, if both agree for all letters from 1 to 8: two polynomials of degree 3 in each letter are equal if they agree
+    on four values of each. Where the operations are to be divided by a number, it is `over`; a formula may have several
+    sides. right is the formula that it should be, where it is another; it is held against the operations too.
 
     >>> formula(fir, "2nmM - n", "nmM")("2n² + 2nm - n + (M - 1)n")
     (False, '2nmM - n', 'not the sum of the operations, for all n, m, M = 1 ... 8')

@@ -45,6 +45,21 @@ def settings_of_nobody(folder):
     }
 
 
+def own_python():
+    """Return a finder of kernels that knows the Python of this environment only.
+
+    Jupyter's own prefers kernels in the user's folder: one that is named python3 there would run the notebooks.
+    """
+    from ipykernel.kernelspec import get_kernel_dict
+    from jupyter_client.kernelspec import KernelSpec, KernelSpecManager
+
+    class OwnPython(KernelSpecManager):
+        def get_kernel_spec(self, kernel_name):
+            return KernelSpec(**get_kernel_dict())
+
+    return OwnPython()
+
+
 def tidied(notebook):
     """Return a notebook without what changes from run to run or from editor to editor.
 
@@ -70,17 +85,17 @@ def execute(path):
     from nbclient.exceptions import CellExecutionError
 
     notebook = nbformat.read(path, as_version=4)
-    started = ["none"]  # the ids of the cells so far
+    started = ["none"]  # the ids of the cells so far, or their numbers: before nbformat 4.5 cells have no ids
     with TemporaryDirectory(prefix="mpt-") as folder:
         client = NotebookClient(
             notebook,
-            km=AsyncKernelManager(kernel_name="python3", **through_files(folder)),
+            km=AsyncKernelManager(kernel_name="python3", kernel_spec_manager=own_python(), **through_files(folder)),
             timeout=CELL_TIMEOUT,
             kernel_name="python3",
             extra_arguments=["--IPKernelApp.log_level=50"],  # messages below level 50 do not concern the notebook
             shutdown_kernel="immediate",
             coalesce_streams=True,
-            on_cell_start=lambda cell, cell_index: started.append(cell.id),
+            on_cell_start=lambda cell, cell_index: started.append(cell.get("id", cell_index + 1)),
             on_cell_executed=lambda cell, cell_index, execute_reply: print("executed", flush=True),
         )
         try:

@@ -85,12 +85,6 @@ def parts(cells):
     return cells, []
 
 
-def part_one(path):
-    """The text of Part I of a notebook in a file."""
-    article, _ = parts(cells_of(path))
-    return prose(article)
-
-
 @pytest.fixture(params=[*NOTEBOOKS, *LESSONS], ids=lambda path: path.stem)
 def notebook(request):
     """A committed notebook, of a paper or a lesson: its path and its cells."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import bisect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +22,7 @@ from .. import _checks as checks
 from .._checks import Array, Seconds
 from . import geodesy
 from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
-from .readers import NO_TIME, Recording, moment_of, read, read_gpx
+from .readers import NO_TIME, Recording, moment_of, read, read_frame, read_gpx
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
@@ -80,7 +80,7 @@ def gpx(
         pause = checks.duration("pause", pause)
     if origin is not None:
         origin = _origin(origin)
-    recording = read_gpx(path)
+    recording = read_gpx(Path(path))
     if (recording.time == NO_TIME).all():
         got = f"{recording.segments} track segments and {_no_times(recording)}"
         raise ValueError(f"{path}: needs a recorded track, got {got}")
@@ -176,12 +176,10 @@ def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) ->
     if time[k] == NO_TIME:
         unread = recording.unread.get(int(rows[k]))
         return "no time" if unread is None else f"a time that cannot be read ({unread!r:.40})"
-    before = in_order[in_order < k]
-    last = time[before[-1]] if len(before) else None
-    moment = moment_of(time[k])
-    if last is None or last < time[k]:
-        return f"{moment:%Y-%m-%d %H:%M:%S} before an earlier time"
-    return f"{moment:%Y-%m-%d %H:%M:%S} {'again' if last == time[k] else 'after a later time'}"
+    moment, before = f"{moment_of(time[k]):%Y-%m-%d %H:%M:%S}", time[in_order[in_order < k]]
+    if time[k] in time[in_order]:
+        return f"{moment} twice"
+    return f"{moment} {'after a later time' if len(before) and before[-1] > time[k] else 'before an earlier time'}"
 
 
 def _no_times(recording):
@@ -189,9 +187,11 @@ def _no_times(recording):
     unread = next(iter(recording.unread.values()), None)
     if unread is None:
         return "no times"
-    said = f"times that cannot be read, as {unread!r:.40}"
+    said = f"times that cannot be read, as {unread!a:.40}"
     if re.match(r"\s*\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}", unread):
-        said += ": is the day first, or the month? Write dates as 2025-05-03"
+        said += ": is the day first? frame['time'] = pandas.to_datetime(frame['time'], dayfirst=True)"
+    if re.match(r"\s*\d{1,2}:\d\d", unread):
+        said += ": a date is needed too: frame['time'] = pandas.to_datetime(frame['date'] + ' ' + frame['time'])"
     return said
 
 
@@ -205,9 +205,12 @@ def _no_degrees(lat, lon):
     if not len(lat):
         return "none"
     if np.abs(lat).max() > LARGEST_METRES:
-        return "much larger numbers: are they 1e7 to a degree? Columns of such are named latE7 and lonE7"
+        return "much larger numbers: are they 1e7 to a degree? frame[['lat', 'lon']] /= 1e7"
     if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
         return "latitudes beyond 90: are the two exchanged?"
+    if np.abs(lat).max() > MOST[0] and (np.abs([lat, lon]) % 100 < 60).all() and np.abs(lon).max() <= 18_000:
+        way = "frame['lat'] = frame['lat'] // 100 + frame['lat'] % 100 / 60, 'lon' alike, and signs"
+        return f"degrees and minutes as ddmm.mmmm of NMEA, {lat[0]:g}: {way}"
     return "others: none, metres, or the two exchanged"
 
 
@@ -252,26 +255,65 @@ def _heights(heights):
 
 
 def track(
-    path: str | PathLike[str],
+    source: str | PathLike[str] | Any,
     *,
-    columns: dict[str, str] | None = None,
+    columns: Mapping[str, str] | None = None,
     seconds: Seconds = 10.0,
     limit: float = 100.0,
     pause: Seconds | None = None,
     show: Callable[[str], None] = lambda _: None,
 ) -> Cleaned:
-    """Return the track of a GPX or CSV file without its faults, smoothed and with a band, as a Cleaned.
+    """Return the track of a GPX or CSV file, or of a pandas frame, without its faults, smoothed and with a band.
 
     All segments are read and smoothed, each for itself. Fixes without a time, with one that does not increase, and
-    without degrees are left out, and named in `report()`. Of a CSV, columns says which column has the time, lat, lon
-    (or east and north in m), height, hdop or accuracy (m); the others are found by their usual names. An hdop, or an
-    accuracy, says how precise fixes are relative to each other. seconds, limit, pause and show are those of `clean`.
+    without degrees are left out, and named in `report()`. An hdop, or an accuracy, says how precise fixes are relative
+    to each other. `to_frame()` of the result gives a frame back.
 
-    Raises ValueError for a file that holds no recorded track, naming what it has, and as `clean`.
+    Parameters
+    ----------
+    source : path or frame
+        A GPX file; or a CSV file or a frame with the columns `time` (ISO 8601, or Unix seconds) and `lat`, `lon` (°) or
+        `x`, `y` (m). They may have `ele` (m), `hdop` and `accuracy` (m) too. The index of a frame may be the time.
+    columns : dict, optional
+        Other names of these columns, as {"time": "when"}.
+    seconds, limit, pause, show
+        As of `clean`.
+
+    Returns
+    -------
+    Cleaned
+
+    Raises
+    ------
+    ValueError
+        For a file or frame that holds no recorded track, naming what it has, and as `clean`.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas
+    >>> t = pandas.date_range("2024-05-03T10:00", periods=300, freq="s", name="time")
+    >>> x = np.cumsum(np.sin(np.arange(300) / 40)) + np.random.default_rng(1).normal(0, 0.5, 300)
+    >>> c = track(pandas.DataFrame({"x": x, "y": x}, index=t))
+    >>> c.to_frame().columns.tolist()
+    ['time', 'x', 'y', 'v_x', 'v_y', 'sigma', 'sigma_v', 'kept', 'segment']
+
     """
-    path = Path(path)
     show("reading")
-    recording = read(path, columns)
+    if hasattr(source, "columns"):
+        return of_recording("frame", read_frame(source, columns), seconds, limit, pause, show)
+    path = Path(source)
+    return of_recording(path, read(path, columns), seconds, limit, pause, show)
+
+
+def of_recording(
+    path: Path | str,
+    recording: Recording,
+    seconds: Seconds,
+    limit: float,
+    pause: Seconds | None,
+    show: Callable[[str], None],
+) -> Cleaned:
+    """Return a Recording as a Cleaned; path is where it is from, for errors."""
     rows, left_out = usable(path, recording)
     t = recording.time[rows] / 1e6
     t, said = t - t.min(), [*recording.said, *_said_of_order(t, recording.segment[rows])]
@@ -297,7 +339,7 @@ def track(
     return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
 
 
-def usable(path: Path, recording: Recording) -> tuple[Array, dict[str, int]]:
+def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
     """Return the rows of a recording that can be used, and how many others there are by reason."""
     time, N = recording.time, len(recording.time)
     if N == 0:

@@ -11,35 +11,36 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .. import tracks
-from . import readers as recordings
-from . import report
-from .files import write_together
+from . import readers, report, writers
+from .files import require_free, write_together
 
-# How a file begins that this command has written: it may be replaced.
-SIGNATURE, LOOKED_AT = b"mpt_helpers", 400
-# Above this size (bytes) a word is said beforehand: a million fixes take a minute and 1.8 GB.
+# Above this size (bytes) a notice is printed first: a million fixes take a minute and 1.8 GB.
 LARGE, BYTES_OF_A_FIX, BYTES_OF_MEMORY, FIXES_A_SECOND = 20e6, 100, 1800, 20_000
+MOST_PACKED = 1032  # bytes that a byte of a .gz can stand for
 DPI = 130
 DESCRIPTION = (
-    "Read a recorded track (GPX, or CSV with a line of names), refuse its faults, smooth it, test how far ahead it can "
-    "be predicted, and write FILE_smooth.gpx and FILE.png. Refused fixes lie on the smoothed line of the new file."
+    "Read a recorded track (GPX, or CSV with columns time and lat, lon or x, y), refuse its faults, smooth it, test "
+    "how far ahead it can be predicted, and write FILE_smooth.gpx and FILE.png. Refused fixes lie on the smoothed line "
+    "of the new file."
 )
-
-
-class TrackError(Exception):
-    """A failure in words for the terminal."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command with its arguments, and return its exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal of few letters, or a name that is no text: escaped, not refused
+            stream.reconfigure(errors="backslashreplace")
     options = _parser().parse_args(argv)
     try:
         _run(options)
-    except (TrackError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         print(f"track: {_words(error)}", file=sys.stderr)
         return 1
     except ImportError as error:
         print(f"track: {error}: python -m pip install {error.name or 'mpt_helpers'}", file=sys.stderr)
+        return 1
+    except MemoryError:
+        print(f"track: {options.file}: needs more memory than there is", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("track: interrupted; nothing was written", file=sys.stderr)
@@ -57,41 +58,37 @@ def _parser():
     limit = "refuse fixes whose squared distance is so many times what is expected; 50 to 200 do alike (100)"
     parser.add_argument("--limit", type=float, default=100.0, metavar="NIS", help=limit)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
-    parser.add_argument("--overwrite", action="store_true", help="replace files that this command has not written")
-    names = parser.add_argument_group("columns of a CSV, where their names are unusual")
-    for what in recordings.NAMES:
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist, but never FILE")
+    names = parser.add_argument_group("columns of a CSV that have other names")
+    for what in readers.COLUMNS:
         names.add_argument(f"--{what}", metavar="NAME", dest=f"column_{what}")
     return parser
 
 
 def _run(options):
     path, folder = options.file, options.out or options.file.parent
-    if not path.is_file():
-        raise TrackError(f"{path}: there is no such file")
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: there is no such file")
+    if path.absolute().parts[1:2] in (("dev",), ("proc",)):
+        raise ValueError(f"{path}: needs a file with a name of its own: save the recording to one first")
     if not folder.is_dir():
-        raise TrackError(
+        raise ValueError(
             f"{folder}: needs a folder that exists, to write to; make it: mkdir -p {shlex.quote(str(folder))}"
         )
-    named = {what: getattr(options, f"column_{what}") for what in recordings.NAMES}
-    columns = {what: name for what, name in named.items() if name is not None}
-    smooth, picture = _written(path, folder, recordings.in_degrees(path, columns))
-    _require_own([smooth, picture], options.overwrite)
     show = _Progress(path)
+    named = {what: getattr(options, f"column_{what}") for what in readers.COLUMNS}
     try:
-        c = tracks.track(
-            path,
-            columns=columns,
-            seconds=options.seconds,
-            limit=options.limit,
-            pause=options.pause,
-            show=show,
-        )
+        show("reading")
+        recording = readers.read(path, {what: name for what, name in named.items() if name is not None})
+        smooth, picture = _written(path, folder, recording.metres is None)
+        require_free([smooth, picture], options.overwrite, path)
+        c = tracks.of_recording(path, recording, options.seconds, options.limit, options.pause, show)
         show("drawing")
         contents = {smooth: _track_of(c), picture: _picture_of(c)}
     finally:
         show.clear()
     replaced = [each.name for each in contents if each.exists()]
-    write_together(contents)
+    write_together(contents, options.overwrite, path)
     files = [str(each) for each in contents]
     if options.json:
         print(
@@ -104,13 +101,12 @@ def _run(options):
 
 def _written(path, folder, in_degrees):
     """Return the paths of the smoothed track and of the picture."""
-    name = path.name.removesuffix(".gz")
-    stem = name[: -len(Path(name).suffix)] if Path(name).suffix else name
+    stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
     return folder / f"{stem}_smooth.{'gpx' if in_degrees else 'csv'}", folder / f"{stem}.png"
 
 
 def _track_of(c):
-    return report.gpx_bytes(c) if c.source.recording.metres is None else report.csv_bytes(c)
+    return writers.gpx_bytes(c) if c.source.recording.metres is None else writers.csv_bytes(c)
 
 
 def _picture_of(c):
@@ -119,30 +115,19 @@ def _picture_of(c):
     return png.getvalue()
 
 
-def _require_own(paths, overwrite):
-    """Refuse to replace files that this command has not written."""
-    for path in paths:
-        if overwrite or not path.is_file():
-            continue
-        with path.open("rb") as file:
-            if SIGNATURE not in file.read(LOOKED_AT):
-                raise TrackError(
-                    f"{path}: exists and is not from this command; --overwrite replaces it, --out avoids it"
-                )
-
-
 def _size_of(path):
     """Return the size of a file in bytes and, if it is compressed, that the size is that of its content.
 
     The last four bytes of a .gz say how long its content is, but for multiples of 4 GiB.
     """
     size = path.stat().st_size
-    if path.suffix != ".gz":
+    if path.suffix.lower() != ".gz":
         return size, ""
     with path.open("rb") as file:
         file.seek(max(size - 4, 0))
         unpacked = int.from_bytes(file.read(), "little")
-    return (unpacked, " unpacked") if unpacked > size else (size, " packed, and more unpacked")
+    plausible = size < unpacked < MOST_PACKED * size  # a file that is cut ends with other bytes
+    return (unpacked, " unpacked") if plausible else (size, " packed, and more unpacked")
 
 
 class _Progress:
@@ -150,7 +135,7 @@ class _Progress:
 
     def __init__(self, path):
         self._shown = sys.stderr.isatty()
-        size, packed = _size_of(path)
+        size, packed = _size_of(path) if path.is_file() else (0, "")
         if size > LARGE:
             fixes = size / BYTES_OF_A_FIX
             minutes, gigabytes = fixes / FIXES_A_SECOND / 60, fixes * BYTES_OF_MEMORY / 1e9

@@ -29,8 +29,8 @@ from .._checks import Array, Seconds
 from ..kalman import KalmanFilter
 from ..model import constant_velocity, stack
 from ..search import AROUND, along_a_line
-from . import gate, geodesy, report
-from .files import write_whole
+from . import gate, geodesy, plot, report, writers
+from .files import write_together
 from .readers import Recording
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ class Source:
     said: what was taken for what, in words
     """
 
-    path: Path
+    path: Path | str
     recording: Recording
     rows: NDArray[np.intp]
     left_out: dict[str, int]
@@ -263,16 +263,26 @@ class Cleaned:
 
     def plot(self) -> Figure:
         """Return a figure: a map with the refused fixes, and the speed with its band."""
-        return report.figure(self)
+        return plot.figure(self)
 
-    def gpx(self, path: str | PathLike[str]) -> None:
+    def gpx(self, path: str | PathLike[str], overwrite: bool = False) -> None:
         """Write the smoothed track as a GPX file.
 
         Times, heights, segments and all else that the file of the track holds are kept. A fix that was refused within a
         segment lies on the smoothed line; one between segments is left out, and after a jump a new one begins, so that
-        a map draws no line over the jump. Raises ValueError for a track in metres that is from no file.
+        a map draws no line over the jump. Raises ValueError for a track in metres, and FileExistsError for a file that
+        exists, unless `overwrite` is True; the source is never written over.
         """
-        write_whole(Path(path), report.gpx_bytes(self))
+        write_together({Path(path): writers.gpx_bytes(self)}, overwrite, self.source.path)
+
+    def to_frame(self) -> Any:
+        """Return the track as a pandas frame with a row for each fix that was used.
+
+        It has `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y`
+        (m/s), `sigma` and `sigma_v`, the standard deviations of each axis of these, `kept`, and the number of the
+        segment; NaN and -1 outside of segments. The rows have the labels of the frame that the track is from.
+        """
+        return writers.frame_of(self)
 
     @property
     def starts(self) -> NDArray[np.intp]:

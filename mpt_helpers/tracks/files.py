@@ -1,8 +1,9 @@
-"""Files are written whole or not at all."""
+"""Files are written whole or not at all, and none is replaced unasked."""
 
 from __future__ import annotations
 
 import os
+import secrets
 from pathlib import Path
 
 
@@ -11,20 +12,20 @@ def write_whole(path: Path, data: bytes) -> None:
     write_together({path: data})
 
 
-def write_together(contents: dict[Path, bytes]) -> None:
+def write_together(contents: dict[Path, bytes], overwrite: bool = True, source: Path | str | None = None) -> None:
     """Write bytes to several files, {path: bytes}: beside them first, then all into their places.
 
     A full disk or an interrupt during the writing leaves every file as it was. An interrupt during the moves
-    (microseconds) may leave some files new and others old, but none partial.
+    (microseconds) may leave some files new and others old, but none partial. Raises FileExistsError as
+    `require_free`, before anything is written.
     """
-    parts = {path: path.with_name(path.name + ".part") for path in contents}
-    for path in contents:
-        if path.is_dir():
-            raise IsADirectoryError(f"a folder is in the place of the file {path}")
+    require_free(list(contents), overwrite, source)
+    parts = {path: path.with_name(f".{secrets.token_hex(8)}.part") for path in contents}
     try:
         for path, part in parts.items():
             try:
-                part.write_bytes(contents[path])
+                with part.open("xb") as file:
+                    file.write(contents[path])
             except OSError as error:
                 # A full disk is reported without the file's name.
                 raise OSError(error.errno, error.strerror, str(path)) from None
@@ -33,3 +34,14 @@ def write_together(contents: dict[Path, bytes]) -> None:
     finally:
         for part in parts.values():
             part.unlink(missing_ok=True)
+
+
+def require_free(paths: list[Path], overwrite: bool, source: Path | str | None = None) -> None:
+    """Raise FileExistsError for a path that is the source, and, unless `overwrite` is True, for one that exists."""
+    for path in paths:
+        if path.is_dir():
+            raise IsADirectoryError(f"a folder is in the place of the file {path}")
+        if isinstance(source, Path) and path.exists() and source.exists() and path.samefile(source):
+            raise FileExistsError(f"{path}: is the recording itself, which is not written over")
+        if not overwrite and (path.exists() or path.is_symlink()):
+            raise FileExistsError(f"{path}: exists; to replace it give overwrite=True, in the command --overwrite")

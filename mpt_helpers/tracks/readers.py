@@ -1,95 +1,58 @@
-"""Recorded tracks from files: GPX is read without other packages, and a CSV by the names of its columns."""
+"""Recorded tracks from GPX files, from CSV files of named columns, and from pandas frames.
+
+Nothing is guessed: a table has `time` (ISO 8601, or Unix seconds) and `lat`, `lon` (°) or `x`, `y` (m), and may have
+`ele`, `hdop`, `accuracy`. Other names are given as `columns`. All else is refused, with the line that mends it.
+"""
 
 from __future__ import annotations
 
 import codecs
 import csv
-import gzip
-import io
 import math
 import re
+import zlib
 from array import array
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from os import PathLike
 from pathlib import Path
+from typing import Any
 from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import Array
+from .doubts import is_clock_as_number, refuse_other_kinds, refuse_other_xml, refuse_several, refuse_signs
 
-# A time that is not there, in microseconds.
-NO_TIME = -(2**63)
+NO_TIME = -(2**63)  # a time that is not there, in microseconds
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-# No GPX file nests its elements deeper; a file that nests 200,000 would need as much memory as its author likes.
-DEEPEST = 100
-CHUNK = 1 << 20  # bytes that are read at a time
-# Texts of a fix that are wanted, by the name of their element.
-WANTED = frozenset(["time", "ele", "hdop"])
-# A second that is a leap second is the one before it, and one more.
-LEAP = re.compile(r"(:\d\d):60(?!\d)")
-# Usual names of columns, in small letters, with _ for what is no letter or digit.
-NAMES = {
-    "time": [
-        "time",
-        "timestamp",
-        "datetime",
-        "date_time",
-        "date",
-        "t",
-        "t_s",
-        "t_ms",
-        "time_s",
-        "time_ms",
-        "utc",
-        "gps_time",
-        "seconds",
-        "secs",
-    ],
-    "date": ["date", "day", "date_utc", "utc_date"],
-    "lat": ["lat", "latitude", "lat_deg", "latitude_deg", "position_lat", "y_lat", "late7", "latitudee7"],
-    "lon": [
-        "lon",
-        "lng",
-        "long",
-        "longitude",
-        "lon_deg",
-        "longitude_deg",
-        "position_long",
-        "x_lon",
-        "lone7",
-        "longitudee7",
-    ],
-    "east": ["east", "easting", "x", "e", "east_m", "x_m", "utm_x", "utm_e"],
-    "north": ["north", "northing", "y", "n", "north_m", "y_m", "utm_y", "utm_n"],
-    "height": ["ele", "elevation", "alt", "altitude", "height", "z", "up", "ele_m", "alt_m", "altitude_m", "height_m"],
-    "hdop": ["hdop"],
-    "accuracy": ["accuracy", "horizontal_accuracy", "hacc", "h_acc", "accuracy_m", "sigma", "std"],
-}
-# A time of day. Without a date it counts from the first midnight; where it runs back by more than half a day, another
-# day has begun.
-OF_A_DAY = re.compile(r"\s*(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d+)?))?\s*")
-DAY = 86_400_000_000  # microseconds
-# From these sizes on a number that stands for a time counts milli-, micro- or nanoseconds since 1970: in seconds it
-# would be after the year 5138.
-UNITS_OF_TIMES = ((1e17, 1e-3, "nanoseconds"), (1e14, 1.0, "microseconds"), (1e11, 1e3, "milliseconds"))
+DEEPEST = 100  # no GPX file nests its elements deeper; one of 200,000 would need as much memory as its author likes
+WANTED = frozenset(["time", "ele", "hdop"])  # the texts of a GPX fix that are read
+LEAP = re.compile(r"(:\d\d):60(?!\d)")  # a leap second is the one before it, and one more
+COLUMNS = ("time", "lat", "lon", "x", "y", "ele", "hdop", "accuracy")
+MISSING = frozenset(["", "nan", "nat", "none", "null", "na", "n/a", "<na>", "-"])
+MANY = 0.1  # of the cells: so many that are no numbers are another way of writing them
+LATEST = 1e11  # Unix seconds of the year 5138: a larger number counts something else
+FEW = 10  # lines, of which the last one cannot be told to be cut
+CUT = [expat.errors.codes[text] for text in (expat.errors.XML_ERROR_NO_ELEMENTS, expat.errors.XML_ERROR_UNCLOSED_TOKEN)]
 
 
 @dataclass(frozen=True)
 class Recording:
     """The fixes of a file in its own order, N of them, faults and all.
 
-    time (N,): microseconds since 1970 in UTC, or since any moment where `dated` is False; NO_TIME where there is none
+    time (N,): microseconds since 1970 in UTC, NO_TIME where there is none
     lat, lon (N,): degrees as they stand, or None where the file has metres
-    metres (N, 2): east and north, or None where the file has degrees
+    metres (N, 2): x and y, or None where the file has degrees
     height, hdop (N,): m and a number, NaN where the file has none
     segment (N,): the number of the fix' segment, from 1; `segments` counts the empty ones too
     unread: what stands in place of a time and cannot be read as one, by row
-    places: where each fix begins and ends in a GPX file, in bytes, (N, 2)
-    said: what was taken for what, in words
-    accuracy (N,): the standard deviation of each fix that the file states, m, or None
+    said: what is to be said of the file
+    places: where each fix begins and ends in `data`, the bytes of a whole GPX file, (N, 2); or None
+    accuracy: the standard deviation of each fix that the file states, m, or None
+    dated: whether times stand there as dates, and not as numbers
+    index: the labels of a frame's rows, or None
     """
 
     time: NDArray[np.int64]
@@ -101,10 +64,12 @@ class Recording:
     segment: NDArray[np.int64]
     segments: int
     unread: dict[int, str]
-    places: NDArray[np.int64] | None = None
-    dated: bool = True
     said: tuple[str, ...] = ()
+    places: NDArray[np.int64] | None = None
+    data: bytes = b""
     accuracy: Array | None = None
+    dated: bool = True
+    index: Any = None
 
 
 def microseconds(text: str) -> int:
@@ -131,52 +96,59 @@ def moment_of(time: int) -> datetime:
     return EPOCH + timedelta(microseconds=int(time))
 
 
-def read(path: str | PathLike[str], columns: dict[str, str] | None = None) -> Recording:
-    """Return the Recording of a GPX or CSV file, which may be compressed (.gz). Raises ValueError for another file."""
-    path = Path(path)
-    return read_gpx(path) if _is_xml(path) else read_csv(path, columns or {})
+def read(path: Path, columns: Mapping[str, str] | None = None) -> Recording:
+    """Return the Recording of a GPX or CSV file, packed by gzip or not. Raises ValueError for another file."""
+    data, said = _contents(path)
+    if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        refuse_other_kinds(path, data)
+        return _of_csv(path, data.decode("utf-8-sig", errors="replace"), columns, said)
+    if columns:
+        raise ValueError(f"{path}: is a GPX file, which has no columns to name, got {dict(columns)!r:.80}")
+    return _of_gpx(path, data, said)
 
 
-def in_degrees(path: str | PathLike[str], columns: dict[str, str] | None = None) -> bool:
-    """Tell whether a file has degrees, and not metres, by its first lines. Raises ValueError as `read_csv`."""
-    path = Path(path)
-    if _is_xml(path):
-        return True
-    with _opened_as_text(path) as text:
-        _, _, found = _head(path, text, columns or {})
-    return "lat" in found
+def read_gpx(path: Path) -> Recording:
+    """Return the Recording of a GPX file. Raises ValueError for another file."""
+    return _of_gpx(path, *_contents(path))
 
 
-def _is_xml(path):
-    with _opened(path) as file:
-        start = file.read(64)
-    return start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff"))
+def _contents(path):
+    """Return the bytes of a file, unpacked and in an encoding where ASCII is ASCII, and what is said of their end."""
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path}: needs a file, got a folder, a pipe or a device")
+    data, said, packed = path.read_bytes(), [], []
+    while data[:2] == b"\x1f\x8b":
+        unpacker = zlib.decompressobj(wbits=31)
+        try:
+            packed.append(unpacker.decompress(data))
+        except zlib.error as error:
+            raise ValueError(f"{path}: needs a file that can be unpacked, got a damaged one ({error})") from None
+        if not unpacker.eof:
+            said.append("ATTENTION: the packed file is cut: what follows is lost")
+        data = unpacker.unused_data
+    data = b"".join(packed) if packed else data
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        text = data.decode("utf-16", errors="replace")
+        data = re.sub(r"\A(<\?xml[^>]*encoding\s*=\s*[\"'])[\w-]+", r"\1UTF-8", text).encode()
+    if data.endswith(b"\0"):
+        data = data.rstrip(b"\0")
+        said.append("ATTENTION: the file ends in empty bytes: what stood there is lost")
+    return data, said
 
 
-def _opened(path):
-    return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
-
-
-def _opened_as_text(path):
-    return io.TextIOWrapper(_opened(path), encoding="utf-8-sig", errors="replace", newline="")
-
-
-def read_gpx(path: str | PathLike[str]) -> Recording:
-    """Return the Recording of a GPX file, read in pieces, so that memory holds the numbers only.
-
-    Names may have a prefix. Raises ValueError for what is no GPX file, and for elements nested deeper than any of GPX.
-    """
-    path, reader = Path(path), _Reader()
+def _of_gpx(path, data, said):
+    """Return the Recording of a GPX file; names may have a prefix. Of a file that is cut, the whole fixes."""
+    reader = _Reader()
     try:
-        with _opened(path) as file:
-            while chunk := file.read(CHUNK):
-                reader.parser.Parse(chunk, False)
-        reader.parser.Parse(b"", True)
-    except (expat.ExpatError, LookupError, ValueError, EOFError) as error:
-        raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from None
-    if not reader.is_gpx:
-        raise ValueError(f"{path}: needs a GPX file, got one that cannot be read (another kind of XML)")
-    return reader.recording()
+        reader.parser.Parse(data, True)
+    except (expat.ExpatError, LookupError, ValueError) as error:
+        refuse_other_xml(path, reader.root)
+        if getattr(error, "code", None) not in CUT or not reader.end:
+            raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from None
+        said = [*said, f"ATTENTION: the file is cut after {len(reader.end)} fixes: what follows is lost"]
+        return reader.recording(None, said)
+    refuse_other_xml(path, reader.root)
+    return reader.recording(data, said)
 
 
 class _Reader:
@@ -187,7 +159,7 @@ class _Reader:
         self.lat, self.lon, self.height, self.hdop = (array("d") for _ in range(4))
         self.depth = self.segments = 0
         self.of_fix = None  # how deep the fix is nested that the parser is in
-        self.is_gpx, self.unread, self.text = False, {}, []
+        self.root, self.unread, self.text = None, {}, []
         self.names = {}  # each name without its prefix
         self.parser = expat.ParserCreate()
         self.parser.buffer_text = True
@@ -200,7 +172,9 @@ class _Reader:
         if name not in self.names:
             self.names[name] = name.rpartition(":")[2]
         name = self.names[name]
-        if self.of_fix is not None:
+        if self.depth == 1:
+            self.root = name
+        elif self.of_fix is not None:
             if name in WANTED and self.depth == self.of_fix + 1:
                 self.text = []
                 self.parser.CharacterDataHandler = self.text.append
@@ -215,8 +189,6 @@ class _Reader:
             self.segment.append(self.segments)
         elif name == "trkseg":
             self.segments += 1
-        elif name == "gpx" and self.depth == 1:
-            self.is_gpx = True
 
     def finish(self, name):
         depth = self.depth
@@ -230,25 +202,19 @@ class _Reader:
             self.parser.CharacterDataHandler = None
             text, name = "".join(self.text), self.names[name]
             if name == "time":
-                self._keep_time(text)
+                self.time[-1] = _time_or_none(text, len(self.time) - 1, self.unread)
             else:
                 (self.height if name == "ele" else self.hdop)[-1] = _number(text)
 
-    def _keep_time(self, text):
-        try:
-            self.time[-1] = microseconds(text)
-        except (ValueError, OverflowError):
-            if text.strip():
-                self.unread[len(self.time) - 1] = text
-
-    def recording(self):
-        floats = (np.frombuffer(each) if each else np.empty(0) for each in (self.lat, self.lon, self.height, self.hdop))
-        lat, lon, height, hdop = floats
-        time, segment, begin, end = (
-            np.array(each, dtype=np.int64) for each in (self.time, self.segment, self.begin, self.end)
-        )
-        places = np.column_stack([begin, end])
-        return Recording(time, lat, lon, None, height, hdop, segment, self.segments, self.unread, places)
+    def recording(self, data, said):
+        """Return the whole fixes as a Recording; without data if the file is cut, since it cannot be written back."""
+        N = len(self.end)
+        lat, lon, height, hdop = (np.array(each[:N]) for each in (self.lat, self.lon, self.height, self.hdop))
+        time, segment = (np.array(each[:N], dtype=np.int64) for each in (self.time, self.segment))
+        places = None if data is None else np.column_stack([self.begin, self.end]).astype(np.int64)
+        unread = {row: text for row, text in self.unread.items() if row < N}
+        said, data = tuple(said), data or b""
+        return Recording(time, lat, lon, None, height, hdop, segment, self.segments, unread, said, places, data)
 
 
 def _number(text):
@@ -260,159 +226,147 @@ def _number(text):
     return value if math.isfinite(value) else math.nan
 
 
-def read_csv(path: str | PathLike[str], columns: dict[str, str]) -> Recording:
-    """Return the Recording of a table with a line of names: times, and degrees or metres.
+def _time_or_none(text, row, unread):
+    """Return a time in microseconds, or NO_TIME; a text that is none is kept in `unread`."""
+    try:
+        return microseconds(text)
+    except (ValueError, OverflowError):
+        if text.strip().lower() not in MISSING:
+            unread[row] = text
+        return NO_TIME
 
-    columns names some of time, date, lat, lon, east, north, height, hdop, accuracy; the others are found by their
-    usual names. A date of its own is taken where the time has none; columns whose names end with E7 have ten millionths
-    of a degree. Raises ValueError for a file without such columns, naming those that it has.
+
+def _of_csv(path, text, columns, said):
+    """Return the Recording of a CSV with a line of names. Lines before it that begin with a # are passed over.
+
+    Each line is a row for itself, so that a quote that is never closed costs no other one.
     """
-    path = Path(path)
-    with _opened_as_text(path) as text:
-        header, delimiter, found = _head(path, text, columns)
-        cells = list(zip(*csv.reader(_lines_of(text, len(header), delimiter), delimiter=delimiter), strict=False))
-    if not cells:
-        raise ValueError(f"{path}: needs a recorded track, got no fixes")
-    comma = delimiter != ","
-    numbers = {}
-    for name, column in found.items():
-        if name not in ("time", "date"):
-            numbers[name] = _numbers(cells[column], comma)
-            _refuse_commas(path, header[column], cells[column], numbers[name])
-            if header[column].lower().endswith("e7"):
-                numbers[name] /= 1e7
-    texts = cells[found["time"]]
-    of_a_day = any(texts) and all(OF_A_DAY.fullmatch(text) for text in texts if text.strip())
-    if of_a_day and "date" in found:
-        texts = [f"{day.strip()} {clock.strip()}" for day, clock in zip(cells[found["date"]], texts, strict=True)]
-    else:
-        found.pop("date", None)
-    if of_a_day and "date" not in found:
-        time, unread, dated, said = _times_of_a_day(texts)
-    else:
-        time, unread, dated, said = _times(texts, header[found["time"]], comma)
+    lines = [line for line in re.split(r"\r\n|\n|\r", text) if line.strip()]
+    while lines and lines[0].startswith("#"):
+        del lines[0]
+    names = [name.strip() for name in _cells(lines[0])] if lines else []
+    rows = [_cells(line) for line in lines[1:]]
+    long = [k for k, row in enumerate(rows) if any(cell.strip() for cell in row[len(names) :])]
+    if len(long) > MANY * len(rows):
+        need = f"{len(names)} cells in a line, as its first one has"
+        how = "are commas decimal, too? Write points"
+        raise ValueError(f"{path}: needs {need}, got {len(rows[long[0]])} in {lines[long[0] + 1]!r:.60}: {how}")
+    for k in long:
+        rows[k] = []
+    ends = [len(row[-1]) for row in rows if len(row) == len(names)]
+    if text[-1:] not in "\r\n" and len(ends) > FEW and len(rows[-1]) == len(names) and ends[-1] < min(ends[:-1]):
+        rows[-1] = []
+        said = [*said, "ATTENTION: the last line is cut, and left out"]
+    cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
+    return _of_table(str(path), names, cells.__getitem__, columns, said, separators=lines[0] if lines else "")
+
+
+def _cells(line):
+    return next(csv.reader([line])) if '"' in line else line.split(",")
+
+
+def read_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Recording:
+    """Return the Recording of a pandas frame, whose index may hold the times. Raises ValueError for another table."""
+    names, index = [str(name) for name in frame.columns], getattr(frame, "index", None)
+    values = [frame.iloc[:, k] if hasattr(frame, "iloc") else frame[name] for k, name in enumerate(names)]
+    time = (columns or {}).get("time", "time")
+    in_index = getattr(index, "name", None) == time or getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m")
+    if time not in names and in_index:
+        names, values, columns = [*names, "the index"], [*values, index], {**(columns or {}), "time": "the index"}
+    return _of_table("frame", names, values.__getitem__, columns, [], index)
+
+
+def _of_table(name, names, values, columns, said, index=None, separators=""):
+    """Return the Recording of a table; values(k) are those of column k, numbers, times or texts."""
+    found = _found(name, names, columns, separators)
+    numbers = {what: _numbers(name, names[k], values(k)) for what, k in found.items() if what != "time"}
+    time, unread, dated = _times(name, names[found["time"]], values(found["time"]))
     N = len(time)
-    nothing = np.full(N, math.nan)
+    others = {names[k]: list(map(str, values(k))) for k in set(range(len(names))) - set(found.values())}
     lat, lon, metres = numbers.get("lat"), numbers.get("lon"), None
     if lat is None:
-        metres = np.column_stack([numbers["east"], numbers["north"]])
-    height, hdop = numbers.get("height", nothing), numbers.get("hdop", nothing)
-    took = ", ".join(f"{name} from {header[column]!r}" for name, column in found.items())
-    one = np.ones(N, dtype=np.int64)
-    said = (f"columns: {took}", *said)
-    return Recording(time, lat, lon, metres, height, hdop, one, 1, unread, None, dated, said, numbers.get("accuracy"))
+        metres = place = np.column_stack([numbers["x"], numbers["y"]])
+    else:
+        refuse_signs(name, others, {names[found[what]]: numbers[what] for what in ("lat", "lon")})
+        place = np.column_stack([lon * np.cos(np.radians(lat)), lat])
+    refuse_several(name, others, time, place)
+    nothing, one = np.full(N, math.nan), np.ones(N, dtype=np.int64)
+    height, hdop, accuracy = numbers.get("ele", nothing), numbers.get("hdop", nothing), numbers.get("accuracy")
+    fixes = Recording(time, lat, lon, metres, height, hdop, one, 1, unread, tuple(said))
+    return replace(fixes, accuracy=accuracy, dated=dated, index=index)
 
 
-def _head(path, text, columns):
-    """Return the names of columns, what stands between them, and {what: number of the column}, from the first line.
-
-    Lines before it that begin with a # are passed over.
-    """
-    first = text.readline()
-    while first.startswith("#"):
-        first = text.readline()
-    delimiter = max(",;\t", key=first.count)
-    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-    return header, delimiter, _columns(path, header, columns)
-
-
-def _lines_of(text, width, delimiter):
-    """Yield the lines that are not empty, filled up to as many cells as the first one names."""
-    for line in text:
-        if line.strip():
-            yield line.rstrip("\r\n") + delimiter * max(width - 1 - line.count(delimiter), 0)
-
-
-def _columns(path, header, named):
-    """Return {what: number of the column}."""
-    plain = [re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") for name in header]
-    found = {}
-    for what, name in named.items():
-        if name not in header:
-            raise ValueError(f"{path}: needs a column {name!r} of {what}, got {', '.join(map(repr, header))}")
-        found[what] = header.index(name)
-    for what, names in NAMES.items():
-        for name in names:
-            if what not in found and name in plain and plain.index(name) not in found.values():
-                found[what] = plain.index(name)
-    pairs = [pair for pair in (("lat", "lon"), ("east", "north")) if all(name in found for name in pair)]
-    if "time" not in found or not pairs:
-        need = "columns of time and of latitude and longitude, or of metres east and north"
-        got = ", ".join(map(repr, header)) or "an empty file"
-        raise ValueError(f"{path}: needs {need} (name them: --time, --lat, --lon, --east, --north), got {got:.300}")
-    named_pairs = [pair for pair in pairs if named.keys() & set(pair)]
-    pair = (named_pairs or pairs)[0]
-    others = {"lat", "lon", "east", "north"} - set(pair)
-    return {what: column for what, column in found.items() if what not in others}
+def _found(name, names, columns, separators):
+    """Return {what: number of its column} of a table, by the names that are known and by those given."""
+    columns = {} if columns is None else columns
+    if not isinstance(columns, Mapping) or not set(columns) <= set(COLUMNS):
+        need = f"names of some of {', '.join(COLUMNS)}, as {{'time': 'when'}}"
+        raise ValueError(f"columns: needs {need}, got {columns!r:.80}")
+    wanted = {what: columns.get(what, what) for what in COLUMNS}
+    for what, column in columns.items():
+        if column not in names:
+            raise ValueError(f"{name}: needs a column {column!r} of {what}, got {', '.join(map(ascii, names)):.300}")
+    found = {what: column for what, column in wanted.items() if column in names}
+    metres = {"x", "y"} <= set(found) and ({"x", "y"} & set(columns) or not {"lat", "lon"} <= set(found))
+    for what in ("lat", "lon") if metres else ("x", "y"):
+        found.pop(what, None)
+    if "time" not in found or not (metres or {"lat", "lon"} <= set(found)):
+        need = "columns time and lat, lon (degrees) or x, y (metres)"
+        way = "name others: --time when --lat y ..., or columns={'time': 'when', 'lat': 'y', ...}"
+        other = max(";\t", key=separators.count)
+        if other in separators:
+            way = f"cells need commas between them: pandas.read_csv(FILE, sep={other!r}, decimal=',').to_csv('new.csv')"
+        raise ValueError(f"{name}: needs {need}, got {', '.join(map(ascii, names)) or 'nothing':.300}: {way}")
+    for column in found.values():
+        if names.count(column) > 1:
+            raise ValueError(f"{name}: needs one column {column!r}, got {names.count(column)}: rename the others")
+    return {what: names.index(column) for what, column in found.items()}
 
 
-def _numbers(texts, comma):
-    """Return the numbers of some cells (N,), NaN where there is none; with a decimal comma where it can be one."""
-    return np.array([_number(text.replace(",", ".") if comma else text) for text in texts])
+def _numbers(name, column, values):
+    """Return the numbers of a column (N,), NaN where there is none, or refuse one that is written in another way."""
+    try:
+        numbers = np.array(values if hasattr(values, "dtype") else [float(value) for value in values], dtype=float)
+        return np.where(np.isfinite(numbers), numbers, math.nan)
+    except (TypeError, ValueError):
+        texts = list(map(str, values))
+    numbers = np.array([_number(text) for text in texts])
+    others = [text for text, number in zip(texts, numbers, strict=True) if math.isnan(number)]
+    others = [text for text in others if text.strip().lower() not in MISSING]
+    if len(others) > MANY * len(texts):
+        way = "degrees + minutes / 60 + seconds / 3600, negative south and west"
+        if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", others[0]):
+            way = "pandas.read_csv(FILE, decimal=',')"
+        elif re.fullmatch(r"\s*[\d.]+\s*[NSEW]\s*", others[0], re.IGNORECASE):
+            sign = "map({'N': 1, 'S': -1, 'E': 1, 'W': -1})"
+            way = f"frame[{column!r}] = frame[{column!r}].str[:-1].astype(float) * frame[{column!r}].str[-1].{sign}"
+        raise ValueError(f"{name}: needs decimal numbers in column {column!r}, got {others[0]!r:.40}: {way}")
+    return numbers
 
 
-def _times(texts, name, comma):
-    """Return times in microseconds, those that cannot be read by row, whether they have a date, and what was said."""
-    numbers = _numbers(texts, comma)
-    time, unread = np.full(len(texts), NO_TIME, dtype=np.int64), {}
+def _times(name, column, values):
+    """Return times in microseconds, those that cannot be read by row, and whether they stand there as dates."""
+    if getattr(getattr(values, "dtype", None), "kind", "") in ("M", "m"):
+        kind = values.dtype.kind
+        return np.asarray(values, dtype=f"{kind}8[us]").astype(np.int64), {}, kind == "M"
+    texts, unread = list(map(str, values)), {}
+    numbers = np.array([_number(text) for text in texts])
     known = np.isfinite(numbers)
-    filled = sum(bool(text.strip()) for text in texts)
-    if known.sum() > 0.5 * filled:
-        unit, said = _unit(numbers[known], name)
-        whole = np.round(numbers[known] * unit)
-        fits = np.abs(whole) < 2.0**62
-        time[np.flatnonzero(known)[fits]] = whole[fits].astype(np.int64)
-        unread = {k: text for k, text in enumerate(texts) if time[k] == NO_TIME and text.strip()}
-        dated = float(np.median(time[known])) > 3e8 * 1e6  # from mid 1979 on
-        return time, unread, dated, said
-    for k, text in enumerate(texts):
-        try:
-            time[k] = microseconds(text)
-        except (ValueError, OverflowError):
-            if text.strip():
-                unread[k] = text
-    return time, unread, True, ()
-
-
-def _refuse_commas(path, name, texts, numbers):
-    """Refuse a column without any number, but with decimal commas where commas stand between the columns too."""
-    with_comma = next((text for text in texts if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", text)), None)
-    if with_comma is not None and not np.isfinite(numbers).any():
-        need = "decimal points, or semicolons between the columns"
-        raise ValueError(f"{path}: needs {need}, got decimal commas in column {name!r}, as {with_comma!r:.40}")
-
-
-def _times_of_a_day(texts):
-    """Return what `_times` does of hours, minutes and seconds without a date."""
+    if known.sum() <= 0.5 * sum(text.strip().lower() not in MISSING for text in texts):
+        times = [_time_or_none(text, row, unread) for row, text in enumerate(texts)]
+        return np.array(times, dtype=np.int64), unread, True
+    convert = f"frame[{column!r}] = pandas.to_datetime(frame[{column!r}]"
+    usual = np.median(np.abs(numbers[known]))
+    if usual > LATEST:
+        ways = [(1e12, "format='%y%m%d%H%M%S'"), (1.9e13, "unit='ms'"), (2.1e13, "format='%Y%m%d%H%M%S'")]
+        ways += [(1e14, "unit='ms'"), (1e17, "unit='us'"), (math.inf, "unit='ns'")]
+        way = next(f"{convert}, {each})" for most, each in ways if usual < most)
+        raise ValueError(f"{name}: needs ISO 8601 or Unix seconds in {column!r}, got {texts[0]!r:.40}: {way}")
+    if is_clock_as_number(numbers[known]):
+        way = f"{convert}, format='%H%M%S'), read as texts, with the date before them"
+        raise ValueError(f"{name}: needs seconds in {column!r}, got a clock's digits as {texts[0]!r:.40}: {way}")
     time = np.full(len(texts), NO_TIME, dtype=np.int64)
-    for k, text in enumerate(texts):
-        if text.strip():
-            hours, minutes, seconds = OF_A_DAY.fullmatch(text).groups()
-            seconds = float((seconds or "0").replace(",", "."))
-            time[k] = (int(hours) * 60 + int(minutes)) * 60_000_000 + round(seconds * 1e6)
-    known = time != NO_TIME
-    time[known] += DAY * np.cumsum(np.diff(time[known], prepend=0) < -DAY // 2)
-    return time, {}, False, ("times of day without a date: they count from the first midnight",)
-
-
-def _unit(numbers, name):
-    """Return the microseconds that one unit of a time column stands for, and a sentence that says so."""
-    usual = float(np.median(np.abs(numbers)))
-    for least, microseconds_each, unit in UNITS_OF_TIMES:
-        if usual > least:
-            return microseconds_each, (f"times taken for {unit} since 1970",)
-    if re.search(r"(^|[^a-z])(ms|msec|millis|milliseconds)$", name.lower()):
-        return 1e3, ("times taken for milliseconds",)
-    return 1e6, ()
-
-
-def places_of(path: Path, recording: Recording) -> tuple[bytes, NDArray[np.int64]]:
-    """Return the bytes of a GPX file, in an encoding where ASCII is ASCII, and where each fix stands in them."""
-    with _opened(path) as file:
-        data = file.read()
-    if not data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data, recording.places
-    text = re.sub(r"(encoding\s*=\s*[\"'])[\w-]+", r"\1UTF-8", data.decode("utf-16"), count=1)
-    reader = _Reader()
-    reader.parser.Parse(text.encode(), True)
-    return text.encode(), reader.recording().places
+    known &= np.abs(numbers) < LATEST
+    time[known] = np.round(numbers[known] * 1e6).astype(np.int64)
+    unread = {k: text for k, text in enumerate(texts) if not known[k] and text.strip().lower() not in MISSING}
+    return time, unread, False

@@ -1,4 +1,4 @@
-"""A cleaned track for people: in words, as numbers by name, as a picture, and as a file for maps.
+"""A cleaned track for people: in words, and as numbers by name.
 
 The words need no knowledge of filters; what a specialist looks for stands in brackets.
 """
@@ -6,18 +6,15 @@ The words need no knowledge of filters; what a specialist looks for stands in br
 from __future__ import annotations
 
 import math
-import re
+from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from . import geodesy
-from .readers import moment_of, places_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from .writers import degrees_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
@@ -27,19 +24,11 @@ COLUMNS = 100  # of a terminal
 TOGETHER = "\u00a0"  # a blank at which no line is broken
 A_FEW, VAGUE = 0.3, math.log(10)  # errors of a logarithm: below the first one they are a percentage
 LISTED = 5  # times of faults
-LONG = 3 * 3600.0  # s, from where on the picture counts hours
-MOSTLY_PAUSES = 20.0  # a picture that is so many times as long as its rides shows nothing of them
-# The picture: panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
-WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
-LONGEST_LINE = 5_000  # points that are drawn of a curve
 # A usual recording is neither so fast nor so slow: a fighter's speed, a snail's. Between fixes of RARELY or more a
 # tenth of a second may lie, in milliseconds. A larger share of fixes than MANY is hardly one of faults.
 VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
 RARELY = 100.0  # s
 MANY = 0.1
-NUMBERS = 5  # steps of an axis at most: six numbers of five digits fit
-# The tag that a fix begins with. A value in quotes may hold a >.
-START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 
 
 def text(c: Cleaned) -> str:
@@ -59,7 +48,7 @@ def summary(c: Cleaned) -> dict[str, Any]:
         band |= {"checked": b.checked, "independent": b.independent}
     left_out = {} if c.source is None else c.source.left_out
     fixes = len(c.t) + sum(left_out.values())
-    kilometres, moving, speed, fastest, error = _numbers_of_the_way(c)
+    kilometres, moving, speed, fastest, error = numbers_of_the_way(c)
     return {
         "fixes": fixes,
         "refused": _of_file(c, c.refused),
@@ -132,7 +121,10 @@ def _of_file(c, rows):
 
 def _clock(seconds):
     minutes, seconds = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
+    days, hours = divmod(minutes // 60, 24)
+    if days < 2:
+        return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
+    return f"{days:,} days {hours}:{minutes % 60:02d}:{seconds:02d}"
 
 
 def _count(number, one, many=None):
@@ -140,7 +132,7 @@ def _count(number, one, many=None):
 
 
 def _heading(c):
-    name = "" if c.source is None else f"{c.source.path.name}: "
+    name = "" if c.source is None else f"{Path(c.source.path).name}: "
     steps = np.diff(c.t[np.isfinite(c.z).any(axis=1)])
     steps = steps[steps >= 0]
     usual = float(np.median(steps))
@@ -225,7 +217,7 @@ def _prediction(c):
     return " ".join(parts)
 
 
-def _numbers_of_the_way(c):
+def numbers_of_the_way(c: Cleaned) -> tuple[float, float | None, float, float, float]:
     """Return km, seconds in motion or None, the median speed in motion, the fastest but 0.1 %, and their error (km/h).
 
     Of a track with charts the way is that on the Earth; of a rest it is the straight line from its start to its end. In
@@ -283,7 +275,7 @@ def _at_rest(line, position, speed):
 
 
 def _way(c):
-    kilometres, moving, speed, fastest, error = _numbers_of_the_way(c)
+    kilometres, moving, speed, fastest, error = numbers_of_the_way(c)
     motion = "" if moving is None else f", in motion for {_clock(moving)}"
     return (
         f"way: {kilometres:.2f} km{motion}. Speed in motion: {speed:.1f} km/h at the median, {fastest:.1f} at most, "
@@ -291,204 +283,8 @@ def _way(c):
     )
 
 
-def _stretch_of_rows(c):
-    """Return the segment of every row that lies in one, refused ones too, and -1 of others."""
-    number = np.full(len(c.t), -1)
-    number[c.line.rows] = c.line.number
-    return number
-
-
 def _digits(value):
     """Return a number with two digits that count, without an exponent where it is readable without."""
     if value == 0 or not 1e-4 <= abs(value) < 1e6:
         return f"{value:.1e}"
     return f"{value:.{max(0, 1 - math.floor(math.log10(abs(value))))}f}"
-
-
-def degrees_of(c: Cleaned) -> tuple[np.ndarray, np.ndarray]:
-    """Return latitudes and longitudes (N,) of the smoothed track, NaN outside of stretches."""
-    lat, lon = np.full(len(c.t), np.nan), np.full(len(c.t), np.nan)
-    inside = np.isfinite(c.x[:, 0])
-    for k, chart in enumerate(c.source.charts):
-        own = inside & (c.source.plane == k)
-        lat[own], lon[own] = chart.degrees(c.x[own, :4:2])
-    recorded = c.source.recording.lon[c.source.rows]
-    return lat, lon + 360 * np.round((recorded - lon) / 360)  # as the file counts them
-
-
-def gpx_bytes(c: Cleaned) -> bytes:
-    """Return the smoothed track as the bytes of a GPX file."""
-    if c.source is None or c.source.recording.metres is not None:
-        raise ValueError("gpx: needs a track in degrees, from a file; this one has metres only")
-    lat, lon = degrees_of(c)
-    new_segments = set(c.starts.tolist())
-    if c.source.recording.places is None:
-        return _plain_gpx(c, lat, lon, new_segments)
-    data, places = places_of(c.source.path, c.source.recording)
-    row_of = {int(fix): row for row, fix in enumerate(c.source.rows)}
-    pieces, at = [], 0
-    for fix, (begin, end) in enumerate(places.tolist()):
-        pieces.append(data[at:begin])
-        opening = START_TAG.match(data, begin)[0]
-        # Of an element without content, <trkpt .../>, the end is that of its tag.
-        at = begin + len(opening) if opening.endswith(b"/>") else data.index(b">", end) + 1
-        row = row_of.get(fix)
-        if row is None or math.isnan(lat[row]):
-            continue
-        if row in new_segments:
-            prefix = re.match(rb"<([\w.-]+:)?trkpt", opening)[1] or b""
-            pieces.append(b"</%strkseg><%strkseg>" % (prefix, prefix))
-        pieces.append(_with_number(_with_number(opening, b"lat", lat[row]), b"lon", lon[row]))
-        pieces.append(data[begin + len(opening) : at])
-    pieces.append(data[at:])
-    return _signed(b"".join(pieces))
-
-
-def _with_number(tag, name, value):
-    return re.sub(rb"(\s%s\s*=\s*)(\"[^\"]*\"|'[^']*')" % name, rb'\g<1>"%.8f"' % value, tag, count=1)
-
-
-def _signed(data):
-    """Return a GPX file with a line that says what made it, after the declaration."""
-    said = b"<!-- smoothed by mpt_helpers: refused fixes lie on the smoothed line, or are left out -->\n"
-    declaration = re.match(rb"\s*(\xef\xbb\xbf)?<\?xml.*?\?>\s*", data, re.DOTALL)
-    at = declaration.end() if declaration else 0
-    return data[:at] + said + data[at:]
-
-
-def _plain_gpx(c, lat, lon, new_segments):
-    recording = c.source.recording
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>']
-    lines.append('<gpx version="1.1" creator="mpt_helpers" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>')
-    for row in np.flatnonzero(np.isfinite(lat)).tolist():
-        if row in new_segments:
-            lines.append("</trkseg><trkseg>")
-        fix = c.source.rows[row]
-        height = recording.height[fix]
-        ele = f"<ele>{height:.2f}</ele>" if math.isfinite(height) else ""
-        time = moment_of(recording.time[fix]).isoformat().replace("+00:00", "Z")
-        lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
-    lines.append("</trkseg></trk></gpx>\n")
-    return _signed("\n".join(lines).encode())
-
-
-def csv_bytes(c: Cleaned) -> bytes:
-    """Return the smoothed track of a file in metres as a table, with a line of names."""
-    recording = c.source.recording
-    lines = ["# smoothed by mpt_helpers", "t_s,east_m,north_m,v_east,v_north,refused"]
-    number = _stretch_of_rows(c)
-    for row in np.flatnonzero(number >= 0).tolist():
-        seconds = recording.time[c.source.rows[row]] / 1e6
-        x = c.x[row]
-        refused = int(c.pieces[row] < 0)
-        lines.append(f"{seconds:.6f},{x[0]:.4f},{x[2]:.4f},{x[1]:.4f},{x[3]:.4f},{refused}")
-    return "\n".join([*lines, ""]).encode()
-
-
-def figure(c: Cleaned) -> Figure:
-    """Return the picture of a Cleaned: the map, and below it the speed with its band."""
-    import matplotlib
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import MaxNLocator
-
-    from .style import COLOURS, STYLE
-
-    with matplotlib.rc_context(STYLE):
-        fig = Figure(figsize=(WIDTH, MAP_HEIGHT + SPEED_HEIGHT), layout="constrained")
-        axes = fig.subplots(2, 1, height_ratios=[MAP_HEIGHT, SPEED_HEIGHT])
-        blue, orange, green, pink = COLOURS[:4]
-        _draw_map(axes[0], c, line=blue, refused=orange, start=green)
-        _draw_speed(axes[1], c, line=blue, refused=orange, band=pink)
-        handles, labels = (a + b for a, b in zip(*(ax.get_legend_handles_labels() for ax in axes), strict=True))
-        fig.legend(handles, labels, loc="outside lower center", ncols=2)
-        for ax in axes:
-            ax.xaxis.set_major_locator(MaxNLocator(NUMBERS))
-    return fig
-
-
-def _on_one_map(c, z):
-    """Return positions (N, 2) in km in one plane."""
-    if c.source is None or len(c.source.charts) <= 1:
-        return z / 1000
-    far = np.empty_like(z)
-    for k, chart in enumerate(c.source.charts):
-        own = c.source.plane == k
-        far[own] = c.source.charts[0].metres(*chart.degrees(np.nan_to_num(z[own]))) / 1000
-    return np.where(np.isnan(z), np.nan, far)
-
-
-def _thinned(rows):
-    return rows[:: max(1, len(rows) // LONGEST_LINE)]
-
-
-def _draw_map(ax, c, line, refused, start):
-    position = _on_one_map(c, c.x[:, :4:2])
-    if position.shape[1] < 2:
-        position = np.column_stack([position, np.zeros(len(position))])
-    number = _stretch_of_rows(c)
-    for k in range(c.stretches):
-        rows = _thinned(np.flatnonzero(number == k))
-        ax.plot(*position[rows].T, color=line, linewidth=1.4, label="smoothed" if k == 0 else None)
-    inside = np.isfinite(position[:, 0])
-    for k, row in enumerate(c.starts):
-        before = np.flatnonzero(inside[:row])[-1]
-        label = "jumps" if k == 0 else None
-        ax.plot(*position[[before, row]].T, ":", color="0.4", linewidth=1.4, label=label)
-    low, high = position[inside].min(axis=0), position[inside].max(axis=0)
-    margin = 0.08 * max((high - low).max(), 0.01)
-    if len(c.refused):
-        recorded = _on_one_map(c, c.z)[c.refused]
-        near = ((recorded >= low - margin) & (recorded <= high + margin)).all(axis=1)
-        off = f", {np.sum(~near)} off the map" if not near.all() else ""
-        label = f"refused: {len(c.refused)}{off}"
-        ax.plot(*recorded[near].T, "x", color=refused, markersize=6, linestyle="none", label=label)
-    first, last = np.flatnonzero(inside)[[0, -1]]
-    ax.plot(*position[first], "o", color=start, markersize=7, linestyle="none", label="start")
-    ax.plot(*position[last], "s", color="0.2", markersize=6, linestyle="none", label="end")
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel("east (km)")
-    ax.set_title(_title(c), loc="left")
-    ax.set_ylabel("north (km)")
-
-
-def _title(c):
-    name = "track" if c.source is None else c.source.path.name
-    name = name if len(name) <= 26 else f"{name[:23]}..."
-    return f"{name}: {_numbers_of_the_way(c)[0]:.1f} km"
-
-
-def _time_of_the_picture(c):
-    """Return the seconds (N,) since the start, and their name; pauses that leave no room for the rides are left out."""
-    t = c.t[c.line.rows]
-    ridden = np.where(np.diff(c.line.number) == 0, np.diff(c.line.t), 0.0)
-    time = np.full(len(c.t), np.nan)
-    if np.ptp(t) <= MOSTLY_PAUSES * ridden.sum():
-        inside = (c.t >= t.min()) & (c.t <= t.max())
-        time[inside] = c.t[inside] - t.min()
-        return time, "time"
-    time[c.line.rows] = np.append(0.0, np.cumsum(ridden))
-    return time, "time without pauses"
-
-
-def _draw_speed(ax, c, line, refused, band):
-    speed = np.hypot(c.x[:, 1], c.x[:, 3]) if c.x.shape[1] >= 4 else np.abs(c.x[:, 1])
-    sigma = np.sqrt(c.P[:, 1, 1])
-    time, recorded = _time_of_the_picture(c)
-    unit, seconds = ("h", 3600) if np.nanmax(time) > LONG else ("min", 60)
-    time = time / seconds
-    number = _stretch_of_rows(c)
-    for k in range(c.stretches):
-        rows = _thinned(np.flatnonzero(number == k))
-        low, high = (np.maximum(speed[rows] + sign * 1.96 * sigma[rows], 0) * KM_H for sign in (-1, 1))
-        ax.fill_between(
-            time[rows], low, high, color=band, alpha=0.6, linewidth=0, label="95 % band" if k == 0 else None
-        )
-        ax.plot(time[rows], speed[rows] * KM_H, color=line, linewidth=0.9)
-    known = speed[np.isfinite(speed)]
-    top = 1.25 * max(float(np.quantile(known, 0.999)), 0.1) * KM_H
-    ax.set_ylim(0, top)
-    if len(c.refused):
-        bottom = np.full(len(c.refused), 0.02 * top)
-        ax.plot(time[c.refused], bottom, "|", color=refused, markersize=9)
-    ax.set_xlabel(f"{recorded} ({unit})")
-    ax.set_title("speed (km/h)", loc="left")

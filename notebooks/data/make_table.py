@@ -35,6 +35,8 @@ another one after each loss of lock. What was not measured is nan. The formulas 
 import argparse
 import csv
 import gzip
+import io
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -53,7 +55,17 @@ COLUMNS = "epoch,satellite,x,y,z,range,elevation,troposphere,dual,second,phase1,
 FORMAT = "%.10g,%d,%.2f,%.2f,%.2f,%.2f,%.1f,%.2f,%.2f,%.3f,%.3f,%.3f,%.3f"
 OBSERVED = ["C1C", "C1W", "C2W", "L1C", "L2W"]
 CSV_COLUMN = "C1C_minus_C1W_ns"
+MOST_BIAS = 20.0  # ns from the median of all: satellites of GPS have some 3
+MOST_CHANGE = 2.0  # ns from one day to the next
 OLD = 31  # days between biases and observations, from which on it is said: numbers go to new satellites
+# The lines of an observation file: an epoch, what a satellite's begins with, and a number (F14.3) with its two flags.
+EPOCH = re.compile(r"> \d{4}( [ \d]\d){4} [ \d]\d\.\d{7}  [01][ \d]{2}\d")
+SATELLITE = re.compile(r"[A-Z][ \d]\d")
+WHOLE = re.compile(r"([ -]*\d+\.\d{3}| {14})")
+# A message of GPS: its lines, its numbers up to the issue of data of its clock, and one of them (D19.12).
+MESSAGE_LINES, MESSAGE_NUMBERS, NUMBER = 8, 27, re.compile(r" *|[ -]*\d*\.\d+[DEde][+-]\d\d *")
+EVENTS, NEW_SITE = ("2", "3", "4", "5", "6"), "3"
+CHANGES = ("SYS / # / OBS TYPES", "APPROX POSITION XYZ", "SYS / SCALE FACTOR", "END OF HEADER")
 NO_BIASES = (
     "the observations have no C1W, and no --biases are given: the satellites' code biases stay in the ranges. At three "
     "stations that made the error that lasts, of two frequencies, 1.4 to 1.6 times as large"
@@ -117,14 +129,20 @@ def saastamoinen(height, elevation):
 
 
 def station_of(header):
-    """Return the station's position (3,) from the header of the observations, a mapping; some files have 0 0 0 there.
+    """Return the station's position (3,) from the header of the observations, as georinex gives it.
 
-    >>> station_of({"position": [0.0, 0.0, 0.0]})
+    Some files have 0 0 0 there, and files that were put together have several positions.
+
+    >>> station_of({"APPROX POSITION XYZ": "        0.0000        0.0000        0.0000"})
     Traceback (most recent call last):
     ...
     ValueError: APPROX POSITION XYZ: needs a position on the Earth, got [0.0, 0.0, 0.0]
     """
-    position = np.array(header.get("position", np.full(3, np.nan)), dtype=float)
+    words = header.get("APPROX POSITION XYZ", "nan nan nan").split()
+    positions = np.unique(np.array(words, dtype=float).reshape(-1, 3), axis=0)
+    if len(positions) > 1:
+        raise ValueError(f"APPROX POSITION XYZ: needs one position, got {positions.tolist()}: delete all but one")
+    (position,) = positions
     if not 6.3e6 < np.linalg.norm(position) < 6.4e6:
         raise ValueError(f"APPROX POSITION XYZ: needs a position on the Earth, got {position.tolist()}")
     return position
@@ -215,9 +233,19 @@ def read_biases(path, day):
         rows = list(csv.DictReader(text.splitlines()))
         if not rows or not {"satellite", CSV_COLUMN} <= set(rows[0]):
             raise ValueError(f"{path}: needs Bias-SINEX, or a CSV with the columns satellite and {CSV_COLUMN}")
-        nanoseconds, days = dict(_bias_of_line(path, k, row) for k, row in enumerate(rows, start=2)), None
+        nanoseconds, days = {}, None
+        for number, row in enumerate(rows, start=2):
+            satellite, value = _bias_of_line(path, number, row)
+            if satellite in nanoseconds:
+                raise ValueError(f"{path}, line {number}: needs one bias of each satellite, got {satellite} again")
+            nanoseconds[satellite] = value
     if not nanoseconds:
         raise ValueError(f"{path}: needs biases of C1C and C1W of GPS satellites, got none")
+    usual = np.nanmedian(list(nanoseconds.values()))
+    for satellite, value in nanoseconds.items():
+        if not abs(value - usual) <= MOST_BIAS:  # nan too
+            need = f"biases in ns, within {MOST_BIAS:g} of their median {usual:.3g}"
+            raise ValueError(f"{path}: needs {need}, got {value:g} of {satellite}")
     return about_their_mean({satellite: C * 1e-9 * value for satellite, value in nanoseconds.items()}), days
 
 
@@ -258,7 +286,9 @@ def _bias_sinex(lines, day):
 
 
 def _keep_nearest(found, key, away, value):
-    """Keep of several lines for one key the one nearest in time."""
+    """Keep of several lines for one key the one nearest in time; raises ValueError for two that disagree there."""
+    if key in found and away == found[key][0] and abs(value - found[key][1]) > MOST_CHANGE:
+        raise ValueError(f"needs one bias of {key} at a time, got {found[key][1]:g} and {value:g} ns")
     if key not in found or away < found[key][0]:
         found[key] = away, value
 
@@ -361,10 +391,89 @@ def ends_early(header, last):
     return float(missing) if missing > interval else 0.0
 
 
-def load(path, what, need, **options):
+def whole_epochs(text):
+    """Return the observations of a RINEX 3 file as georinex can read them, and in words what was left out.
+
+    georinex stops without a word at a line between two epochs that begins none: a comment, or an event with lines of
+    its own. A file that was cut ends within an epoch, or within a number: that one would be read as a smaller one.
+    """
+    lines = text.splitlines()
+    end = next(k for k, line in enumerate(lines) if "END OF HEADER" in line) + 1
+    said = []
+    if not text.endswith("\n") and lines[-1] != _whole_numbers(lines[-1]):
+        lines[-1] = _whole_numbers(lines[-1])
+        said.append("the last line is cut within a number, which is left out")
+    body = [line for line in lines[end:] if line[60:].strip() != "COMMENT"]
+    starts = [k for k, line in enumerate(body) if line.startswith(">")]
+    kept, last, broken, incomplete = lines[:end], "", [], []
+    for start, following in zip(starts, [*starts[1:], len(body)], strict=True):
+        epoch, inside = body[start], [line for line in body[start + 1 : following] if line.strip()]
+        flag, count = epoch[29:32].strip(), epoch[32:35].strip()
+        if flag in EVENTS:
+            changes = next((line[60:].strip() for line in inside if line[60:].strip() in CHANGES), None)
+            if flag == NEW_SITE or changes:
+                said.append(f"not read from {epoch[2:21]} on, where {changes or 'a new site'} is announced")
+                break
+            continue
+        satellites = [line for line in inside if SATELLITE.match(line)]
+        if not EPOCH.match(epoch) or epoch[:29] <= last or not satellites:
+            broken.append(epoch[2:21])
+            continue
+        if len(satellites) != int(count) or len(satellites) != len(inside):
+            incomplete.append(epoch[2:21])
+        kept += [f"{epoch[:32]}{len(satellites):3d}{epoch[35:]}", *satellites]
+        last = epoch[:29]
+    if broken:
+        said.append(f"{len(broken)} epochs left out that are cut, empty, or not later ({broken[0]})")
+    if incomplete:
+        said.append(f"{len(incomplete)} epochs have fewer or more lines than they announce ({incomplete[0]})")
+    return "\n".join([*kept, ""]), said
+
+
+def _whole_numbers(line):
+    """Return the last line of a file that does not end with a line, without a number that is cut."""
+    if not SATELLITE.match(line):
+        return line
+    numbers = [line[k : k + 16] for k in range(3, len(line), 16)]
+    return line[:3] + "".join(each if WHOLE.match(each) else " " * 16 for each in numbers)
+
+
+def whole_messages(text):
+    """Return the GPS messages of a RINEX 3 navigation file as georinex can read them, and in words what was left out.
+
+    georinex takes a comment for a line of numbers, and what is missing from a message that was cut for zeros.
+    """
+    lines = text.splitlines()
+    end = next(k for k, line in enumerate(lines) if "END OF HEADER" in line) + 1
+    body = [line for line in lines[end:] if line[60:].strip() != "COMMENT" and line.strip()]
+    starts = [k for k, line in enumerate(body) if SATELLITE.match(line)]
+    kept, broken = lines[:end], []
+    for start, following in zip(starts, [*starts[1:], len(body)], strict=True):
+        message = body[start:following]
+        if not message[0].startswith("G"):
+            continue
+        columns = [message[0][23:], *(line[4:] for line in message[1:])]
+        numbers = [line[k : k + 19] for line in columns for k in range(0, len(line.rstrip()), 19)]
+        if len(message) == MESSAGE_LINES and len(numbers) >= MESSAGE_NUMBERS and all(map(NUMBER.fullmatch, numbers)):
+            kept += message
+        else:
+            broken.append(message[0][:23])
+    said = [f"{len(broken)} messages left out that are cut or broken ({broken[0]})"] if broken else []
+    return "\n".join([*kept, ""]), said
+
+
+def text_of(path):
+    """Return the text of a RINEX file, unpacked as georinex does it."""
+    from georinex.rio import opener
+
+    with opener(path) as file:
+        return file.read()
+
+
+def load(path, what, need, whole, **options):
     """Return what georinex reads of a file, and its header, or end with a message that says what it lacks.
 
-    `need` tells from the header what is missing, or nothing.
+    `need` tells from the header what is missing, or nothing; `whole` is `whole_epochs` or `whole_messages`.
     """
     import georinex
 
@@ -374,10 +483,15 @@ def load(path, what, need, **options):
             header = georinex.rinexheader(path)
             missing = need(header)
             if not missing:
-                return georinex.load(path, use="G", **options), header
+                text, left_out = whole(text_of(path))
+                found = georinex.load(io.StringIO(text), use="G", **options)
     except Exception as error:  # a file that is cut or of another kind fails anywhere in it
         raise SystemExit(f"{path}: needs a RINEX 3 file of {what}, got one that cannot be read ({error!r})") from None
-    raise SystemExit(f"{path}: needs {missing}")
+    if missing:
+        raise SystemExit(f"{path}: needs {missing}")
+    for each in left_out:
+        warnings.warn(f"{path}: {each}", stacklevel=2)
+    return found, header
 
 
 def lacking_in_observations(header):
@@ -423,8 +537,10 @@ def main():
     if not names.table.absolute().parent.is_dir():
         raise SystemExit(f"{names.table}: needs a folder that exists, got {names.table.parent}")
 
-    observations, header = load(names.observations, "observations", lacking_in_observations, meas=OBSERVED)
-    navigation, _ = load(names.navigation, "broadcast ephemerides", lacking_in_navigation)
+    observations, header = load(
+        names.observations, "observations", lacking_in_observations, whole_epochs, meas=OBSERVED
+    )
+    navigation, _ = load(names.navigation, "broadcast ephemerides", lacking_in_navigation, whole_messages)
     if "C1C" not in observations or not (observations["C1C"].values > 0).any():
         raise SystemExit(f"{names.observations}: needs GPS ranges C1C, got none in its epochs")
     if "Toe" not in navigation or not len(navigation.sv.values):
@@ -432,7 +548,7 @@ def main():
     if "ionospheric_corr_GPS" not in navigation.attrs:
         raise SystemExit(f"{names.navigation}: needs GPSA and GPSB, the ionosphere, in its header")
     try:
-        station = station_of(observations.attrs)
+        station = station_of(header)
     except ValueError as error:
         raise SystemExit(f"{names.observations}: {error}") from None
     early = ends_early(header, observations["time"].values[-1])

@@ -63,9 +63,12 @@ def test_several_steps_in_one_product_take_as_many_operations_as_their_burden_sa
     ids=["KF", "LF", "JKLF", "SSKF", "JSSKLF"],
 )
 def test_itemised_burdens_equal_the_printed_formulas(operations, formula):
-    assert burden.formula_holds(formula, operations)
-    assert not burden.formula_holds(f"{formula} + 1", operations)
-    assert not burden.formula_holds(f"{formula} - (n - m)/1000", operations)
+    judged = burden.formula(operations, formula)
+    assert judged(formula)[0]
+    for wrong in (f"{formula} + 1", f"{formula} - (n - m)/1000"):
+        assert judged(wrong)[:2] == (False, formula)
+    with pytest.raises(ValueError, match="right: needs a formula that is the sum"):
+        burden.formula(operations, f"{formula} + 1")
 
 
 @pytest.mark.parametrize("text", ["2n² - n", "4nm + (58n³ + 9n² - 7n)/6", "n² + 3n", "-n", "(M - 1)n + 40", "7"])

@@ -190,6 +190,44 @@ def test_a_notebook_that_fails_is_named_ends_the_others_and_all_are_left_as_they
     assert files(project) == before
 
 
+def without_ids(path, minor):
+    """Make the notebook in a file one of an older format, in which cells have no ids."""
+    notebook = json.loads(path.read_text())
+    for cell in notebook["cells"]:
+        del cell["id"]
+    path.write_text(json.dumps(notebook | {"nbformat_minor": minor}))
+
+
+@pytest.mark.parametrize("minor", [2, 4])
+def test_a_notebook_whose_cells_have_no_ids_runs_and_its_failing_cell_is_numbered(project, capsys, minor):
+    path = project / "notebooks/old.ipynb"
+    write_notebook(path, "print(6 * 7)")
+    without_ids(path, minor)
+    assert main(["reproduce", "old"]) == 0
+    notebook = json.loads(path.read_text())
+    assert notebook["cells"][0]["outputs"][0]["text"] == ["42\n"]
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, minor)
+    write_notebook(path, "x = 1", "{}['missing']")
+    without_ids(path, minor)
+    assert main(["reproduce", "old"]) == 1
+    assert capsys.readouterr().err == "error: old: cell 2 failed: KeyError: 'missing'\n"
+
+
+def test_a_kernel_of_the_user_that_is_named_python3_does_not_run(project, tmp_path_factory, monkeypatch):
+    """Jupyter's own finder prefers the user's folder to that of the environment."""
+    data = tmp_path_factory.mktemp("data")
+    kernel = data / "kernels" / "python3"
+    kernel.mkdir(parents=True)
+    of_another = {"argv": ["false", "{connection_file}"], "display_name": "Python 3", "language": "python"}
+    (kernel / "kernel.json").write_text(json.dumps(of_another))
+    monkeypatch.setenv("JUPYTER_DATA_DIR", str(data))
+    monkeypatch.setenv("JUPYTER_PREFER_ENV_PATH", "0")
+    write_notebook(project / "notebooks/own.ipynb", "import sys; print(sys.executable)")
+    assert main(["reproduce", "own"]) == 0
+    (out,) = json.loads((project / "notebooks/own.ipynb").read_text())["cells"][0]["outputs"]
+    assert out["text"] == [f"{sys.executable}\n"]
+
+
 def test_a_kernel_that_dies_is_named_and_leaves_everything_as_it_was(project, capsys):
     write_notebook(project / SMALL, MAKES_FIGURE, "import os; os._exit(1)")
     before = files(project)

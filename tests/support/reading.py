@@ -1,8 +1,8 @@
-"""A committed notebook on a paper as its reader has it: the words of both parts, code, and what it shows."""
+"""A committed notebook as its reader has it: its words, its code, and what it shows."""
 
 import re
 
-from conftest import ROOT, cells_of, parts, prose, shown, source
+from conftest import ROOT, cells_of, prose, shown, source
 
 
 def without_stars(text):
@@ -11,20 +11,16 @@ def without_stars(text):
 
 
 class Article:
-    """The notebook of a paper's key; `plain` takes the markup from its words, by default only the stars."""
+    """The notebook of a key; `plain` takes the markup from its words, by default only the stars."""
 
     def __init__(self, key, plain=without_stars):
         self.path = ROOT / "notebooks" / f"{key}.ipynb"
         self.cells = cells_of(self.path)
-        self.text, self.evidence = (plain(prose(part)) for part in parts(self.cells))
+        self.text = plain(prose(self.cells))
 
     def says(self, text):
-        """Require that Part I says this; numbers in it are computed by the test."""
+        """Require that the notebook says this; numbers in it are computed by the test."""
         assert re.sub(r"\s+", " ", text) in self.text, text
-
-    def adds(self, text):
-        """Require that Part II says this beside its cells; numbers in it are computed by the test."""
-        assert re.sub(r"\s+", " ", text) in self.evidence, text
 
     def cell(self, id):
         """The cell of an id."""

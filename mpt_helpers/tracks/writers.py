@@ -1,0 +1,124 @@
+"""A cleaned track as a GPX file, a table or a pandas frame."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+
+from .readers import moment_of
+
+Cleaned = Any  # that of `cleaning`, whose methods call this module
+# The tag that a fix begins with. A value in quotes may hold a >.
+START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
+
+
+def segment_of_rows(c: Cleaned) -> np.ndarray:
+    """Return the segment of every row that lies in one, refused ones too, and -1 of others."""
+    number = np.full(len(c.t), -1)
+    number[c.line.rows] = c.line.number
+    return number
+
+
+def degrees_of(c: Cleaned) -> tuple[np.ndarray, np.ndarray]:
+    """Return latitudes and longitudes (N,) of the smoothed track, NaN outside of segments."""
+    lat, lon = np.full(len(c.t), np.nan), np.full(len(c.t), np.nan)
+    inside = np.isfinite(c.x[:, 0])
+    for k, chart in enumerate(c.source.charts):
+        own = inside & (c.source.plane == k)
+        lat[own], lon[own] = chart.degrees(c.x[own, :4:2])
+    recorded = c.source.recording.lon[c.source.rows]
+    return lat, lon + 360 * np.round((recorded - lon) / 360)  # as the file counts them
+
+
+def gpx_bytes(c: Cleaned) -> bytes:
+    """Return the smoothed track as the bytes of a GPX file."""
+    if c.source is None or c.source.recording.metres is not None:
+        raise ValueError("gpx: needs a track in degrees, from a file; this one has metres only")
+    lat, lon = degrees_of(c)
+    new_segments = set(c.starts.tolist())
+    if c.source.recording.places is None:
+        return _plain_gpx(c, lat, lon, new_segments)
+    data, places = c.source.recording.data, c.source.recording.places
+    row_of = {int(fix): row for row, fix in enumerate(c.source.rows)}
+    pieces, at = [], 0
+    for fix, (begin, end) in enumerate(places.tolist()):
+        pieces.append(data[at:begin])
+        opening = START_TAG.match(data, begin)[0]
+        # Of an element without content, <trkpt .../>, the end is that of its tag.
+        at = begin + len(opening) if opening.endswith(b"/>") else data.index(b">", end) + 1
+        row = row_of.get(fix)
+        if row is None or math.isnan(lat[row]):
+            continue
+        if row in new_segments:
+            prefix = re.match(rb"<([\w.-]+:)?trkpt", opening)[1] or b""
+            pieces.append(b"</%strkseg><%strkseg>" % (prefix, prefix))
+        pieces.append(_with_number(_with_number(opening, b"lat", lat[row]), b"lon", lon[row]))
+        pieces.append(data[begin + len(opening) : at])
+    pieces.append(data[at:])
+    return _signed(b"".join(pieces))
+
+
+def _with_number(tag, name, value):
+    return re.sub(rb"(\s%s\s*=\s*)(\"[^\"]*\"|'[^']*')" % name, rb'\g<1>"%.8f"' % value, tag, count=1)
+
+
+def _signed(data):
+    """Return a GPX file with a line that says what made it, after the declaration."""
+    said = b"<!-- smoothed by mpt_helpers: refused fixes lie on the smoothed line, or are left out -->\n"
+    declaration = re.match(rb"\s*(\xef\xbb\xbf)?<\?xml.*?\?>\s*", data, re.DOTALL)
+    at = declaration.end() if declaration else 0
+    return data[:at] + said + data[at:]
+
+
+def _plain_gpx(c, lat, lon, new_segments):
+    recording = c.source.recording
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>']
+    lines.append('<gpx version="1.1" creator="mpt_helpers" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>')
+    for row in np.flatnonzero(np.isfinite(lat)).tolist():
+        if row in new_segments:
+            lines.append("</trkseg><trkseg>")
+        fix = c.source.rows[row]
+        height = recording.height[fix]
+        ele = f"<ele>{height:.2f}</ele>" if math.isfinite(height) else ""
+        time = moment_of(recording.time[fix]).isoformat().replace("+00:00", "Z")
+        lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
+    lines.append("</trkseg></trk></gpx>\n")
+    return _signed("\n".join(lines).encode())
+
+
+def csv_bytes(c: Cleaned) -> bytes:
+    """Return the smoothed track of a file in metres as a table, with a line of names."""
+    recording = c.source.recording
+    lines = ["# smoothed by mpt_helpers", "time,x,y,v_x,v_y,refused"]
+    number = segment_of_rows(c)
+    for row in np.flatnonzero(number >= 0).tolist():
+        seconds = recording.time[c.source.rows[row]] / 1e6
+        x = c.x[row]
+        refused = int(c.pieces[row] < 0)
+        lines.append(f"{seconds:.6f},{x[0]:.4f},{x[2]:.4f},{x[1]:.4f},{x[3]:.4f},{refused}")
+    return "\n".join([*lines, ""]).encode()
+
+
+def frame_of(c: Cleaned) -> Any:
+    """Return a Cleaned as a pandas frame, as `Cleaned.to_frame` says."""
+    import pandas
+
+    recording = None if c.source is None else c.source.recording
+    time, index = c.t, None
+    if recording is not None:
+        time = recording.time[c.source.rows] / 1e6
+        if recording.dated:
+            time = pandas.to_datetime(recording.time[c.source.rows], unit="us", utc=True)
+        index = c.source.rows if recording.index is None else recording.index[c.source.rows]
+    columns = {"time": time}
+    if recording is not None and recording.metres is None:
+        columns["lat"], columns["lon"] = degrees_of(c)
+    axes = "xyz"[: c.z.shape[1]]
+    columns |= {axis: c.x[:, 2 * k] for k, axis in enumerate(axes)}
+    columns |= {f"v_{axis}": c.x[:, 2 * k + 1] for k, axis in enumerate(axes)}
+    columns |= {"sigma": np.sqrt(c.P[:, 0, 0]), "sigma_v": np.sqrt(c.P[:, 1, 1])}
+    columns |= {"kept": c.mask, "segment": segment_of_rows(c)}
+    return pandas.DataFrame(columns, index=index)

@@ -1,0 +1,363 @@
+"""What is read of files and frames, and what is refused with the way to mend it: nothing is guessed."""
+
+import gzip
+import io
+import zipfile
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT
+
+import mpt_helpers as mpt
+from mpt_helpers.tracks import degrees, doubts, readers
+
+N = 300
+RNG = np.random.default_rng(4)
+WALK = np.cumsum(3 * np.column_stack([np.sin(np.arange(N) / 60), np.cos(np.arange(N) / 60)]), axis=0)
+Z = WALK + RNG.normal(0, 1, (N, 2))
+LAT, LON = (each.round(7) for each in degrees(Z, (33.45, 70.66)))
+UNIX = 1_651_569_300 + np.arange(N)
+MOMENTS = pd.to_datetime(UNIX, unit="s", utc=True)
+ISO = [f"{moment:%Y-%m-%dT%H:%M:%SZ}" for moment in MOMENTS]
+GPX = (
+    '<?xml version="1.0"?><gpx><trk><trkseg>'
+    + "".join(f'<trkpt lat="{a}" lon="{b}"><time>{t}</time></trkpt>' for a, b, t in zip(LAT, LON, ISO, strict=True))
+    + "</trkseg></trk></gpx>"
+)
+
+
+def text_of(head, *columns):
+    return "\n".join([head, *(",".join(map(str, row)) for row in zip(*columns, strict=True)), ""])
+
+
+def read(tmp_path, text, **columns):
+    path = tmp_path / "a.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return readers.read(path, columns)
+
+
+@pytest.mark.parametrize("times", [ISO, UNIX, UNIX + 0.25, [each.replace("T", " ")[:-1] for each in ISO]])
+def test_times_are_iso_8601_or_unix_seconds(tmp_path, times):
+    r = read(tmp_path, text_of("time,lat,lon", times, LAT, LON))
+    np.testing.assert_array_equal(np.diff(r.time), 1_000_000)
+    assert abs(r.time[0] / 1e6 - UNIX[0]) < 0.3
+    np.testing.assert_array_equal([r.lat, r.lon], [LAT, LON])
+    assert (r.unread, r.said) == ({}, ())
+
+
+def test_other_names_are_given_and_metres_are_taken_where_they_are_named(tmp_path):
+    text = text_of("when,lat,lon,e,n,acc", UNIX, LAT, LON, *Z.T, RNG.uniform(1, 2, N))
+    assert read(tmp_path, text, time="when", accuracy="acc").metres is None
+    r = read(tmp_path, text, time="when", x="e", y="n")
+    assert r.lat is None
+    np.testing.assert_array_equal(r.metres, Z)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"latitude": "lat"}, r"columns: needs names of some of time, lat.*got \{'latitude'"),
+        (["time", "lat", "lon"], r"columns: needs names of some of .* got \['time'"),
+        ({"time": "when"}, "needs a column 'when' of time, got 'time', 'lat', 'lon'"),
+    ],
+)
+def test_columns_that_are_none_are_refused(tmp_path, columns, said):
+    path = tmp_path / "a.csv"
+    path.write_text(text_of("time,lat,lon", UNIX, LAT, LON))
+    with pytest.raises(ValueError, match=said):
+        mpt.track(path, columns=columns)
+
+
+def test_a_gpx_file_has_no_columns_to_name(tmp_path):
+    path = tmp_path / "a.gpx"
+    path.write_text(GPX)
+    with pytest.raises(
+        ValueError, match=r"a.gpx: is a GPX file, which has no columns to name, got \{'lat': 'nosuch'\}"
+    ):
+        mpt.track(path, columns={"lat": "nosuch"})
+
+
+def compact(form):
+    return [f"{moment:{form}}" for moment in MOMENTS]
+
+
+EAST, SOUTH, NORTH = ["E"] * N, ["S"] * N, ["N"] * N
+COMMAS = [[str(value).replace(".", ",") for value in each] for each in (LAT, LON)]
+
+
+@pytest.mark.parametrize(
+    ("head", "columns", "said"),
+    [
+        (
+            "Time,Latitude,Longitude",
+            (ISO, LAT, LON),
+            "needs columns time and lat, lon .*, got 'Time', 'Latitude', 'Long",
+        ),
+        ("time,lat,lon,lat", (ISO, LAT, LON, LAT), "needs one column 'lat', got 2"),
+        ("time,lat,lon", (compact("%H%M%S.00"), LAT, LON), r"a clock's digits as '091500.00': .*format='%H%M%S'"),
+        ("time,lat,lon", (compact("%H%M%S"), LAT, LON), "a clock's digits as '091500'"),
+        ("time,lat,lon", (compact("%H%M%S500"), LAT, LON), "a clock's digits as '091500500'"),
+        ("time,lat,lon", (compact("%d%H%M%S"), LAT, LON), "a clock's digits as '03091500'"),
+        ("time,lat,lon", (compact("%Y%m%d%H%M%S"), LAT, LON), "ISO 8601 or Unix seconds .*format='%Y%m%d%H%M%S'"),
+        ("time,lat,lon", (compact("%y%m%d%H%M%S"), LAT, LON), "ISO 8601 or Unix seconds .*got '220503091500'"),
+        ("time,lat,lon", (UNIX * 1000, LAT, LON), r"got '1651569300000': .*unit='ms'"),
+        ("time,lat,lon", (compact("%H:%M:%S"), LAT, LON), r"as '09:15:00': a date is needed too: .*frame\['date'\]"),
+        ("time,lat,lon", (compact("%d/%m/%Y %H:%M:%S"), LAT, LON), "is the day first.*dayfirst=True"),
+        ("time,lat,N/S,lon,E/W", (ISO, LAT, SOUTH, LON, EAST), "the sign of lat in column 'N/S': .*'S': -1"),
+        ("time,lat,lon,side", (ISO, LAT, LON, ["W"] * N), "the sign of lon in column 'side'"),
+        (
+            "time,lat,lon",
+            (ISO, [f"{a}N" for a in LAT], [f"{b}E" for b in LON]),
+            r"column 'lat', got '33.45.*str\[:-1\]",
+        ),
+        ("time,lat,lon", (ISO, [f"33°{a}'" for a in LAT], LON), "needs decimal numbers in column 'lat'"),
+        ("time,lat,lon", (ISO, *COMMAS), "needs 3 cells in a line, as its first one has, got 5 in '2022.*commas"),
+        ("time,lat,lon", (ISO, [f'"{a}"' for a in COMMAS[0]], LON), "'lat', got '33,45.*decimal=','"),
+        ("time;lat;lon", ([f"{a};{b};{c}" for a, b, c in zip(ISO, LAT, LON, strict=True)],), "sep=';'"),
+        ("time,lat,lon", (ISO, 3327.0 + LAT % 1 * 60, 7039.0 + LON % 1), "degrees and minutes as ddmm.mmmm of NMEA"),
+        ("time,lat,lon", (ISO, (1e7 * LAT).astype(int), (1e7 * LON).astype(int)), "are they 1e7 to a degree"),
+        ("time,lat,lon", ((), (), ()), "got 1 track segments and no fixes"),
+    ],
+)
+def test_a_table_that_is_written_in_another_way_is_refused_with_the_way_to_mend_it(tmp_path, head, columns, said):
+    path = tmp_path / "a.csv"
+    path.write_text(text_of(head, *columns))
+    with pytest.raises(ValueError, match=said):
+        mpt.track(path)
+
+
+def test_signs_in_columns_that_agree_are_right(tmp_path):
+    read(tmp_path, text_of("time,lat,N/S,lon,E/W", ISO, LAT, NORTH, LON, EAST))
+    read(tmp_path, text_of("time,lat,N/S,lon,E/W", ISO, -LAT, SOUTH, LON, EAST))
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("step", [0.1, 1.0, 10.0, 50.0, 60.0, None])
+def test_seconds_are_no_clock(seed, step):
+    rng = np.random.default_rng(seed)
+    steps = rng.integers(1, 7, 60) if step is None else np.full(60, step)
+    start = rng.choice([0.0, 1e5 * rng.random(), 1.6e9])
+    assert not doubts.is_clock_as_number(start + np.cumsum(steps))
+
+
+@pytest.mark.parametrize("name", ["MMSI", "icao24", "tag-local-identifier"])
+@pytest.mark.parametrize("apart", [20.0, 600.0])
+@pytest.mark.parametrize("order", ["in turn", "one after the other"])
+@pytest.mark.parametrize("in_degrees", [True, False])
+def test_two_mobiles_in_one_table_are_refused_by_the_name_of_their_column(tmp_path, name, apart, order, in_degrees):
+    t = np.r_[10 * np.arange(N), 10 * np.arange(N) + 4]
+    z = np.r_[WALK, WALK + np.array([0, apart])] + np.random.default_rng(1).normal(0, 2, (2 * N, 2))
+    who = np.repeat([257000001, 257000002], N)
+    rows = np.argsort(t, kind="stable") if order == "in turn" else np.arange(2 * N)
+    places = degrees(z[rows], (58.1, 6.6)) if in_degrees else z[rows].T
+    text = text_of(f"{name},time,{'lat,lon' if in_degrees else 'x,y'}", who[rows], t[rows], *places)
+    with pytest.raises(ValueError, match=f"needs one mobile, got 2, by their column '{name}': take one: frame"):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_no_column_of_one_mobile_makes_several_of_it(tmp_path, at_rest):
+    """Satellites, a quality that comes and goes, laps, a copy of the latitude, and a position that is repeated."""
+    rng = np.random.default_rng(2)
+    z = rng.normal(0, 1, (N, 2)) if at_rest else Z
+    others = [rng.integers(5, 9, N), np.arange(N) % 2, np.arange(N) // 60, z[:, 1].round(), rng.integers(0, 3, N)]
+    read(tmp_path, text_of("time,x,y,sats,even,lap,y_copy,fix", UNIX, *z.T, *others))
+    held = z[np.arange(N) // 10 * 10]
+    read(tmp_path, text_of("time,x,y,new", UNIX, *held.T, np.arange(N) % 10 == 0))
+
+
+def test_a_quote_that_is_never_closed_a_short_row_and_a_long_one_cost_no_other_row(tmp_path):
+    lines = text_of("time,lat,lon,note", ISO, LAT, LON, ["n"] * N).splitlines()
+    lines[50] = lines[50][:-1] + '"six feet'
+    lines[60] = ",".join(lines[60].split(",")[:2])
+    lines[70] += ",more,and more"
+    lines[80] = lines[80][:-1] + '"by x, y"'
+    r = read(tmp_path, "\n".join(lines))
+    there = np.isfinite(r.lat) & np.isfinite(r.lon)
+    assert np.flatnonzero(~there).tolist() == [59, 69]
+    np.testing.assert_array_equal(r.lat[there], LAT[there])
+
+
+def test_a_line_that_is_cut_within_its_last_number_is_left_out(tmp_path):
+    lon = [f"{each:.7f}" for each in LON]
+    text = text_of("time,lat,lon", ISO, LAT, lon)
+    assert read(tmp_path, text.rstrip("\n")).said == ()
+    r = read(tmp_path, text[:-4])
+    assert np.isnan(r.lon[-1])
+    assert r.said == ("ATTENTION: the last line is cut, and left out",)
+
+
+def packed(text, cut=None):
+    return gzip.compress(text.encode(), mtime=0)[:cut]
+
+
+TABLE = text_of("time,lat,lon", ISO, LAT, LON)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        packed(TABLE),
+        packed(TABLE[:1000]) + packed(TABLE[1000:]),
+        TABLE.encode("utf-8-sig"),
+        TABLE.encode("utf-16"),
+        TABLE.replace("\n", "\r\n").encode(),
+        f"# made by hand\n{TABLE}".encode(),
+    ],
+    ids=["gz", "two gz", "bom", "utf-16", "crlf", "comment"],
+)
+def test_a_table_is_read_packed_and_in_any_encoding_that_says_which(tmp_path, data):
+    r = read(tmp_path, data)
+    np.testing.assert_array_equal(r.lat, LAT)
+    assert r.said == ()
+
+
+@pytest.mark.parametrize("data", [packed(GPX), GPX.encode("utf-16"), packed(GPX[:50]) + packed(GPX[50:])])
+def test_so_is_a_gpx_file_whatever_its_name(tmp_path, data):
+    for name in ("ride.gpx", "ride.GPX.GZ", "ride"):
+        (tmp_path / name).write_bytes(data)
+        np.testing.assert_array_equal(readers.read(tmp_path / name).lat, LAT)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (packed(GPX, -900), "the packed file is cut"),
+        (packed(TABLE, -900), "the packed file is cut"),
+        (GPX[:-300].encode(), "the file is cut after 29[456] fixes"),
+        (GPX[:-300].encode() + bytes(4096), "the file ends in empty bytes"),
+        (TABLE[:-300].encode() + bytes(4096), "the file ends in empty bytes"),
+    ],
+)
+def test_of_a_file_that_is_cut_the_whole_fixes_are_read_and_it_is_said(tmp_path, data, words):
+    path = tmp_path / "a"
+    path.write_bytes(data)
+    c = mpt.track(path)
+    assert N - 120 < len(c.t) < N
+    recorded = c.source.recording
+    np.testing.assert_array_equal(recorded.lat[c.source.rows], LAT[c.source.rows])
+    assert "ATTENTION" in c.report()
+    assert words.split("[")[0] in " ".join(c.report().split())
+    c.gpx(tmp_path / "b.gpx")
+    np.testing.assert_allclose(readers.read(tmp_path / "b.gpx").lat, LAT[c.source.rows], atol=1e-4)
+
+
+def test_a_damaged_packed_file_is_refused(tmp_path):
+    data = bytearray(packed(TABLE))
+    data[2000:2100] = b"\xff" * 100
+    with pytest.raises(ValueError, match=r"a.csv: needs a file that can be unpacked, got a damaged one"):
+        read(tmp_path, bytes(data))
+
+
+def zipped():
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("ride.gpx", GPX)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (zipped(), "a zip archive: unpack it"),
+        (
+            bytes([14, 16, 0x8B, 8, 0, 0, 0, 0]) + b".FIT" + bytes(range(256)),
+            "a FIT file: gpsbabel .*-i garmin_fit -f a.b ",
+        ),
+        (b"<?xml version='1.0'?><TrainingCenterDatabase/>", "a TCX file: gpsbabel -t -i gtrnctr -f a.b -o gpx"),
+        (b"<kml><Document></Document></kml>", "a KML file: gpsbabel -t -i kml"),
+        (b"<!DOCTYPE html><html><br></html>", "a web page: was the download refused"),
+        (b"<osm></osm>", "another kind of XML, <osm>"),
+        (b"$GPGGA,091500.00,5217.99,N,00454.00,E,1,08,0.9,0.1,M,,M,,*47\r\n", "a log of NMEA .*-i nmea"),
+        (b"!AIVDM,1,1,,A,13HOI:0P0000VOHLCnHQKwvL05Ip,0*23\n", "a log of NMEA sentences"),
+        (b"AXCSAAA\r\nHFDTE030522\r\nB0915005217990N00454000EA0000100010\r\n", "an IGC file: gpsbabel"),
+        (b'{"type": "FeatureCollection"}', r"a JSON file: pandas.read_json\(a.b\)"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "a binary file"),
+        (b"     3.05           OBSERVATION DATA    G (GPS)             RINEX VERSION / TYPE\n", "a RINEX file"),
+    ],
+)
+def test_another_kind_of_file_is_recognised_and_the_way_is_named(tmp_path, data, said):
+    path = tmp_path / "a.b"
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=f"a.b: needs a GPX (or CSV )?file, got {said}"):
+        mpt.track(path)
+
+
+FRAME = pd.DataFrame({"lat": LAT, "lon": LON, "hr": 120})
+
+
+@pytest.mark.parametrize(
+    ("frame", "columns"),
+    [
+        (FRAME.assign(time=MOMENTS), None),
+        (FRAME.assign(time=MOMENTS.tz_convert("Asia/Tokyo")), None),
+        (FRAME.assign(time=MOMENTS.tz_localize(None)), None),
+        (FRAME.assign(time=ISO), None),
+        (FRAME.assign(time=UNIX), None),
+        (FRAME.assign(time=list(MOMENTS)).astype({"time": object}), None),
+        (FRAME.set_index(MOMENTS), None),
+        (FRAME.set_index(MOMENTS.rename("when")), None),
+        (FRAME.set_index(pd.Index(UNIX, name="time")), None),
+        (FRAME.assign(when=MOMENTS), {"time": "when"}),
+    ],
+)
+def test_a_frame_is_read_with_its_times_in_a_column_or_its_index(frame, columns):
+    r = readers.read_frame(frame, columns)
+    np.testing.assert_array_equal(r.time, UNIX * 1_000_000)
+    np.testing.assert_array_equal([r.lat, r.lon], [LAT, LON])
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        (FRAME, "frame: needs columns time and lat, lon"),
+        (pd.concat([FRAME, FRAME], axis=1).set_index(MOMENTS), "frame: needs one column 'lat', got 2"),
+        (
+            FRAME.assign(time=MOMENTS, lat=FRAME["lat"].astype(str) + "N"),
+            "frame: needs decimal numbers in column 'lat'",
+        ),
+    ],
+)
+def test_a_frame_that_will_not_do_is_refused(frame, said):
+    with pytest.raises(ValueError, match=said):
+        mpt.track(frame)
+
+
+def test_a_track_goes_back_as_a_frame_with_its_own_labels(tmp_path):
+    frame = FRAME.set_index(pd.Index([f"fix {k}" for k in range(N)])).assign(time=MOMENTS)
+    frame.iloc[20, 0] = np.nan
+    frame.iloc[50, 0] += 0.01
+    frame.iloc[60, -1] = pd.NaT
+    frame = frame.astype({"hr": "Int64"})
+    c = mpt.track(frame)
+    back = c.to_frame()
+    assert list(back.index) == list(frame.index.delete([20, 60]))
+    assert back.index[~back["kept"]].tolist() == ["fix 50"]
+    joined = frame.join(back.add_suffix("_smooth"), how="inner")
+    assert (joined["time"] == joined["time_smooth"]).all()
+    near = joined.drop(index="fix 50")
+    np.testing.assert_allclose(near["lat"], near["lat_smooth"], atol=5e-5)
+    np.testing.assert_array_equal(back[["x", "v_x", "y", "v_y"]], c.x)
+    np.testing.assert_array_equal(back["sigma"], np.sqrt(c.P[:, 0, 0]))
+    again = mpt.track(back)  # what was given back is a frame as any other
+    assert len(again.t) == len(back)
+    c.gpx(tmp_path / "frame.gpx")
+    np.testing.assert_allclose(readers.read(tmp_path / "frame.gpx").lat, back["lat"], atol=1e-7)
+
+
+def test_of_numbers_a_frame_has_no_degrees_and_its_times_as_they_were_given():
+    c = mpt.tracks.clean(UNIX.astype(float), Z)
+    assert c.to_frame().columns[:3].tolist() == ["time", "x", "y"]
+    np.testing.assert_array_equal(c.to_frame()["time"], c.t)
+    c = mpt.track(pd.DataFrame({"time": UNIX, "x": Z[:, 0], "y": Z[:, 1]}))
+    np.testing.assert_array_equal(c.to_frame()["time"], UNIX)
+    assert c.report().startswith("frame: 300 fixes in 0:04:59")
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests" / "tracks").glob("*.csv.gz")), ids=lambda path: path.stem)
+def test_the_shipped_tables_are_read_by_the_names_of_their_columns(path):
+    r = readers.read(path, {"time": "t_s", "lat": "lat_deg", "lon": "lon_deg"})
+    assert np.isfinite(r.lat).all()
+    assert (np.diff(r.time) > 0).mean() > 0.99
+    assert r.said == ()
