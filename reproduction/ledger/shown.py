@@ -26,7 +26,7 @@ def mark(verdict: str) -> str:
 class Layout:
     """A table as the paper lays it out; `{id}` stands for an item, all else is text.
 
-    A grid has too many cells, or too long ones, to print both texts in each: one alone says that both agree.
+    A grid has too many cells, or too long ones, to stand on one line: its texts stand one below the other.
     wrong says in a sentence what is wrong, in place of one for each cause.
     """
 
@@ -118,7 +118,7 @@ def _unbroken(name, break_):
 
 
 def beside(given: Verdict, right: str, grid: bool) -> Cell:
-    """Return a cell with what is printed, and what is right.
+    """Return a cell with what is printed, and what is right: once, where both agree to the digit.
 
     >>> beside(Verdict("p", "t", "Table 3", "number", "326", "336", "erratum", "", "arithmetic", "join"), "336", False)
     Cell(text='326 | 336 ✗', html='<s>326</s> | <b>336</b>&nbsp;✗', wrong=True)
@@ -131,10 +131,8 @@ def beside(given: Verdict, right: str, grid: bool) -> Cell:
     if given.verdict == CANNOT_BE_CHECKED:
         known = "" if printed == "?" else f"{printed} "
         return Cell(f"{known}? | {right}" if right else f"{known}?", f"{escape(known)}?{bar if right else ''}{new}")
-    if grid:
+    if right == printed:
         return Cell(printed)
-    if right == printed and given.kind != "number":
-        right = "the same"
     return Cell(f"{printed} | {right}")
 
 

@@ -28,7 +28,7 @@ def draw_fig1(kf, sskf, sigma, shown=15):
             plots.finish(panel, "step k" if axis == "z" else "", f"{name} {axis} ({unit})")
             ax[name].plot(k[:shown], 100 * (sskf - kf)[:shown, place + i], ".-", color=STEADY, lw=0.8)
         ax[name].axhspan(-10 * sigma[i], 10 * sigma[i], color="0.85", lw=0)  # a tenth of sigma, in centimetres
-        plots.finish(ax[name], "step k", f"dashed minus solid,\nc{unit}; grey: ± σ/10")
+        plots.finish(ax[name], "step k", f"ours: dashed minus solid,\nc{unit}; grey: ± σ/10")
     plots.legend_below(panel, columns=1)
-    fig.suptitle("Position and velocity estimates of three axes", x=0.02, ha="left", weight="bold")
+    fig.suptitle("Figure 1: position and velocity estimates", x=0.02, ha="left", weight="bold")
     return fig

@@ -204,7 +204,7 @@ def test_the_conclusion_on_steady_state_names_the_pair_that_is_the_other_way_rou
         if "SS" in slow and "SS" not in fast and counts[slow] >= counts[fast]
     ]
     assert across == [("JSSKLF A", "KF B")]
-    assert "JSSKLF A with 216 than KF B with 207" in VERDICTS["speed.3"].computed
+    assert "JSSKLF A with 216 than KF B with 207" in VERDICTS["speed.3"].beyond
 
 
 def test_model_b_takes_the_shares_that_the_ledger_says():
@@ -332,4 +332,4 @@ def test_the_panels_below_the_figure_have_the_difference_in_centimetres(drawn):
 
 
 def test_the_figure_is_titled_by_what_is_plotted(drawn):
-    assert drawn[2].get_suptitle() == "Position and velocity estimates of three axes"
+    assert drawn[2].get_suptitle() == "Figure 1: position and velocity estimates"

@@ -64,7 +64,7 @@ def test_a_table_shows_printed_beside_computed_and_says_what_is_wrong(paper):
     assert repr(shown).splitlines() == [
         "Table 9: all of them. 2 of 3 agree; our copy has lost 1.",
         "what             printed | computed",
-        "a count          17 | 17",
+        "a count          17",
         "a total          326 | 336 ✗",
         "a ratio          1.290 | 1.300 (1.280 to 1.310)",
         "no longer there  ? | 2.500",
@@ -144,7 +144,7 @@ def test_a_formula_in_a_table_is_a_claim_with_its_evidence():
     for value in ((True, "17", "counted"), lambda printed: (printed == "17", "17", "counted")):
         shown = read_paper("test", text + TABLES).table("both", VALUES | {"count": value}, basis="simulation")
         assert (shown[0].verdict, shown[0].computed) == ("reproduced", "counted")
-        assert "a count          17 | the same\n" in repr(shown)
+        assert "a count          17\n" in repr(shown)
 
 
 def test_claims_and_gaps_are_shown_with_their_signs(paper):
