@@ -1,6 +1,7 @@
 """Bands that follow their own errors: what they rest on, what they guarantee, that they know nothing of the future."""
 
 from dataclasses import replace
+from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
@@ -557,3 +558,36 @@ def test_the_live_band_refuses_a_time_that_runs_back():
     live.step(5.0, [0.0], AXIS.x0, AXIS.P0)
     with pytest.raises(ValueError, match="t: needs a time that is not before the last one, 5, got 4"):
         live.step(4.0, [0.0], AXIS.x0, AXIS.P0)
+
+
+@pytest.mark.parametrize(
+    ("times", "P", "said"),
+    [
+        (
+            (datetime(2024, 5, 3), datetime(2024, 5, 3, 0, 0, 1, tzinfo=UTC)),
+            np.eye(2),
+            "t: needs dates without a zone, as",
+        ),
+        ((0.0, datetime(2024, 5, 3)), np.eye(2), "t: needs numbers of seconds, as those before"),
+        ((date(2024, 5, 3),), np.eye(2), "t: needs a time in seconds or a datetime"),
+        ((0.0,), -np.eye(2), "P: needs a covariance"),
+        ((0.0,), np.array([[1.0, 50.0], [0.0, 1.0]]), "P: needs a covariance"),
+    ],
+)
+def test_the_live_band_refuses_times_of_two_kinds_and_what_is_no_covariance(times, P, said):
+    live = LiveBand(mpt.KalmanFilter(AXIS), 1.0)
+    for t in times[:-1]:
+        live.step(t, [0.0], [0.0, 1.0], np.eye(2))
+    with pytest.raises((ValueError, TypeError), match=said):
+        live.step(times[-1], [0.0], [0.0, 1.0], P)
+
+
+def test_a_mask_of_a_masked_array_is_refused():
+    a = an_ahead(np.zeros((40, 1)))
+    with pytest.raises(TypeError, match="where: needs truth values, got a masked array"):
+        coverage(a, a.sigma, where=np.ma.array(np.ones(40, bool), mask=np.arange(40) < 30))
+
+
+def test_forecast_errors_are_shown_by_their_shapes():
+    a = an_ahead(np.zeros((40, 2)))
+    assert repr(a) == f"ForecastErrors(40 predictions of 2 axes, 1 s ahead; {a.left_out} fixes left out)"
