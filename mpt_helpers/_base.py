@@ -3,14 +3,14 @@
 A user has `filter`, `estimates`, `covariances`, `smooth` and `step`. The rest of the package (metrics, bands, joint and
 separate filters, predictors) asks less, of measurements z (N, m, M) that are checked:
 
-- `epochs_of(z)`: z and its conditions, as `epochs.Epochs`;
+- `epochs_of(z)`: z and its conditions, as `Epochs`;
 - `times_of(N)`: the times of N epochs in seconds, for what counts in seconds, as a band does;
 - `run(z, x, covariances)`: the states, written to an array that is there, and the covariances if they are wanted;
 - `innovations_of(z)`: the innovations and their covariances;
 - `parts`: the filters that it is made of.
 
 Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them. A subclass of `RecursiveFilter` says
-one step, `next_step`; `in_columns` may say the same for many columns at once. Who calls whom, in a RecursiveFilter:
+one step, `next_step`; `on_columns` may say the same for many columns at once. Who calls whom, in a RecursiveFilter:
 
     filter, estimates_of  ->  run             ->  engine.estimates
     estimates             ->  estimates_of
@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,8 +39,7 @@ from . import _checks as checks
 from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
-from ._engine.columns import SteppedColumns
-from ._engine.epochs import Epochs, Rows
+from ._engine.columns import Epochs, Prediction, Rows, SteppedColumns
 from ._engine.shared import SharedSteps, Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
@@ -151,7 +150,7 @@ class Filter(Immutable):
         """
         raise NotImplementedError
 
-    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
+    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
         """Return the filter on columns, as a RecursiveFilter does; raises TypeError for one that has no step."""
         raise self._not_recursive()
 
@@ -179,11 +178,23 @@ class Filter(Immutable):
         checks.no_infinity(z)
         return Estimates(*one_or_many(*function(z), many))
 
+    def __repr__(self) -> str:
+        """One line: the kind, and the sizes of the model."""
+        given = "".join(f", {name}" for name in ("t", "r") if getattr(self, name) is not None)
+        return f"<{type(self).__name__}: {self.model.n} states, {self.model.m} measurements{given}>"
+
+    if not TYPE_CHECKING:  # a type checker would take any name for one that is there
+
+        def __getattr__(self, name: str) -> Any:
+            """Say where to find what other packages call by another name."""
+            hint = "; step(x, P, z_k) takes one measurement" if name in ("predict", "update") else ""
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}")
+
     def _not_recursive(self):
         return TypeError(f"needs a filter with P0, covariances and step, got a {type(self).__name__}")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else works.
 
@@ -216,13 +227,19 @@ class RecursiveFilter(Filter):
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
 
-    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
-        """Return the filter on columns: its `advance` (`engine`), the rows that it takes, x0 (d,) and P0 (d, d).
+    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
+        """Return the filter on columns: its `advance` (`_engine.columns`), x0 (d,) and P0 (d, d).
 
         It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations. There may
         be more states than the model's, after these: then d > n.
         """
-        return SteppedColumns(self).advance, rows, self.model.x0, self.P0
+        stepped = SteppedColumns(self.next_steps, self.optimal, self.prediction, self.model.H, self.model.R)
+        return stepped.advance, self.model.x0, self.P0
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """The prediction by the model on columns, x <- F x and P <- F P Fᵀ + Q."""
+        return Prediction(self.model.F, self.model.Q)
 
     def coefficients(self, N: int) -> Step:
         """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing."""
@@ -288,7 +305,7 @@ class RecursiveFilter(Filter):
         N, _, M = epochs.z.shape
         x = np.empty((N, self.model.n, M))
         P = engine.estimates(self, epochs, x, covariances=True)
-        return smoothed(self.model.motion, epochs, x, P)
+        return smoothed(self.prediction, epochs, x, P)
 
     def _in_tiles(self, function, epochs, d):
         """Return function(epochs): values (N, d, M) and covariances (N, d, d, M or 1), so many tracks at a time."""

@@ -149,6 +149,8 @@ def real_numbers(name: str, value: object, need: str) -> np.ndarray:
                 values = numbers
     if values.dtype.kind not in "iuf":
         refuse(name, need, _other_data(values), TypeError)
+    if values.dtype == np.float16:
+        refuse(name, need, "float16, which rounds 5000 to a multiple of 4", TypeError)
     return values
 
 
@@ -221,6 +223,8 @@ def measurements(z: object, m: int) -> Array:
     """
     need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
     z = real_numbers("z", z, need)
+    if m == 1 and z.ndim == 1:  # a series of one sensor
+        z = z[:, None]
     if z.ndim not in (2, 3) or z.shape[1] != m or 0 in z.shape:
         refuse("z", need, f"shape {z.shape}")
     if z.dtype == float:
@@ -248,37 +252,22 @@ def one_measurement(z_k: object, m: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def state(x: object, P: object, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return x (n,) and P (n, n) as arrays of finite floats, or raise. P is a covariance, looked at by pairs.
-
-    Its eigenvalues are not looked at: that would cost a large part of a step.
-    """
-    if np.shape(x) == (n,) and np.shape(P) == (n, n):
-        x_array, P_array = np.asarray(x), np.asarray(P)
-        if x_array.dtype == P_array.dtype == float:
-            rows = P_array.tolist()  # Python's numbers are faster than numpy's, where there are few
-            if math.isfinite(sum(x_array.tolist()) + sum(map(sum, rows))):
-                _require_covariances(rows)
-                return x_array, P_array
-    x_array, P_array = array("x", x, (n,)), array("P", P, (n, n))
-    _require_covariances(P_array.tolist())
-    return x_array, P_array
-
-
-def _require_covariances(rows):
-    """Refuse the rows of a P with a negative variance, an asymmetry, or a P_ij larger than two states can share."""
-    variances = [row[i] for i, row in enumerate(rows)]
-    least, largest = min(variances), max(variances)
-    if least < -ROUNDING * largest or largest < 0:
-        refuse("P", "a covariance", f"a variance of {least:.6g}")
-    rounding = SOLVED * math.sqrt(largest)
-    sigmas = [math.sqrt(max(variance, 0.0)) + rounding for variance in variances]
-    for i, row in enumerate(rows):
-        for j in range(i):
-            most = sigmas[i] * sigmas[j]
-            if abs(row[j] - rows[j][i]) > SOLVED * most:
-                refuse("P", "a covariance", f"a matrix that is not symmetric: {row[j]:.6g} and {rows[j][i]:.6g}")
-            if abs(row[j]) > (1 + SOLVED) * most:
-                refuse("P", "a covariance", f"a covariance of {row[j]:.6g}, too large beside its variances")
+    """Return x (n,) and P (n, n), a covariance, as arrays of finite floats, or raise."""
+    if not (type(x) is type(P) is np.ndarray and x.dtype == P.dtype == float):
+        x, P = array("x", x, (n,)), array("P", P, (n, n))
+    if x.shape != (n,) or P.shape != (n, n) or not (np.isfinite(x).all() and np.isfinite(P).all()):
+        x, P = array("x", x, (n,)), array("P", P, (n, n))  # which say what is wrong
+    sigma = np.sqrt(np.abs(P.diagonal()))
+    sigma += SOLVED * math.sqrt(SOLVED) * sigma.max() + np.finfo(float).tiny
+    unit = P / sigma / sigma[:, None]
+    try:
+        np.linalg.cholesky(unit + SOLVED * np.eye(n))  # fails where an eigenvalue is below -SOLVED
+        symmetric = np.abs(unit - unit.T).max() <= SOLVED
+    except np.linalg.LinAlgError:
+        symmetric = False
+    if not symmetric:
+        refuse("P", "a symmetric positive semidefinite matrix", f"{P.tolist()!s:.80}")
+    return x, P
 
 
 def times(name: str, value: object) -> Array:
@@ -401,6 +390,8 @@ def variances(name: str, value: object, m: int) -> Array:
     """Return variances (N, m) or (N, m, M) as a read-only float array, or raise; the numbers are not looked at."""
     need = f"an (N, {m}) or (N, {m}, M) array of variances"
     values = real_numbers(name, value, need)
+    if m == 1 and values.ndim == 1:
+        values = values[:, None]
     if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
     values = values.astype(float, order="C")

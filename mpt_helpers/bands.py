@@ -402,7 +402,7 @@ def _repeats(z, before):
 
 def _expected(model, x, P, seconds, R):
     """Return the mean (K, m) and covariance (K, m, m) of measurements some seconds (K,) after x (K, n), P (K, n, n)."""
-    F, Q = model.over(seconds / model.dt)
+    F, Q = model.over(seconds)
     P = F @ P @ F.swapaxes(1, 2) + Q
     x = (F @ x[..., None])[..., 0]
     return x @ model.H.T, model.H @ P @ model.H.T + R

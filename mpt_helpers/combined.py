@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from . import _checks as checks
-from ._base import Estimates, Filter, RecursiveFilter
+from ._base import Estimates, Filter
 from ._checks import Array, Seconds
 from ._immutable import same
 from .kalman import KalmanFilter
@@ -27,7 +27,7 @@ from .steady import SteadyStateFilter
 SAME_GAIN = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class JoinFilter(Filter):
     """The mean of two filters of one model (2014 Eqs. 8, 16; 2015 Eqs. 4-5, 13).
 
@@ -118,7 +118,7 @@ class JoinFilter(Filter):
         return (values_1 + values_2) / 2, (S_1 + S_2) / 2
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Separate(Filter):
     """One filter for each axis: the papers' model B (2014 Section 5, Eqs. 17-18).
 
@@ -276,8 +276,9 @@ def _require_equal_conditions(first, second):
     leaves = [*_leaves(first), *_leaves(second)]
     if not all(same(leaves[0].t, other.t) for other in leaves[1:]):
         checks.refuse("second", "a filter of the same times as the first", "one of others")
-    # The filters in a Separate see some columns of z each, so that their variances cannot be compared so.
-    if isinstance(first, RecursiveFilter) and isinstance(second, RecursiveFilter) and not same(first.r, second.r):
+    # The filters in a Separate see some columns of z each: one of them has no variances that others could be.
+    of_first, of_second = ([leaf.r for leaf in _leaves(each)] for each in (first, second))
+    if len(of_first) == len(of_second) and not all(map(same, of_first, of_second)):
         checks.refuse("second", "a filter of the same variances as the first", "one of others")
 
 

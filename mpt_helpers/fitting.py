@@ -467,7 +467,7 @@ def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: flo
     >>> from mpt_helpers.model import constant_velocity, simulate
     >>> true = constant_velocity(dt=1.0, q=0.04, r=0.5, P0=np.eye(2))
     >>> _, z = simulate(true, N=1000, rng=np.random.default_rng(1))
-    >>> kf = KalmanFilter(replace(true, Q=true.Q / 20))
+    >>> kf = KalmanFilter(true.with_noise_times(1 / 20))
     >>> bool(0.5 < rescaled(kf, z, seconds=10).model.Q[1, 1] / true.Q[1, 1] < 2)
     True
     """
@@ -476,7 +476,7 @@ def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: flo
     normal = float(ndtri((1 + level) / 2))
     log_c = 0.0
     for _ in range(MOST_RESCALINGS):
-        scaled = replace(estimator, model=replace(estimator.model, Q=math.exp(log_c) * estimator.model.Q))
+        scaled = replace(estimator, model=estimator.model.with_noise_times(math.exp(log_c)))
         a = bands.ahead(scaled, z, seconds)
         reached = max(float(np.nanquantile(np.abs(a.errors / a.sigma), level)), LEAST_SCALE)
         change = 2 * math.log(reached / normal)

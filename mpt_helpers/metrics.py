@@ -42,10 +42,10 @@ def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
     >>> relative_gap([1.0, 2.0], [1.0, 4.0])
     0.5
     """
-    a, b = np.asarray(a, float), np.asarray(b, float)
+    a, b = (checks.real_numbers(name, each, "an array of numbers") for name, each in (("a", a), ("b", b)))
     if a.shape != b.shape:
         checks.refuse("a", f"the shape of b, {b.shape}", a.shape)
-    return float(np.abs(a - b).max() / np.abs(b).max())
+    return float(np.abs(np.subtract(a, b, dtype=float)).max() / np.abs(b).max())
 
 
 def rms(values: ArrayLike, axis: int | tuple[int, ...] | None = None) -> Any:
@@ -54,7 +54,8 @@ def rms(values: ArrayLike, axis: int | tuple[int, ...] | None = None) -> Any:
     >>> float(rms([3.0, -3.0]))
     3.0
     """
-    return np.sqrt(np.mean(np.square(np.asarray(values, float)), axis=axis))
+    values = checks.real_numbers("values", values, "an array of numbers")
+    return np.sqrt(np.mean(np.square(values, dtype=float), axis=axis))
 
 
 class Innovations(NamedTuple):

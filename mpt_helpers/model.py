@@ -5,7 +5,9 @@ The papers, cited by year: Kluga & Kluga 2007, Assimakis & Adam 2014 and 2015, A
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,38 +18,83 @@ from ._checks import Array, Seconds
 from ._engine.shared import Step, products_for, run_shared
 from ._immutable import Immutable
 from .equations import square_root
-from .motion import Motion, OneLength, Powers, checked, joined, powers_of, refuse_other_lengths
 
 # The longest time step (s): its fifth power, in the Q of constant acceleration, is a double.
 LONGEST_DT = 1e60
 
 
+# F and Q of a step of any length, in s.
+Transition = Callable[[float], tuple[Array, Array]]
+# By how much two half steps of a transition may miss one whole step, relative to its size: a Q from a formula that
+# subtracts large numbers loses digits on short steps, and six of them should be left over the model's dt.
+MISSED = 1e-6
+# Rounding leaves some 1e-16 of the largest entry of F where a zero should be. Against a billionth of that entry it
+# stays below the millionth. (Of Q nothing is left out: over short steps an entry may rightly be 1e-18 of the largest.)
+LEAST_OF_F = 1e-9
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class LinearModel(Immutable):
-    """A linear time-invariant model (2014 Eq. 1, 2015 Section 2).
+    """A linear model of motion and measurement (2014 Eq. 1, 2015 Section 2).
 
         x(k+1) = F x(k) + w(k),     w ~ N(0, Q)
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
-    F is n×n, H is m×n, Q is n×n (the papers' G Q Gᵀ), R is m×m and positive definite. x0 (n,) and P0 (n×n) are the mean
-    and the covariance of x(0), zero where not given, as in the papers. All arrays are copied and made read-only.
+    A model is immutable, also in copies and pickles. Two models are equal, and have the same hash, when all that they
+    hold is equal. `dataclasses.replace` makes another one; with another F or Q it knows steps of one length only.
 
-    `motion` says what F and Q are over a step of any length, for tracks with times of their own (`motion.Motion`):
-    give it in place of F and Q, or give F and Q with dt (s) and powers (n,), by which a step of s dt has
-    F_ij s^(e_i - e_j) and Q_ij s^(e_i + e_j), with the powers e. `constant_velocity` and `constant_acceleration` do.
-    Two steps of dt / 2 must be one of dt. A model of F and Q alone knows steps of one length: then dt is None.
+    Parameters
+    ----------
+    F : array_like (n, n)
+        Transition over one step. Left out where a transition is given.
+    H : array_like (m, n)
+        Measurement matrix.
+    Q : array_like (n, n)
+        Covariance that a step adds to the state: the papers' G Q Gᵀ. Left out where a transition is given.
+    R : array_like (m, m)
+        Covariance of the measurement noise, positive definite.
+    x0, P0 : array_like (n,), (n, n), optional
+        Mean and covariance of x(0), zero where not given, as in the papers.
+    dt : float or timedelta, optional
+        Length of a step in s, for a model with a transition.
+    transition : callable, optional
+        transition(dt) returns F and Q of a step of dt seconds, for tracks with times of their own. Two steps of dt / 2
+        must be one of dt, and a step of zero changes nothing. A function of a module, or a frozen dataclass with
+        `__call__`, can be pickled and compared.
 
-    `replace` keeps the motion where the new F and Q are a step of its kind (Q may become zero, and of powers any that
-    they fit). Else the model knows one length, and its dt is None. So for a motion of your own with twice the noise,
-    give the model a new motion: what a new Q would be over other lengths cannot be known from that of one.
+    Attributes
+    ----------
+    F, H, Q, R, x0, P0 : ndarray
+        As given, read-only copies.
+    dt : float or None
+        Length of a step in s; None where the model knows steps of one length only.
+    transition : callable or None
+        As given.
 
-    Two models are equal, and have the same hash, when all their numbers are equal. So are two filters: a model or a
-    filter can be the key of a dictionary.
+    Raises
+    ------
+    ValueError
+        For a wrong shape or value, naming the argument.
+    TypeError
+        For anything but real numbers, naming the argument.
 
-    Raises ValueError for a wrong shape or value and TypeError for anything but real numbers, naming the argument.
-
+    Examples
+    --------
     >>> LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.01]], R=[[0.1]]).P0
     array([[0.]])
+
+    A velocity that is forgotten within 20 s (an Ornstein-Uhlenbeck process), for steps of any length:
+
+    >>> def forgetful(dt, tau=20.0, q=0.04):
+    ...     a, b = np.exp(-dt / tau), -np.expm1(-dt / tau)  # a + b = 1; expm1 keeps the digits of short steps
+    ...     F = [[1, tau * b], [0, a]]
+    ...     Q_sv = tau**2 * b**2 / 2
+    ...     Q = [[tau**2 * (dt - tau * (b + b**2 / 2)), Q_sv], [Q_sv, tau * b * (1 + a) / 2]]
+    ...     return np.array(F), q * np.array(Q)
+    >>> LinearModel(transition=forgetful, dt=1.0, H=[[1, 0]], R=[[0.5]], P0=np.eye(2)).F.round(3)
+    array([[1.   , 0.975],
+           [0.   , 0.951]])
+
     """
 
     F: Array
@@ -57,8 +104,7 @@ class LinearModel(Immutable):
     x0: Array
     P0: Array
     dt: float | None
-    powers: Array | None
-    motion: Motion
+    transition: Transition | None
 
     def __init__(
         self,
@@ -70,18 +116,19 @@ class LinearModel(Immutable):
         x0: ArrayLike | None = None,
         P0: ArrayLike | None = None,
         dt: Seconds | None = None,
-        powers: ArrayLike | None = None,
-        motion: Motion | None = None,
+        transition: Transition | None = None,
     ):
-        if motion is not None and F is None and Q is None:
-            F, Q = checked(motion)
-            for name, value in (("dt", dt), ("powers", powers)):
-                if value is not None:
-                    checks.refuse(name, "to be left out beside a motion, which has its own", f"{value}", TypeError)
-            dt, powers = motion.dt, powers_of(motion)
+        if (dt is None) != (transition is None):
+            lacking, other = ("dt", "transition") if dt is None else ("transition", "dt")
+            need = f"to be given beside {other}: F and Q of steps of any length, and the length of one"
+            checks.refuse(lacking, need, None, TypeError)
+        if transition is not None:
+            dt = checks.duration("dt", dt)
+            one_step = _checked(transition, dt)
+            F, Q = (own if given is None else given for own, given in zip(one_step, (F, Q), strict=True))
         elif F is None or Q is None:
             lacking, other = ("F", "Q") if F is None else ("Q", "F")
-            checks.refuse(lacking, f"a matrix, as {other} does, or a motion in place of both", None, TypeError)
+            checks.refuse(lacking, f"a matrix, as {other} does, or a transition in place of both", None, TypeError)
         n, m = checks.rows("F", F), checks.rows("H", H)
         given = {
             "F": checks.array("F", F, (n, n)),
@@ -91,25 +138,35 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
         }
-        dt = None if dt is None else checks.duration("dt", dt)
-        powers = None if powers is None else checks.array("powers", powers, (n,))
-        found = _motion_of(given["F"], given["Q"], dt, powers, motion)
-        given |= {"dt": found.dt, "powers": powers_of(found), "motion": found}
+        if transition is not None and not all(map(np.array_equal, (given["F"], given["Q"]), one_step)):
+            dt = transition = None  # as in `replace` of F or Q: what another length would be is not known
+        given |= {"dt": dt, "transition": transition}
         for name, value in given.items():
             object.__setattr__(self, name, value)
 
-    def over(self, length: ArrayLike) -> tuple[Array, Array]:
-        """Return F and Q of a step of this length, in units of dt, a number that is not negative; (K, n, n) of K steps.
+    def over(self, dt: ArrayLike) -> tuple[Array, Array]:
+        """Return F and Q of a step of dt seconds, (n, n), or (..., n, n) of steps dt (...).
 
-        Raises ValueError for a model that knows one length only: then its dt is None.
+        Raises ValueError for a model that knows steps of one length only.
 
-        >>> constant_velocity(dt=2.0, q=0.01, r=0.1).over(1.5)[0]
+        >>> constant_velocity(dt=2.0, q=0.01, r=0.1).over(3.0)[0]
         array([[1., 3.],
                [0., 1.]])
         """
-        if self.dt is None:
-            refuse_other_lengths()
-        return self.motion.over(length)
+        if self.transition is None:
+            checks.refuse("model", "a transition, for steps of any length", "an F and a Q of one length only")
+        return _of_steps(self.transition, dt)
+
+    def with_noise_times(self, factor: float) -> LinearModel:
+        """Return the model with `factor` times its process noise, over steps of any length that it knows.
+
+        >>> constant_velocity(dt=1.0, q=0.06, r=0.1).with_noise_times(2.0).Q
+        array([[0.04, 0.06],
+               [0.06, 0.12]])
+        """
+        factor = checks.not_negative("factor", factor)
+        transition = None if self.transition is None else Scaled(self.transition, factor)
+        return replace(self, Q=factor * self.Q, transition=transition)
 
     @property
     def n(self) -> int:
@@ -122,44 +179,136 @@ class LinearModel(Immutable):
         return len(self.H)
 
 
-def _motion_of(F, Q, dt, powers, motion):
-    """Return the Motion of a model with these F and Q, from what was given of it.
+def _of_steps(transition, dt):
+    """Return F and Q (..., n, n) of steps dt (...); a user's transition takes one number at a time."""
+    if np.ndim(dt) == 0 or getattr(transition, "takes_arrays", False):
+        return transition(dt)
+    each, which = np.unique(dt, return_inverse=True)
+    F, Q = zip(*map(transition, each.tolist()), strict=True)
+    which = which.reshape(np.shape(dt))  # numpy 2.0 returned another shape than 1.26 and 2.1
+    return np.array(F)[which], np.array(Q)[which]
 
-    A user gives what stands in the first five lines, where a misfit is an error. `replace` and copies give back what
-    the model has, its motion too, with other F, Q, dt or powers among it. There F and Q that do not fit make a model of
-    one length.
 
-        dt    powers   motion                      the motion returned
-        -     -        -                           OneLength
-        -     given    -                           error: without dt, powers say nothing
-        given -        -                           error: what is a step of another length?
-        given given    -                           Powers; error where they do not fit
-        given any      any other kind              its `with_matrices` of F and Q, or OneLength
+def _checked(transition, dt):
+    """Return F and Q of one step of dt, or raise what is wrong with a transition."""
+    if not callable(transition):
+        checks.refuse("transition", "a function of dt that returns F and Q", f"{transition!r:.60}", TypeError)
+    both = transition(dt)
+    if not isinstance(both, tuple) or len(both) != 2:
+        checks.refuse("transition", "a function of dt that returns F and Q", f"{both!r:.60}", TypeError)
+    n = checks.rows("transition", both[0])
+    F, Q = (checks.array("transition", each, (n, n)) for each in both)
+    F_0, Q_0 = transition(0.0)
+    if not np.array_equal(F_0, np.eye(n)) or np.any(Q_0):
+        checks.refuse("transition", "F = I and Q = 0 over a step of zero", "others")
+    for name, missed in zip("FQ", missed_by_halves(transition, dt), strict=True):
+        if not missed <= MISSED:
+            got = f"a {name} that they miss by {missed:.2g} of its size"
+            checks.refuse("transition", "two steps of dt / 2 to be one of dt", got)
+    return F, Q
 
-        -     any      any (`replace` of dt)       OneLength
-        given -        OneLength or Powers         error: what is a step of another length?
-        given given    OneLength or Powers         Powers of what was given; OneLength where they do not fit
+
+def missed_by_halves(transition: Transition, dt: float) -> tuple[float, float]:
+    """Return by how much two steps of dt / 2 miss one of dt: F and Q, as the largest part of an entry.
+
+    It is infinite where numbers are not finite. An entry of F that should be zero may be rounding, as from
+    `scipy.linalg.expm`: F counts relative to `LEAST_OF_F` of its largest entry at least.
     """
-    if dt is None:
-        if powers is not None and motion is None:
-            checks.refuse("powers", "a dt, the length of the step (s) for which F and Q are", "none")
-        return OneLength(F, Q)
-    # OneLength and Powers hold nothing but F, Q, dt and powers, which were given too, and may be newer there.
-    if motion is None or isinstance(motion, OneLength | Powers):
-        if powers is None:
-            checks.refuse(
-                "dt", "powers, or a motion in place of F and Q, that say what a step of another length is", dt
-            )
-        by_powers = Powers(F, Q, powers, dt)
-        if by_powers.fits():
-            return by_powers
-        if motion is None:
-            checks.refuse("powers", "two steps of dt / 2 to be one of dt", "an F or a Q for which they are not")
-        return OneLength(F, Q)
-    checks.instance("motion", motion, Motion)
-    if dt != motion.dt:
-        checks.refuse("dt", f"the dt of the motion, {motion.dt:g} s", f"{dt:g} s")
-    return motion.with_matrices(F, Q) or OneLength(F, Q)
+    with np.errstate(over="ignore", invalid="ignore"):
+        (half, noise), whole = (list(map(np.asarray, transition(each))) for each in (dt / 2, dt))
+        twice = half @ half, half @ noise @ half.T + noise
+        size = np.abs(half), np.abs(noise)
+        sizes = size[0] @ size[0], size[0] @ size[1] @ size[0].T + size[1]
+        sizes = np.maximum(sizes[0], LEAST_OF_F * sizes[0].max()), sizes[1]
+        missed = [
+            np.abs(two - one) / np.where(scale > 0, scale, np.finfo(float).tiny)
+            for two, one, scale in zip(twice, whole, sizes, strict=True)
+        ]
+    of_F, of_Q = (float(each.max()) if np.isfinite(each).all() else np.inf for each in missed)
+    return of_F, of_Q
+
+
+def _matrices(rows):
+    """Return matrices (..., a, b) from a list of a rows with b entries each, which are numbers or arrays (...)."""
+    entries = np.broadcast_arrays(*[np.asarray(entry, float) for row in rows for entry in row])
+    return np.moveaxis(np.array(entries).reshape(len(rows), len(rows[0]), *entries[0].shape), (0, 1), (-2, -1))
+
+
+@dataclass(frozen=True)
+class ConstantVelocity:
+    """The transition of nearly constant velocity: white acceleration of spectral density q (m²/s³)."""
+
+    q: float
+    takes_arrays: ClassVar = True
+
+    def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
+        """Return F and Q of a step of dt seconds, or of many."""
+        dt2 = dt * dt
+        F = _matrices([[1, dt], [0, 1]])
+        return F, self.q * _matrices([[dt2 * dt / 3, dt2 / 2], [dt2 / 2, dt]])
+
+
+@dataclass(frozen=True)
+class ConstantAcceleration:
+    """The transition of nearly constant acceleration: white jerk of spectral density q (m²/s⁵)."""
+
+    q: float
+    takes_arrays: ClassVar = True
+
+    def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
+        """Return F and Q of a step of dt seconds, or of many."""
+        dt2 = dt * dt
+        dt3, dt4 = dt2 * dt, dt2 * dt2
+        F = _matrices([[1, dt, dt2 / 2], [0, 1, dt], [0, 0, 1]])
+        Q = [[dt4 * dt / 20, dt4 / 8, dt3 / 6], [dt4 / 8, dt3 / 3, dt2 / 2], [dt3 / 6, dt2 / 2, dt]]
+        return F, self.q * _matrices(Q)
+
+
+@dataclass(frozen=True)
+class SideBySide:
+    """The transition of states that follow one another, with no term between them."""
+
+    transitions: tuple[Transition, ...]
+
+    @property
+    def takes_arrays(self) -> bool:
+        """Say whether all of them take many steps at once."""
+        return all(getattr(each, "takes_arrays", False) for each in self.transitions)
+
+    def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
+        """Return F and Q of a step of dt seconds, block diagonal."""
+        F, Q = zip(*(transition(dt) for transition in self.transitions), strict=True)
+        return _on_diagonal(F), _on_diagonal(Q)
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A transition with its F, and `factor` times its Q."""
+
+    transition: Transition
+    factor: float
+
+    @property
+    def takes_arrays(self) -> bool:
+        """Say whether it takes many steps at once."""
+        return getattr(self.transition, "takes_arrays", False)
+
+    def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
+        """Return F and the scaled Q of a step of dt seconds, or of many."""
+        F, Q = self.transition(dt)
+        return F, self.factor * Q
+
+
+def _on_diagonal(parts):
+    """Return matrices (..., n, n) with parts (..., n_i, n_i) on their diagonal; `block_diag` takes no axes before."""
+    parts = [np.asarray(part) for part in parts]
+    n = sum(part.shape[-1] for part in parts)
+    whole, start = np.zeros((n, n, *parts[0].shape[:-2])), 0
+    for part in parts:
+        here = slice(start, start + part.shape[-1])
+        whole[here, here] = np.moveaxis(part, (-2, -1), (0, 1))
+        start = here.stop
+    return np.moveaxis(whole, (0, 1), (-2, -1))
 
 
 def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
@@ -176,7 +325,7 @@ def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: A
     array([[0.0025, 0.005 ],
            [0.005 , 0.01  ]])
     """
-    dt, q, r = _checked(dt, q, r)
+    dt, q, r = _positive(dt, q, r)
     G = np.array([[dt / 2], [1.0]])
     return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]], x0=x0, P0=P0)
 
@@ -197,10 +346,8 @@ def constant_velocity(
     array([[0.02, 0.03],
            [0.03, 0.06]])
     """
-    dt, q, r = _checked(dt, q, r)
-    F = [[1, dt], [0, 1]]
-    Q = [[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]
-    return LinearModel(F=F, H=[[1, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0, dt=dt, powers=[1.5, 0.5])
+    dt, q, r = _positive(dt, q, r)
+    return LinearModel(transition=ConstantVelocity(q), dt=dt, H=[[1, 0]], R=[[r]], x0=x0, P0=P0)
 
 
 def constant_acceleration(
@@ -223,11 +370,8 @@ def constant_acceleration(
            [0.015, 0.04 , 0.06 ],
            [0.02 , 0.06 , 0.12 ]])
     """
-    dt, q, r = _checked(dt, q, r)
-    F = [[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]]
-    Q = [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
-    powers = [2.5, 1.5, 0.5]
-    return LinearModel(F=F, H=[[1, 0, 0]], Q=q * np.array(Q), R=[[r]], x0=x0, P0=P0, dt=dt, powers=powers)
+    dt, q, r = _positive(dt, q, r)
+    return LinearModel(transition=ConstantAcceleration(q), dt=dt, H=[[1, 0, 0]], R=[[r]], x0=x0, P0=P0)
 
 
 def gps_ins(
@@ -252,13 +396,13 @@ def gps_ins(
     if not isinstance(variances, list) or len(variances) not in (2, 3):
         checks.refuse("r", "two or three variances", f"{r!r:.60}")
     R = np.diag([checks.positive("r", variance) for variance in variances])
-    dt, q, _ = _checked(dt, q, variances[0])
+    dt, q, _ = _positive(dt, q, variances[0])
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
     return LinearModel(F=F, H=H[: len(R)], Q=np.diag([0, q, 0]), R=R, x0=x0, P0=P0)
 
 
-def _checked(dt, q, r):
+def _positive(dt, q, r):
     dt = checks.duration("dt", dt)
     if dt > LONGEST_DT:
         checks.refuse("dt", f"at most {LONGEST_DT:g} s, whose powers are doubles", f"{dt:g} s")
@@ -278,32 +422,25 @@ def stack(*models: LinearModel) -> LinearModel:
     array([[1., 1., 0., 0.],
            [0., 0., 1., 1.]])
     """
-    if not models:
-        checks.refuse("models", "at least one model", "none")
     for i, model in enumerate(models):
         checks.instance(f"models[{i}]", model, LinearModel)
     known = {i: model.dt for i, model in enumerate(models) if model.dt is not None}
     for i, dt in known.items():
         first, dt_0 = next(iter(known.items()))
         if dt != dt_0:
-            checks.refuse(
-                f"models[{i}].dt", f"a model that says the same dt as models[{first}], {dt_0:g} s", f"{dt:g} s"
-            )
-    motion = joined([model.motion for model in models])
-    F, Q = motion.one_step
-    H, R, P0 = (block_diag(*[getattr(model, name) for model in models]) for name in ("H", "R", "P0"))
+            need = f"a model that says the same dt as models[{first}], {dt_0:g} s"
+            checks.refuse(f"models[{i}].dt", need, f"{dt:g} s")
+    F, H, Q, R, P0 = (block_diag(*[getattr(model, name) for model in models]) for name in ("F", "H", "Q", "R", "P0"))
     x0 = np.concatenate([model.x0 for model in models])
-    return LinearModel(
-        F=F,
-        H=H,
-        Q=Q,
-        R=R,
-        x0=x0,
-        P0=P0,
-        dt=motion.dt,
-        powers=powers_of(motion),
-        motion=motion,
-    )
+    if len(known) < len(models):
+        return LinearModel(F=F, H=H, Q=Q, R=R, x0=x0, P0=P0)
+    axes = [each for model in models for each in axes_of(model.transition)]
+    return LinearModel(F=F, H=H, Q=Q, R=R, x0=x0, P0=P0, dt=dt_0, transition=SideBySide(tuple(axes)))
+
+
+def axes_of(transition: Transition) -> tuple[Transition, ...]:
+    """Return the transitions of the axes that a model was stacked of."""
+    return transition.transitions if isinstance(transition, SideBySide) else (transition,)
 
 
 def exact_motion(model: LinearModel, x0: ArrayLike) -> LinearModel:
@@ -314,8 +451,7 @@ def exact_motion(model: LinearModel, x0: ArrayLike) -> LinearModel:
            [0., 0.]])
     """
     checks.instance("model", model, LinearModel)
-    zero = np.zeros_like(model.Q)
-    return replace(model, Q=zero, x0=x0, P0=zero)
+    return replace(model.with_noise_times(0.0), x0=x0, P0=np.zeros_like(model.P0))
 
 
 def mean_track(model: LinearModel, N: int) -> Array:
@@ -334,20 +470,21 @@ def mean_track(model: LinearModel, N: int) -> Array:
     return np.array(states)
 
 
-def simulate(model: LinearModel, N: int, rng: np.random.Generator, tracks: int | None = None) -> tuple[Array, Array]:
+def simulate(model: LinearModel, N: int, rng: Any, tracks: int | None = None) -> tuple[Array, Array]:
     """Draw true tracks and their measurements from a model (2014 Eq. 1).
 
-    N is the number of steps, rng a numpy Generator, tracks the number of tracks M, or None for one track.
+    N is the number of steps, rng a numpy Generator, a seed, or what else numpy.random.default_rng takes. tracks is the
+    number of tracks M, or None for one track.
 
     Returns x and z of shapes (N, n) and (N, m), or (N, n, M) and (N, m, M). Row k is x(k+1), z(k+1): x(0) itself, drawn
-    from N(x0, P0), is not returned. Raises TypeError for anything but a model and a Generator, ValueError for N < 1.
+    from N(x0, P0), is not returned. Raises TypeError for anything but a model, ValueError for N < 1.
 
     >>> x, z = simulate(gsm_axis(dt=1.0, q=0.01, r=0.1), N=5, rng=np.random.default_rng(1), tracks=3)
     >>> x.shape, z.shape
     ((5, 2, 3), (5, 1, 3))
     """
     checks.instance("model", model, LinearModel)
-    checks.instance("rng", rng, np.random.Generator)
+    rng = np.random.default_rng(rng)
     N = checks.count("N", N)
     M = 1 if tracks is None else checks.count("tracks", tracks)
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))

@@ -16,6 +16,8 @@ from . import _checks as checks
 
 # Runs that share a stream of random numbers and are drawn together. Changing this changes the results of a seed.
 BLOCK = 200
+# More results than these, of eight bytes each, fit into no memory.
+MOST_RUNS = 10**10
 RESULT = f"a result of M = {BLOCK} columns, (..., M)"
 
 
@@ -45,6 +47,8 @@ def study(
     if not callable(experiment):
         checks.refuse("experiment", "a callable of (rng, M)", type(experiment).__name__, TypeError)
     runs, seed = checks.count("runs", runs), checks.count("seed", seed, least=0)
+    if runs > MOST_RUNS:
+        checks.refuse("runs", f"at most {MOST_RUNS:,}, whose results fit into memory", f"{runs:,}")
     streams = np.random.SeedSequence(seed).spawn(-(-runs // BLOCK))
     parts = []
     with _mapper(workers) as mapper, tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
@@ -71,7 +75,10 @@ def _let_the_process_keep_memory():
 
 def _run_block(experiment, stream):
     _let_the_process_keep_memory()
-    part = np.asarray(experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK))
+    part = experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK)
+    if isinstance(part, np.ma.MaskedArray):
+        checks.refuse("experiment", RESULT, "a masked array (its filled(np.nan) has NaN)", TypeError)
+    part = np.asarray(part)
     if part.dtype.kind not in "biuf":
         checks.refuse("experiment", RESULT, f"an array of {part.dtype} data", TypeError)
     if part.ndim == 0 or part.shape[-1] != BLOCK:

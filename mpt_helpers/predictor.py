@@ -49,13 +49,11 @@ class _Ahead(Filter):
             x_k[:] = F_N @ x_k
         if not covariances:
             return None
-        P = np.moveaxis(P, 0, 2)  # (n, n, N, M or 1), as a motion takes it
-        for _ in range(self.steps):
-            P = self.model.motion.covariance(P)
-        return np.moveaxis(P, 2, 0)
+        P = predicted_covariance(self.model, np.moveaxis(P, 3, 1), self.steps)  # stacks (N, M or 1, n, n)
+        return np.moveaxis(P, 1, 3)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Predictor(_Ahead):
     """The prediction of a filter's state some steps ahead: `filter(z)` returns x(1+N/1), x(2+N/2), ...
 
@@ -81,7 +79,7 @@ class Predictor(_Ahead):
         checks.count("steps", self.steps, least=0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SteadyStatePredictor(_Ahead):
     """The steady-state prediction N steps ahead (2016 Eqs. 15-20): `filter(z)` returns x(1+N/1), x(2+N/2), ...
 

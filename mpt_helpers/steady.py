@@ -16,8 +16,7 @@ from . import _checks as checks
 from . import riccati
 from ._base import Filter, RecursiveFilter
 from ._checks import Array
-from ._engine.columns import ConstantGainColumns
-from ._engine.epochs import Rows
+from ._engine.columns import ConstantGainColumns, Rows
 from ._engine.shared import TILE, tiles
 from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
 from .model import LinearModel
@@ -28,7 +27,7 @@ SAME_A = 1e-6
 MOST_TAPS = 1_000_000
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class SteadyStateFilter(RecursiveFilter):
     """A filter with constant coefficients: A (n×n), B (n×m), and the error covariance P (n×n) of its steady state.
 
@@ -101,10 +100,11 @@ class SteadyStateFilter(RecursiveFilter):
         _require_whole_rows(seen)
         return self.A, self.B, corrected_covariance(P_predicted, self.B, self.model.H, self.model.R)
 
-    def in_columns(self, rows: Rows) -> tuple[Callable, Rows, Array, Array]:
+    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
         """Return the filter on columns, as in RecursiveFilter."""
         _require_whole_rows(rows.seen)
-        return ConstantGainColumns(self.model, self.B).advance, rows, self.model.x0, self.P
+        columns = ConstantGainColumns(self.prediction, self.B, self.model.H, self.model.R)
+        return columns.advance, self.model.x0, self.P
 
 
 def _require_whole_rows(seen):
@@ -148,7 +148,7 @@ def fir_order(A: ArrayLike, tol: float, norm: float | str = 2) -> int:
     return order
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class FIRFilter(Filter):
     """The FIR form of a steady-state filter (2014 Section 7, Eqs. 20-22): a weighted sum of the last measurements.
 

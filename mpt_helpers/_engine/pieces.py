@@ -1,18 +1,17 @@
 """One long track as many short ones: Lainiotis' partition.
 
 The Lainiotis filter takes a step as if x(k) were known exactly, and adds afterwards what is not known of it. That holds
-for many steps as well as for one. So a long track is cut into pieces that run side by side, as columns:
+for many rows as well as for one. So a long track is cut into pieces that run side by side, as columns:
 
-1. every piece from a start that is known exactly: what it makes of its measurements, how it answers to its start, and
-   what its measurements tell about its start;
+1. every piece from a start that is known exactly: its estimate, its sensitivity to the start, and what its measurements
+   tell about the start;
 2. the starts, one after the other: each takes one Lainiotis step over a whole piece;
-3. every piece again, from its own start. It must end where the next one started.
+3. every piece again, from its own start. It must end where the next one starts.
 
-Instead of N steps one after the other there are two runs of K rows, side by side, and N / K starts. `through` does all
-of it; what follows it are how a track is cut, where its pieces start, and whether they fit together.
+Instead of N rows one after the other there are two runs of K rows, side by side, and N / K starts.
 
-How a filter goes through rows is handed in: run_rows(rows, x, P) yields x(k/k), P(k/k) and the innovations at unit
-covariance of one row after the other, from x(0/0) and P(0/0). It is `engine.in_sequence` with a filter's `advance`.
+run_rows(rows, x, P) yields x(k/k), P(k/k) and the innovations at unit covariance of one row after the other, from
+x(0/0) and P(0/0): it is `run.in_sequence` with the `advance` of a filter (`columns`), or one step of the smoother.
 """
 
 import math
@@ -20,14 +19,15 @@ from functools import partial
 
 import numpy as np
 
-from ..equations import corrected_covariance, gain_on_the_start
+from ..equations import gain_on_the_start
 from .shared import FEW_TRACKS
 
 # Fewer rows than this are not worth cutting, nor are tracks by the hundred, which fill the processor without. Measured
 # on one processor, with the rows "one track" of benchmarks/bench.py.
 LEAST_ROWS = 30
 # The starts of pieces lose digits where a piece holds several long gaps. So each piece must start where the one before
-# it ends, to this part of a sigma (tracks with pauses of an hour reach 1e-7) or to the rounding of the states.
+# it ends, to this part of a sigma (tracks with pauses of an hour reach 1e-7), or to the rounding of the largest state:
+# a simulated constant acceleration is 1e11 sigmas from its origin after 100,000 rows.
 AGREED = 1e-6
 STATE_ROUNDING = 16 * np.finfo(float).eps
 # Where pieces do not fit together, all of them run again from where the ones before ended, so many times in all. Then
@@ -172,16 +172,27 @@ def starts(run_rows, pieces, count, x0, P0):
     x_piece, T = x[..., :c], x[..., c:]
     L, y = _compressed(-e[..., c:], e[..., :c])
     x_k, P_k = _as_matrices(x0, M)[0], _as_matrices(P0, M)[0]
-    states, covariances = [x_k], [P_k]
-    for i in range(count - 1):
-        G = gain_on_the_start(P_k, L[i].swapaxes(1, 2))
-        x_k = x_k + G @ (y[i] - L[i] @ x_k)
-        P_k = corrected_covariance(P_k, G, L[i], np.eye(L.shape[2]))
-        x_k = x_piece[i] + T[i] @ x_k
-        P_k = P_piece[i] + T[i] @ P_k @ T[i].swapaxes(1, 2)
-        states.append(x_k)
-        covariances.append(P_k)
-    return _as_columns(states), _as_columns(covariances)
+    found = [(x_k, P_k)]
+    pieces = [T, x_piece, P_piece, L, y]
+    if M == 1:  # products of single matrices are much faster than those of stacks
+        x_k, P_k, pieces = x_k[0], P_k[0], [each[:, 0] for each in pieces]
+    for piece in zip(*(each[:-1] for each in pieces), strict=True):
+        x_k, P_k = _next_start(x_k, P_k, *piece)
+        found.append((x_k, P_k))
+    return tuple(_as_columns([each.reshape(M, n, -1) for each in every]) for every in zip(*found, strict=True))
+
+
+def _next_start(x, P, T, x_piece, P_piece, L, y):
+    """Return the start of the next piece by one Lainiotis step over this one, from its start x (n, c), P (n, n).
+
+    They may be stacks.
+
+    First it is corrected by what the piece measures of it, y = L x + noise of unit variance, in Joseph's form.
+    """
+    G = gain_on_the_start(P, L.swapaxes(-1, -2))
+    keep, TG = T @ (np.eye(P.shape[-1]) - G @ L), T @ G
+    P = keep @ P @ keep.swapaxes(-1, -2) + TG @ TG.swapaxes(-1, -2) + P_piece
+    return x_piece + keep @ x + TG @ y, (P + P.swapaxes(-1, -2)) / 2
 
 
 def _compressed(L, y):
@@ -205,20 +216,20 @@ def agree(x, P, x_next, P_next):
         d^-½ Uᵀ (x - x_next),   d^-½ Uᵀ (P - P_next) U d^-½
 
     of which the first has the squared norm (x - x_next)ᵀ P_next⁻¹ (x - x_next). Here each state is taken in its own
-    sigma first, so that states of any units may stand side by side.
+    sigma first, so that states of any units may stand side by side. x is rounded in proportion to its largest state.
     """
     if not (np.isfinite(x_next).all() and np.isfinite(P_next).all()):
         return False
     sigma = np.sqrt(np.maximum(np.einsum("jj...->j...", P_next), 0))
     unit = np.where(sigma > 0, sigma, 1)
-    apart = x - x_next
-    apart = np.where(np.abs(apart) > STATE_ROUNDING * np.abs(x_next), apart, 0) / unit[:, None]
     units = unit * unit[:, None]
     variances, axes = np.linalg.eigh(np.moveaxis(P_next / units, 2, 0))
     axes = axes / np.sqrt(np.maximum(variances, NARROWEST))[:, None]
-    of_x = axes.swapaxes(1, 2) @ np.moveaxis(apart, 2, 0)
-    of_P = axes.swapaxes(1, 2) @ np.moveaxis((P - P_next) / units, 2, 0) @ axes
-    return bool((np.abs(of_x) <= AGREED).all() and (np.abs(of_P) <= AGREED).all())
+    of_x = np.abs(axes.swapaxes(1, 2) @ np.moveaxis((x - x_next) / unit[:, None], 2, 0))
+    of_P = np.abs(axes.swapaxes(1, 2) @ np.moveaxis((P - P_next) / units, 2, 0) @ axes)
+    largest = np.moveaxis(np.abs(x_next / unit[:, None]).max(axis=0, keepdims=True), 2, 0)  # (M, 1, c), in sigmas
+    rounding = STATE_ROUNDING * np.abs(axes).sum(axis=1)[..., None] * largest
+    return bool((of_x <= AGREED + rounding).all() and (of_P <= AGREED).all())
 
 
 def _as_matrices(array, M):

@@ -2,31 +2,13 @@
 
 A track goes one of two ways:
 
-1. *Tracks without gaps, at steps and with variances of the model.* They share A_k, B_k and P, which are made once
-   (`steps.make_shared_steps`), and `steps.run_shared` takes all of them through several steps in one product.
-2. *All others.* They have conditions of their own, and are columns (`columns`): one row is taken after the other
-   (`in_sequence`), or, where a few long tracks would leave the processor idle, pieces of them run side by side
-   (`partition.through`).
-
-A filter on columns is its `advance`, one epoch:
-
-    x, P, innovations = advance(row, x, P)
-
-row is a `Row` of c tracks in each of M columns, x (n, c, M) and P (n, n, M) are x(k/k) and P(k/k). It returns both one
-row further, and the innovations (m, c, M) at unit covariance, zero where nothing was measured. Each `advance` keeps
-five promises, which `partition` and a user's own gate live from:
-
-- x comes out linear in x and in the measurements, and P does not depend on either. So `partition` may run a piece from
-  starts of its own choice, and add up what becomes of them.
-- x and P are left as they were, and a second call returns the same. So a gate may look at the innovations, refuse the
-  row, and call again with `row.without(refused)`.
-- The innovations of a track are white and of unit variance if the model is right, also with correlated noises and in
-  rows that are partly missing. The sum of their squares is the NIS of the row. With correlated noises a single one of
-  them does not belong to one measurement, so that a gate takes or refuses a row as a whole.
-- A filter whose P is not that of the best estimate (`optimal = False`: constant gain, or one that forgets) returns no
-  innovations (m = 0). `in_sequence` refuses a gate for it: a NIS of zero would let everything pass.
-- A measurement that is missing changes nothing, nor does the variance of 1 that `Layout.rows` puts in its place.
+1. *Tracks without gaps, at steps and with variances of the model.* They share A_k, B_k and P, which are made once, and
+   all of them go through several steps in one product (`shared`).
+2. *All others* are columns (`columns`): one row is taken after the other (`in_sequence`), or, where a few long tracks
+   would leave the processor idle, pieces of them run side by side (`pieces`).
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
@@ -36,7 +18,7 @@ import numpy as np
 
 from .. import _checks as checks
 from .algebra import product_for_covariances
-from .epochs import Layout, Rows
+from .columns import Rows, as_columns
 from .pieces import through
 from .shared import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
@@ -47,7 +29,8 @@ def estimates(estimator, epochs, x, covariances):
     P is (N, n, n, 1) where all tracks share it.
     """
     N, _, M = x.shape
-    if not epochs.differ_in_gaps_only or _columns_will_do_all(epochs, covariances):
+    equal_steps = epochs.dt is None and epochs.r is None
+    if not equal_steps or _columns_will_do_all(epochs, covariances):
         return _by_columns(estimator, epochs, x, covariances)
     shared = estimator.shared_steps(N, M)
     if shared is None:
@@ -85,16 +68,17 @@ def _columns_will_do_all(epochs, covariances):
 
 def _by_columns(estimator, epochs, x, covariances):
     """Do what `estimates` does by the second way, so many columns at a time."""
-    (N, n, M), layout = x.shape, epochs.layout
-    P = np.empty((N, n, n, layout.count_of_columns(M))) if covariances else None
-    for part in tiles(M, TILE if layout.one_column else TILE_OF_COVARIANCES):
-        advance, rows, x0, P0 = start_on_columns(estimator, layout.rows(epochs.of(part)))
+    (N, n, M), together = x.shape, epochs.alike
+    P = np.empty((N, n, n, 1 if together else M)) if covariances else None
+    for part in tiles(M, TILE if together else TILE_OF_COVARIANCES):
+        advance, rows, x0, P0 = start_on_columns(estimator, epochs.of(part).rows(together))
         # Views of x and P, which `through` writes to.
-        written = layout.as_columns(x[..., part]), None if P is None else layout.of_tracks(P, part)
+        P_part = P if P is None or together else P[..., part]
+        written = as_columns(x[..., part], together), P_part
         P_last, least_variance = through(partial(in_sequence, advance), rows, x0, P0, *written)
         if least_variance < 0:
             # The variance of a state that is known exactly comes out as the rounding of zero, on either side of it.
-            keeping_zeros = partial(_keeping_what_is_known, estimator.model.motion, advance)
+            keeping_zeros = partial(_keeping_what_is_known, estimator.prediction, advance)
             P_last, least_variance = through(partial(in_sequence, keeping_zeros), rows, x0, P0, *written)
         if least_variance < 0:
             need = "measurements that are not far more precise than P0 or than what is known after a gap"
@@ -122,8 +106,8 @@ class OnColumns(NamedTuple):
 
 
 def start_on_columns(estimator, rows):
-    """Return OnColumns of Rows, as `Layout.rows` makes them."""
-    advance, rows, x0, P0 = estimator.in_columns(rows)
+    """Return OnColumns of Rows."""
+    advance, x0, P0 = estimator.on_columns(rows)
     _, _, c, M = rows.z.shape
     x = np.broadcast_to(x0[:, None, None], (len(x0), c, M))
     return OnColumns(advance, rows, x, np.repeat(P0[..., None], M, axis=2))
@@ -135,15 +119,15 @@ def on_own_columns(estimator, z):
     Tracks that share a column share a covariance, so that a row could only be refused in all of them. `as_tracks` of
     the filter makes such a z of one track too.
     """
-    return start_on_columns(estimator, Layout(one_column=False).rows(estimator.epochs_of(z)))
+    return start_on_columns(estimator, estimator.epochs_of(z).rows(together=False))
 
 
-def _keeping_what_is_known(motion, advance, row, x, P):
+def _keeping_what_is_known(prediction, advance, row, x, P):
     """Advance, and let a state that is predicted exactly, by a variance of zero, be known exactly afterwards."""
     x, P_next, innovations = advance(row, x, P)
-    n = len(motion.one_step[0])
+    n = len(prediction.F)
     known = np.zeros(P_next.shape[1:], bool)  # (d, M)
-    known[:n] = np.einsum("jjm->jm", motion.covariance(P[:n, :n], row.lengths)) == 0
+    known[:n] = np.einsum("jjm->jm", prediction.covariance(P[:n, :n], row.steps)) == 0
     row_or_column_is_known = known[:, None] | known  # (d, 1, M) and (d, M) make (d, d, M)
     return x, np.where(row_or_column_is_known, 0.0, P_next), innovations
 
@@ -206,8 +190,7 @@ def innovations(estimator, epochs):
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks. The states are those before the measurements.
         before = np.moveaxis(_before(x, model.x0, part), 1, 0), np.moveaxis(_before(P, estimator.P0, part), 0, 2)
-        lengths = None if epochs.lengths is None else epochs.lengths[part]
-        x_part, P_part = model.motion.state(before[0], lengths), model.motion.covariance(before[1], lengths)
+        x_part, P_part = estimator.prediction(*before, epochs.steps(part))
         expected = (model.H @ x_part.reshape(n, -1)).reshape(m, *x_part.shape[1:])
         values[part] = epochs.z[part] - np.moveaxis(expected, 0, 1)
         S[part] = np.moveaxis((W @ P_part.reshape(n * n, -1)).reshape(m, m, *P_part.shape[2:]), 2, 0)

@@ -19,6 +19,7 @@ from scipy.linalg import eig
 
 from .. import _checks as checks
 from .algebra import product, solved, transposed
+from .columns import as_columns
 from .pieces import through
 from .run import in_sequence
 from .shared import epochs_at_a_time
@@ -58,27 +59,27 @@ class Backwards:
         return Backwards(self.C, np.concatenate([self.d, np.zeros((N, n, count, M))], axis=2), self.D)
 
 
-def smoothed(motion, epochs, x, P):
+def smoothed(prediction, epochs, x, P):
     """Return x(k/N) (N, n, M) and P(k/N) (N, n, n, M or 1) from x(k/k) and P(k/k) of the same shapes.
 
-    motion is that of the states, epochs are the Epochs that x and P are estimates of. P has one covariance for all
+    prediction is that of the states, epochs are the Epochs that x and P are estimates of. P has one covariance for all
     tracks (1) or one for each.
     """
-    modes = _undriven(*motion.one_step, P[0])
+    modes = _undriven(prediction.F, prediction.Q, P[0])
     if modes:
         text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
         checks.warn(f"{text}: covariances may be wrong. Process noise of a millionth of the variances mends it")
     (N, n, M), width = x.shape, P.shape[3]
     C, d, D = np.empty((N - 1, n, n, width)), np.empty((N - 1, n, M)), np.empty((N - 1, n, n, width))
     for part in epochs_at_a_time(N - 1, n * n * width) if N > 1 else ():
-        lengths = None if epochs.lengths is None else epochs.lengths[1:][part]
-        C[part], d[part], D[part] = _coefficients(motion, lengths, x[part], P[part])
+        steps = epochs.steps(slice(part.start + 1, part.stop + 1))
+        C[part], d[part], D[part] = _coefficients(prediction, steps, x[part], P[part])
     x, P = x.copy(), P.copy()
     if N > 1:
-        as_columns = epochs.layout.as_columns
-        back = Backwards(C[::-1], as_columns(d[::-1]), D[::-1])
+        in_columns = partial(as_columns, together=epochs.alike)
+        back = Backwards(C[::-1], in_columns(d[::-1]), D[::-1])
         # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
-        through(partial(in_sequence, _advance), back, as_columns(x[-1]), P[-1], as_columns(x[-2::-1]), P[-2::-1])
+        through(partial(in_sequence, _advance), back, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
     return x, P
 
 
@@ -94,31 +95,22 @@ def _undriven(F, Q, P):
     return [f"{abs(mode):.3g}" for mode in modes[(np.abs(modes) < DAMPED) & (added < UNDRIVEN * known)]]
 
 
-def _coefficients(motion, lengths, x, P):
+def _coefficients(prediction, steps, x, P):
     """Return C (N, n, n, M or 1), d = (I - C F) x (N, n, M) and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ of N epochs.
 
-    They are those of the step back to each epoch, from its x (N, n, M) and P (N, n, n, M or 1). lengths are those of
-    the steps that follow the epochs, None where all are one step of the model.
+    They are those of the step back to each epoch, from its x (N, n, M) and P (N, n, n, M or 1). steps are the Steps
+    that follow the epochs, None where all are the model's.
     """
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
-    lengths = None if lengths is None else np.broadcast_to(lengths, P.shape[2:])
-    FP = motion.state(P, lengths)
-    C = transposed(solved(motion.covariance(P, lengths), FP))
-    d = x - np.einsum("ij...,j...->i...", C, motion.state(x, lengths))
+    FP = prediction.state(P, steps)
+    C = transposed(solved(prediction.covariance(P, steps), FP))
+    d = x - np.einsum("ij...,j...->i...", C, prediction.state(x, steps))
     kept = P - product(C, FP)  # (I - C F) P
+    Q = prediction.Q[..., None, None] if steps is None else steps.Q
     # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero but for the rounding of `kept`, which it takes back.
-    D = kept - product(
-        transposed(motion.state(transposed(kept), lengths)) - _times_noise(motion, lengths, C), transposed(C)
-    )
+    left = transposed(prediction.state(transposed(kept), steps)) - product(C, Q)
+    D = kept - product(left, transposed(C))
     return np.moveaxis(C, 2, 0), np.moveaxis(d, 1, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
-
-
-def _times_noise(motion, lengths, C):
-    """Return C Q."""
-    if lengths is None:
-        _, Q = motion.one_step
-        return transposed((Q @ transposed(C).reshape(len(C), -1)).reshape(C.shape))
-    return product(C, motion.covariance(np.zeros_like(C), lengths))
 
 
 def _advance(step, x, P):

@@ -130,8 +130,8 @@ class _Steps:
         epochs = kf.epochs_of(z)
         self.model, self.z, self.seen = kf.model, z, ~np.isnan(z)
         self.fixes, self.whole = self.seen.any(axis=(1, 2)).tolist(), self.seen.all(axis=(1, 2)).tolist()
-        self.lengths = [1.0] * len(z) if epochs.lengths is None else epochs.lengths[:, 0].tolist()
-        self.variances = None if epochs.variances is None else epochs.variances[:, :, 0]
+        self.dt = [None] * len(z) if epochs.dt is None else epochs.dt[:, 0].tolist()  # None: the model's
+        self.variances = None if epochs.r is None else epochs.r[:, :, 0]
 
     def first(self):
         """Return the state before the first row."""
@@ -139,16 +139,16 @@ class _Steps:
 
     def start(self, k):
         """Return the state after a first fix, of row k: x0 and P0 moved there."""
-        looked = self.look(self.first(), k, length=1.0)
+        looked = self.look(self.first(), k, self.model.dt)
         moved = np.linalg.pinv(self.model.H[looked.step.seen]) @ looked.e
         return looked.x + moved + looked.step.gain @ (
             looked.e - self.model.H[looked.step.seen] @ moved
         ), looked.step.taken
 
-    def look(self, state, k, length=None):
+    def look(self, state, k, dt=None):
         """Return the state of row k before its measurement, with its innovation."""
         x, covariance = state
-        step = self._step(covariance, k, self.lengths[k] if length is None else length)
+        step = self._step(covariance, k, self.dt[k] if dt is None else dt)
         x = step.F @ x
         if step.gain is None:
             return _Looked(x, step)
@@ -158,13 +158,13 @@ class _Steps:
         e = z - step.H @ x
         return _Looked(x, step, e, float(np.vdot(e, step.precision @ e)))
 
-    def _step(self, covariance, k, length):
+    def _step(self, covariance, k, dt):
         """Return the _Step of row k, which depends on no measured value."""
         fix, whole = self.fixes[k], self.whole[k]
         variances = None if self.variances is None or not fix else tuple(self.variances[k].tolist())
-        key = length, fix, variances, None if whole or not fix else self.seen[k].tobytes()
+        key = dt, fix, variances, None if whole or not fix else self.seen[k].tobytes()
         if key not in covariance.steps:
-            F, Q = (self.model.F, self.model.Q) if length == 1 else self.model.over(length)
+            F, Q = (self.model.F, self.model.Q) if dt is None else self.model.over(dt)
             P = F @ covariance.P @ F.T + Q
             if not fix:
                 return covariance.steps.setdefault(key, _Step(F, _Covariance(P)))

@@ -27,11 +27,9 @@ from . import positioning
 from .experiments import exact_moments
 
 TABLES = {"ESBC": "esbc_2020_177.csv.gz", "Belem": "bele_2024_010.csv.gz", "NYA1": "nya1_2024_124.csv.gz"}
-BIASES = "code_bias_C1C_C1W_2024_010.csv"
 KINDS = ("one frequency", "two frequencies")
 AXES = ("east", "north", "up")
 LAMBDA = 1.6469444  # (f1/f2)² of GPS: the delay in the ionosphere goes with 1/f²
-LIGHT = 299_792_458.0  # m/s
 AMPLIFIED = LAMBDA / (LAMBDA - 1)  # what two frequencies make of an error of the first: 2.55
 SLIP = 0.15  # m, of L1 - L2 from epoch to epoch: a lost cycle makes 0.19 m or more, the ionosphere hardly ever 0.15
 JUMP = 10.0  # m, of phase minus code: its noise moved up to 5 m; whole cycles that L1 - L2 does not show make 14.7 m
@@ -94,22 +92,6 @@ def without_biases(day):
     return day._replace(ranges=day.ranges + day.bias, dual=day.dual + (AMPLIFIED - 1) * day.bias, bias=0 * day.bias)
 
 
-def stored_biases():
-    """Return the 31 code biases of 10 January 2024 that are shipped, (32,) in metres, NaN without one."""
-    rows = np.loadtxt(_data() / BIASES, delimiter=",", skiprows=1, converters={0: lambda name: name.strip("G")})
-    biases = np.full(32, np.nan)
-    biases[rows[:, 0].astype(int) - 1] = LIGHT * 1e-9 * rows[:, 1]
-    return biases
-
-
-def with_biases(day, biases):
-    """Return a `Day` whose ranges are corrected by other code biases (32,), in metres; NaN for none."""
-    left_in, bias = without_biases(day), np.nan_to_num(biases)
-    return left_in._replace(
-        ranges=left_in.ranges - bias, dual=left_in.dual - (AMPLIFIED - 1) * bias, bias=bias + 0 * day.bias
-    )
-
-
 def recorded_days(tables=None):
     """Read tables {name: file} from the notebooks' data, by default those shipped; return {name: Day}."""
     return {name: _kept_day((_data() / file).resolve()) for name, file in (tables or TABLES).items()}
@@ -117,7 +99,7 @@ def recorded_days(tables=None):
 
 @lru_cache(maxsize=8)
 def _kept_day(path):
-    """Return `recorded_day`, read once in a process: both parts of the notebook use it, and nobody may write to it."""
+    """Return `recorded_day`, read once in a process; nobody may write to it."""
     day = recorded_day(path)
     for values in day:
         values.setflags(write=False)
@@ -125,8 +107,9 @@ def _kept_day(path):
 
 
 def _data():
-    """Return the folder of the recordings, from the project's root or its notebooks."""
-    return Path("notebooks/data") if Path("notebooks").is_dir() else Path("data")
+    """Return the folder of the recordings, from the project's root, its notebooks or its lessons."""
+    folders = [Path(each) for each in ("notebooks/data", "data", "../data")]
+    return next((each for each in folders if each.is_dir()), folders[0])
 
 
 def ranges_of(day, kind):
@@ -295,24 +278,17 @@ def arc_means(values, arc):
     return np.where(there, (sums / np.maximum(counts, 1))[index], np.nan)
 
 
-def smoothed(code, phase, arc, most):
-    """Return carrier-smoothed ranges (N, m): the code's noise averaged over at most so many epochs of an arc (Hatch).
+def to_smooth(day, kind, code):
+    """Return what carrier smoothing takes of code ranges (N, 32) of a day: phase, anew, both (N, 32), and a number.
 
-    code and phase are ranges (N, m), the phase with an unknown constant in each arc (N, m). Each epoch uses the past
-    only. Where there is no arc (-1), the code stays.
-
-    >>> phase = np.array([[0.0], [10.0], [20.0]])
-    >>> smoothed(np.array([[101.0], [109.0], [120.0]]), phase, np.array([[1], [1], [1]]), most=10).ravel()
-    array([101., 110., 120.])
+    The phase is a range with an unknown constant, NaN where there is none; anew tells where that constant is another
+    one than an epoch before. The number is that of the epochs to average.
     """
-    offset, count, ranges = np.zeros(code.shape[1]), np.zeros(code.shape[1]), code.copy()
-    for k, here in enumerate(arc):
-        goes_on = (here >= 0) & (here == arc[k - 1]) if k else np.zeros(len(here), dtype=bool)
-        count = np.where(goes_on, np.minimum(count + 1, most), 1)
-        gap = code[k] - phase[k] - offset
-        offset = np.where(goes_on, offset + gap / count, code[k] - phase[k])
-        ranges[k] = np.where(here >= 0, phase[k] + offset, code[k])
-    return ranges
+    arc = np.where(np.isfinite(code), arcs(day), -1)
+    phase = np.where(arc >= 0, code + carrier(day, kind), np.nan)
+    anew = np.ones(arc.shape, dtype=bool)
+    anew[1:] = arc[1:] != arc[:-1]
+    return phase, anew, max(round((SMOOTHED if phases_of(day) == 2 else SMOOTHED_L1) / day.step), 1)
 
 
 class Case(NamedTuple):
@@ -320,8 +296,8 @@ class Case(NamedTuple):
 
     errors are those of the fixes, NaN at an epoch without one. Of these, noise is what code and carrier phase do not
     share, averaged to zero over each arc, and lasting is the rest; both are None without the phases of two frequencies.
-    smooth are the errors of fixes from carrier-smoothed ranges, None without any phase. offset (3,) is the mean of the
-    day from the header's position, step the seconds between epochs. said tells what was left out.
+    ranges (N, 32) are those that the fixes were made of. offset (3,) is the mean of the day from the header's position,
+    step the seconds between epochs. said tells what was left out.
     """
 
     station: str
@@ -330,7 +306,7 @@ class Case(NamedTuple):
     errors: np.ndarray
     noise: np.ndarray | None
     lasting: np.ndarray | None
-    smooth: np.ndarray | None
+    ranges: np.ndarray
     offset: np.ndarray
     said: str
 
@@ -343,19 +319,16 @@ class Case(NamedTuple):
 def case(station, day, kind):
     """Return the `Case` of one kind of range of a day."""
     measured = tested(day, ranges_of(day, kind))
-    code, phases = measured.ranges, phases_of(day)
+    code = measured.ranges
     local = fixes(day, code).local
     offset = np.nanmean(local, axis=0)
-    noise = lasting = smooth = None
-    if phases:
+    noise = lasting = None
+    if phases_of(day) == 2:
         phase, arc = carrier(day, kind), np.where(np.isfinite(code), arcs(day), -1)
-        most = max(round((SMOOTHED if phases == 2 else SMOOTHED_L1) / day.step), 1)
-        smooth = about_mean(fixes(day, smoothed(code, np.where(arc >= 0, code + phase, 0.0), arc, most)).local)
-    if phases == 2:
         levelled = np.where(arc >= 0, code + phase - arc_means(phase, arc), code)
         lasting = about_mean(fixes(day, levelled).local)
         noise = local - offset - lasting
-    return Case(station, kind, day.step, local - offset, noise, lasting, smooth, offset, measured.said)
+    return Case(station, kind, day.step, local - offset, noise, lasting, code, offset, measured.said)
 
 
 def about_mean(values):
@@ -555,7 +528,7 @@ def filtered(case):
 
 @lru_cache(maxsize=16)
 def _kept_filtered(step, shape, stored):
-    """Return the `Filtered` of errors that are stored as bytes, once in a process: both parts of the notebook ask."""
+    """Return the `Filtered` of errors that are stored as bytes, computed once in a process."""
     errors = np.frombuffer(stored).reshape(shape)
     found = fit_lasting((step * np.arange(len(errors)), errors))
     filters = {

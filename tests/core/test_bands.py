@@ -108,9 +108,10 @@ def test_bands_of_other_filters_start_from_the_P0_of_the_filter(seed, kind, seco
     """`ahead`, `following` and the live band against the plain loop: the first innovation is judged by that P0."""
     rng = np.random.default_rng(seed)
     axis = mpt.constant_velocity(0.5, 0.3, 1.0, x0=rng.standard_normal(2), P0=9 * np.eye(2))
-    plane = mpt.stack(axis, replace(axis, R=[[2.0]], Q=2 * axis.Q))
+    other = replace(axis.with_noise_times(2.0), R=[[2.0]])
+    plane = mpt.stack(axis, other)
     one, two = with_a_start_of_its_own(rng, plane), with_a_start_of_its_own(rng, plane)
-    halves = [with_a_start_of_its_own(rng, axis), with_a_start_of_its_own(rng, replace(axis, R=[[2.0]], Q=2 * axis.Q))]
+    halves = [with_a_start_of_its_own(rng, each) for each in (axis, other)]
     estimator, P0 = {
         "constant gain": (one, one.P),
         "joint": (mpt.JoinFilter(one, two), (one.P + two.P) / 2),
@@ -126,7 +127,7 @@ def test_bands_of_other_filters_start_from_the_P0_of_the_filter(seed, kind, seco
     normal = np.log([{0.95: 1.959963984540054, 0.7: 1.0364333894937898}[level]] * 2)
     for i in range(M):
         checked, at_rows, log_f = plain_band(
-            lambda T: plane.over(T / 0.5),
+            plane.over,
             *(plane.H, plane.R, [plane.R] * N, (-0.5, plane.x0, P0), t),
             *(z[..., i], x[..., i], P[..., i], seconds, level, normal),
         )

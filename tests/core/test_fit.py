@@ -59,7 +59,7 @@ def test_twice_all_covariances_leave_the_estimates_and_make_S_twice_as_large(see
     model = replace(model, H=rng.standard_normal((m, n)), R=np.diag(rng.uniform(0.1, 2, m)))
     c, t, r = rng.uniform(0.01, 100), np.cumsum(rng.exponential(size=N)), rng.uniform(0.1, 2, (N, m))
     z = np.where(rng.uniform(size=(N, m)) < 0.2, np.nan, rng.standard_normal((N, m)))
-    scaled = replace(model, Q=c * model.Q, R=c * model.R, P0=c * model.P0)
+    scaled = replace(model.with_noise_times(c), R=c * model.R, P0=c * model.P0)
     one, other = mpt.KalmanFilter(model, t=t, r=r), mpt.KalmanFilter(scaled, t=t, r=c * r)
     np.testing.assert_allclose(other.filter(z), one.filter(z), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(metrics.innovations(other, z).S, c * metrics.innovations(one, z).S, rtol=1e-9)
@@ -488,7 +488,7 @@ def test_a_search_that_ends_at_its_wall_says_so():
 def test_a_rescaled_filter_states_the_errors_that_it_makes(factor, level):
     true = plane(0.2, 4.0)
     _, z = mpt.simulate(true, 3000, np.random.default_rng(8))
-    kf = mpt.KalmanFilter(replace(true, Q=factor * true.Q))
+    kf = mpt.KalmanFilter(true.with_noise_times(factor))
     found = fitting.rescaled(kf, z, 10, level=level)
     a = metrics.ahead(found, z, 10)
     normal = {0.5: 0.6745, 0.95: 1.96}[level]

@@ -1,14 +1,12 @@
 """Times are taken for what they are: dates, lengths of time, numbers of seconds. What cannot be seconds is refused."""
 
 import itertools
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import mpt_helpers as mpt
 from reproduction.lasting import lasting_error
@@ -87,7 +85,7 @@ def test_a_length_of_time_is_taken_for_what_it_is(i):
     for make in (mpt.constant_velocity, mpt.constant_acceleration, mpt.gsm_axis):
         assert make(dt=length, q=0.1, r=0.2) == make(dt=1.5, q=0.1, r=0.2)
     assert mpt.gps_ins(length, 0.1, (1.0, 0.1)) == mpt.gps_ins(1.5, 0.1, (1.0, 0.1))
-    model = mpt.LinearModel(F=MODEL.F, H=MODEL.H, Q=MODEL.Q, R=MODEL.R, dt=length, powers=MODEL.powers)
+    model = mpt.LinearModel(transition=MODEL.transition, H=MODEL.H, R=MODEL.R, dt=length)
     assert model.dt == 1.5
     kf = mpt.KalmanFilter(MODEL, t=SECONDS)
     both = mpt.Separate(kf, kf)
@@ -146,48 +144,6 @@ def test_times_that_may_be_seconds_are_taken(t):
 def test_a_date_is_no_length_of_time(dt):
     with pytest.raises((TypeError, ValueError), match="dt: needs a number"):
         mpt.KalmanFilter(MODEL).step(MODEL.x0, MODEL.P0, [1.0], dt=dt)
-
-
-@pytest.mark.parametrize("own_variances", [False, True], ids=["R", "own variances"])
-@pytest.mark.parametrize(
-    "model", [mpt.constant_velocity(1.0, 0.01, 0.1), mpt.constant_acceleration(1.0, 0.01, 0.1)], ids=["cv", "ca"]
-)
-def test_a_step_that_is_refused_to_one_filter_by_its_dt_is_refused_to_the_other_by_its_times(model, own_variances):
-    """By times, the estimates after 1e8 s with an acceleration were wrong by 1e4 sigma, and no word was said."""
-    for q, r in ((1.0, 1.0), (1e6, 1e-6)):
-        made = replace(model, Q=q * model.Q, R=model.R if own_variances else r * model.R)
-        variances = np.full((3, 1), 0.1 * r) if own_variances else None
-        # At rest before the gap, so that the process noise is nearly all that is not known after it.
-        edge = (1e29 * 0.1 * r / (q * model.Q[0, 0])) ** (1 / (2 * model.powers[0]))
-        for gap, refused in ((edge / 3, False), (3 * edge, True)):
-            gap = min(gap, 9e10)
-            if refused and gap < edge:  # beyond all times
-                continue
-            kf = mpt.KalmanFilter(made, t=[0.0, gap, gap + 1.0], r=variances)
-            with pytest.raises(ValueError, match="t: needs steps after") if refused else nullcontext():
-                kf.filter(np.zeros((3, 1)))
-            r_k = None if variances is None else variances[0]
-            with pytest.raises(ValueError, match="dt: needs a time after") if refused else nullcontext():
-                mpt.KalmanFilter(made).step(np.zeros(made.n), 0 * made.Q, [0.0], dt=gap, r=r_k)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(2, 4), st.booleans())
-def test_the_longest_step_of_any_track_counts_beside_the_least_variance_of_any(seed, M, own_variances):
-    """A step is refused to one track of several as it is to that track alone."""
-    rng = np.random.default_rng(seed)
-    model = mpt.constant_acceleration(1.0, 0.01, 0.1)
-    lengths = rng.choice([0.0, 1.0, 60.0], (5, M))
-    lengths[1] = 1.0
-    k, track, other = rng.integers(1, 5), *rng.permutation(M)[:2]
-    r = np.full((5, 1, M), 0.1)
-    precise = other if own_variances else track
-    r[rng.integers(5), 0, precise] = least = 0.1 * (1e-3 if own_variances else 1.0)
-    edge = (1e29 * least / model.Q[0, 0]) ** (1 / (2 * model.powers[0]))
-    for gap, refused in ((edge / 3, False), (3 * edge, True)):
-        lengths[k, track] = gap
-        kf = mpt.KalmanFilter(model, t=np.cumsum(lengths, axis=0), r=r if own_variances else None)
-        with pytest.raises(ValueError, match="t: needs steps after") if refused else nullcontext():
-            kf.filter(np.zeros((5, 1, M)))
 
 
 def test_variances_that_are_missing_refuse_no_step():

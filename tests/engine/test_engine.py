@@ -167,7 +167,7 @@ def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces)
         (mpt.constant_velocity, 3600.0, 1e-6, True),
         (mpt.constant_velocity, 86_400.0, 5e-6, True),  # after the second run
         (mpt.constant_acceleration, 600.0, 5e-6, True),  # after the third
-        (mpt.constant_acceleration, 3600.0, 5e-4, False),
+        (mpt.constant_acceleration, 3600.0, 5e-5, True),
         (mpt.constant_acceleration, 86_400.0, 1.0, False),
     ],
 )
@@ -396,14 +396,14 @@ def test_a_damped_mode_is_told_whichever_track_does_not_measure_it(seed):
 
 
 REFUSED_TIMES = {
-    "gsm": (lambda: timed(AXIS, t=T), "t: needs a model that says"),
-    "gps_ins": (lambda: timed(mpt.gps_ins(1.0, 0.1, (1.0, 1.0)), t=T), "t: needs a model that says"),
+    "gsm": (lambda: timed(AXIS, t=T), "t: needs a model with a transition"),
+    "gps_ins": (lambda: timed(mpt.gps_ins(1.0, 0.1, (1.0, 1.0)), t=T), "t: needs a model with a transition"),
     "a plain model": (lambda: timed(mpt.LinearModel(F=[[1]], H=[[1]], Q=[[1]], R=[[1]]), t=T), "t: needs a mod"),
-    "another F": (lambda: timed(replace(plane(), F=0.9 * np.eye(4)), t=T), "t: needs a model that says"),
-    "another Q": (lambda: timed(replace(plane(), Q=np.eye(4)), t=T), "t: needs a model that says"),
+    "another F": (lambda: timed(replace(plane(), F=0.9 * np.eye(4)), t=T), "t: needs a model with a transition"),
+    "another Q": (lambda: timed(replace(plane(), Q=np.eye(4)), t=T), "t: needs a model with a transition"),
     "axes of other dt": (
         lambda: timed(mpt.stack(*(mpt.constant_velocity(dt, 1, 1) for dt in (1, 2))), t=T),
-        "t: needs a model that says",
+        "dt: needs a model that says the same dt",
     ),
     "backwards": (lambda: timed(t=[0, 2, 1]), "t: needs .* do not decrease, got 1 after 2, in row 2"),
     "NaN": (lambda: timed(t=[0, np.nan]), "t: needs .* got NaN or infinity"),
@@ -416,7 +416,7 @@ REFUSED_TIMES = {
     "step without r": (lambda: timed(r=[[1, 1]]).step(ZERO, ONE, [0, 0]), "r: needs"),
     "step, r below zero": (lambda: timed().step(ZERO, ONE, [0, 0], r=[1, -1]), "r: needs a vector of 2 positive"),
     "step, r of other axes": (lambda: timed().step(ZERO, ONE, [0, 0], r=[1]), r"r: needs .* got shape \(1,\)"),
-    "over": (lambda: AXIS.over(1.5), "model: needs powers that say"),
+    "over": (lambda: AXIS.over(1.5), "model: needs a transition"),
     "fit, rows": (lambda: mpt.fit(lambda q: plane(), np.zeros((20, 3)), q=1.0), r"z: needs an \(N, 2\)"),
     "coefficients, t": (lambda: timed(t=T).coefficients(4), "t: needs to be left out, .* got times"),
     "coefficients, r": (lambda: timed(r=[[1, 1]]).coefficients(1), "r: needs to be left out, .* got variances"),
@@ -431,7 +431,7 @@ REFUSED_TIMES = {
     ),
     "join, r": (lambda: mpt.JoinFilter(timed(), timed(r=[[1, 1]])), "second: needs a filter of the same variances"),
     "step backwards": (lambda: timed().step(ZERO, ONE, [0, 0], dt=-1), "dt: needs a number"),
-    "step of gsm": (lambda: timed(AXIS).step(np.zeros(2), np.eye(2), [0], dt=1), "dt: needs a model that says"),
+    "step of gsm": (lambda: timed(AXIS).step(np.zeros(2), np.eye(2), [0], dt=1), "dt: needs a model with a transition"),
     "step, swapped": (lambda: timed().step(ONE, ZERO, [0, 0]), r"x: needs a \(4,\) array"),
     "step, NaN in x": (lambda: timed().step(np.nan * ZERO, ONE, [0, 0]), "x: needs a .* NaN"),
     "step, NaN in P": (lambda: mpt.LainiotisFilter(AXIS).step(np.zeros(2), np.nan * np.eye(2), [0]), "P: needs a .*"),
@@ -526,7 +526,8 @@ def test_separate_filters_with_times_step_by_dt():
 
 def test_a_model_keeps_its_times_where_F_and_Q_still_fit():
     model = plane()
-    assert replace(model, x0=np.zeros(4), R=np.eye(2), Q=2 * model.Q).dt == 0.7
+    assert replace(model, x0=np.zeros(4), R=np.eye(2)).dt == 0.7
+    assert model.with_noise_times(2.0).dt == 0.7
     assert mpt.exact_motion(model, np.zeros(4)).dt == 0.7
     assert replace(model, F=np.eye(4)).dt is None
 
@@ -725,29 +726,8 @@ def test_a_state_that_is_known_exactly_stays_so(tracks, gaps):
 
 
 def test_a_variance_below_zero_is_refused():
-    """Three fixes in every twenty epochs: without process noise P grows to 1e17 of their variance in between."""
-    model = mpt.constant_acceleration(dt=30.0, q=0.0, r=1e-4, P0=1e8 * np.eye(3))
-    t = 30 * np.cumsum(np.random.default_rng(0).exponential(size=60))
-    z = np.where(np.arange(60)[:, None] % 20 < 3, 1.0, np.nan)
     kalman = mpt.KalmanFilter
-    for function in (kalman.filter, kalman.estimates, kalman.smooth, metrics.log_likelihood):
-        with pytest.raises(ValueError, match=r"z: needs .* precise .* got a variance below zero"):
-            function(kalman(model, t=t), z)
     z = np.sin(np.arange(1, 41.0))[:, None]
     z[9:13] = np.nan
     with pytest.raises(ValueError, match="a variance below zero"):  # 5.3 sigma wrong, without a word
         kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=1e16 * np.eye(2))).filter(z)
-
-
-def test_a_state_that_stays_may_have_any_power():
-    """A constant bias beside a motion: its F and Q are those of any step."""
-    motion = mpt.constant_velocity(dt=2.0, q=0.1, r=1.0)
-    F, Q = np.eye(3), np.zeros((3, 3))
-    F[:2, :2], Q[:2, :2] = motion.F, motion.Q
-    given = {"F": F, "H": [[1, 0, 1]], "Q": Q, "R": [[1]], "P0": np.eye(3), "dt": 2.0}
-    model = mpt.LinearModel(**given, powers=[*motion.powers, 0])
-    assert model.dt == 2.0
-    z = np.array([[1.0], [2.0], [4.0]])
-    halves = mpt.KalmanFilter(model, t=[0, 2, 4]).filter(z)
-    np.testing.assert_allclose(halves, mpt.KalmanFilter(model).filter(z), rtol=1e-12)
-    np.testing.assert_array_equal(mpt.LinearModel(**given | {"Q": 0 * Q}, powers=[0, -1, 0]).over(0)[1], 0 * Q)

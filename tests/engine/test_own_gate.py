@@ -25,7 +25,7 @@ def a_loop(model, t, z, r):
     """A mask of the rows of one track (N, 2) that a plain Kalman filter with this gate takes."""
     x, P, at, refused, mask = model.x0, model.P0, t[0] - model.dt, 0, []
     for t_k, z_k, r_k in zip(t, z, r, strict=True):
-        F, Q = model.over((t_k - at) / model.dt)
+        F, Q = model.over(t_k - at)
         x, P, at, seen = F @ x, F @ P @ F.T + Q, t_k, ~np.isnan(z_k)
         H, e = model.H[seen], z_k[seen] - model.H[seen] @ x
         S = H @ P @ H.T + np.diag(r_k[seen])
@@ -61,7 +61,7 @@ def test_clean_tracks_that_share_their_conditions_are_not_refused_for_each_other
 def test_a_gate_is_refused_where_it_would_be_wrong():
     z, kf = np.zeros((5, 1, 3)), mpt.KalmanFilter(AXIS)
     epochs = kf.epochs_of(z)
-    in_one = start_on_columns(kf, epochs.layout.rows(epochs))
+    in_one = start_on_columns(kf, epochs.rows(epochs.alike))
     with pytest.raises(
         ValueError, match=r"takes: needs a column for each track \(on_own_columns\), got 3 tracks in one"
     ):

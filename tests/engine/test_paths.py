@@ -38,7 +38,7 @@ SMOOTHED = {"rtol": 1e-6, "atol": 1e-7}
 def axis(kind):
     """A model of one axis."""
     if kind == "forgetful":
-        return mpt.LinearModel(motion=Forgetful(DT, TAU, Q), H=[[1, 0]], R=[[1.0]])
+        return mpt.LinearModel(transition=Forgetful(TAU, Q), dt=DT, H=[[1, 0]], R=[[1.0]])
     return {"cv": mpt.constant_velocity, "ca": mpt.constant_acceleration}[kind](DT, Q, 1.0)
 
 
@@ -246,13 +246,12 @@ def in_sequence(kf, rows, limit):
 def test_a_gate_in_sequence_is_the_plain_loop_that_refuses_the_same_rows(case, limit):
     """Each track in a column; where they share their conditions and none is refused, all of them in one column too."""
     epochs = case.kf.epochs_of(case.z)
-    columns = epochs.layout._replace(one_column=False)
-    ways = [(columns, limit), (columns, None)]
-    if epochs.layout.one_column:
-        ways.append((epochs.layout, None))
-    for layout, most in ways:
+    ways = [(False, limit), (False, None)]
+    if epochs.alike:
+        ways.append((True, None))
+    for together, most in ways:
         loops = [case.loop(i, limit=most or np.inf) for i in range(case.z.shape[2])]
-        x, P, nis, taken = in_sequence(case.kf, layout.rows(epochs), most)
+        x, P, nis, taken = in_sequence(case.kf, epochs.rows(together), most)
         agree(x, P, loops)
         for i, loop in enumerate(loops):
             np.testing.assert_allclose(nis[:, i], np.nan_to_num(loop.nis), **SAME)
@@ -444,7 +443,7 @@ def test_pieces_with_a_variance_below_zero_are_not_taken():
     z = np.random.default_rng(0).standard_normal((60, 1, 1))
     z[7] = np.nan
     epochs = kf.epochs_of(z)
-    advance, rows, x0, P0 = engine.start_on_columns(kf, epochs.layout.rows(epochs))
+    advance, rows, x0, P0 = engine.start_on_columns(kf, epochs.rows(together=True))
 
     def rounding(row, x, P):
         x, P, e = advance(row, x, P)

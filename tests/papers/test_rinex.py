@@ -464,7 +464,7 @@ def test_a_warning_of_the_script_is_one_line(monkeypatch, tmp_path, capsys):
     assert capsys.readouterr().err == f"warning: {make_table.NO_BIASES}\n"
 
 
-RINEX = ROOT / "tests" / "papers" / "rinex"
+RINEX = ROOT / "tests" / "rinex"
 OBSERVATIONS, NAVIGATION = ((RINEX / f"{name}.rnx").read_text() for name in ("observations", "navigation"))
 COMMENT = f"{'SITE (own marker)':60}COMMENT\n"
 EVENT = ">                              4  1\n"
@@ -573,7 +573,7 @@ def test_two_biases_of_a_satellite_at_one_time_are_refused_if_they_disagree(tmp_
         make_table.read_biases(path, np.datetime64("2024-01-10"))
 
 
-with (ROOT / "tests" / "papers" / "rinex" / "by_cssrlib.csv").open(encoding="utf-8", newline="") as file:
+with (ROOT / "tests" / "rinex" / "by_cssrlib.csv").open(encoding="utf-8", newline="") as file:
     BY_CSSRLIB = list(csv.DictReader(file))
 
 

@@ -169,7 +169,7 @@ def written(copy, kind):
 
 MOTION = """\
 import sys
-sys.path.insert(0, "tests")
+sys.path.insert(0, "tests/support")
 import numpy as np
 import mpt_helpers as mpt
 from oracles import van_loan
@@ -177,22 +177,22 @@ from mpt_helpers.forgetful import Forgetful
 rng = np.random.default_rng(5)
 t = np.cumsum(rng.exponential(2.0, 300))
 drift = np.array([[0, 1], [0, -1 / 20]])
-for length in (0.01, 3.0, 20.0):
-    made, right = Forgetful(2.0, 20.0, 0.04).over(length), van_loan(drift, [0, 0.04], 2 * length)
+for length in (0.02, 6.0, 40.0):
+    made, right = Forgetful(20.0, 0.04)(length), van_loan(drift, [0, 0.04], length)
     assert all(np.allclose(M, M_right, rtol=1e-6, atol=1e-15) for M, M_right in zip(made, right)), length
-made = lambda q, r: mpt.LinearModel(motion=Forgetful(1.0, 20.0, q), H=[[1, 0]], R=[[r]], P0=np.eye(2))
+made = lambda q, r: mpt.LinearModel(transition=Forgetful(20.0, q), dt=1.0, H=[[1, 0]], R=[[r]], P0=np.eye(2))
 model = made(0.04, 0.5)
 x, z, at = np.zeros(2), np.empty((300, 1)), t[0] - 1
 truth, errors = np.empty((300, 2)), []
 for k in range(300):
-    F, Q = model.motion.over(t[k] - at)
+    F, Q = model.transition(t[k] - at)
     x = F @ x + np.linalg.cholesky(Q + 1e-15 * np.eye(2)) @ rng.standard_normal(2)
     truth[k], z[k], at = x, x[0] + rng.normal(0, np.sqrt(0.5)), t[k]
 z[rng.random(300) < 0.2] = np.nan
 kf = mpt.KalmanFilter(model, t=t)
 x, P, at, plain = np.zeros(2), np.eye(2), t[0] - 1, []
 for k in range(300):
-    F, Q = model.motion.over(t[k] - at)
+    F, Q = model.transition(t[k] - at)
     x, P, at = F @ x, F @ P @ F.T + Q, t[k]
     if np.isfinite(z[k, 0]):
         K = P[:, 0] / (P[0, 0] + 0.5)

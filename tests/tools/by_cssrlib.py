@@ -1,4 +1,4 @@
-"""Make tests/papers/rinex/by_cssrlib.csv: orbits, clocks and delays of the recorded days by cssrlib, no code of ours.
+"""Make tests/rinex/by_cssrlib.csv: orbits, clocks and delays of the recorded days by cssrlib, no code of ours.
 
     python -m pip install cssrlib==1.2.1 hatanaka==2.8.1 georinex==1.16.2
     python tests/tools/by_cssrlib.py OBSERVATIONS.crx.gz NAVIGATION.rnx.gz esbc_2020_177 [BIASES.BSX]
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-FILE = Path(__file__).parents[1] / "papers" / "rinex" / "by_cssrlib.csv"
+FILE = Path(__file__).parents[1] / "rinex" / "by_cssrlib.csv"
 COLUMNS = ["table", "epoch", "satellite", "measured", "distance", "clock", "group", "ionosphere"]
 COLUMNS += ["troposphere", "niell", "bias", "elevation"]
 EVERY = 193  # epochs: none lies as far from one message as from the next, where either may be taken

@@ -112,9 +112,9 @@ def use_dask(there):
 
 def use_gps(there):
     """Make the table of two satellites at two epochs from RINEX: the rows of the committed table of the whole day."""
-    there.script(GPS, ROOT / "tests" / "papers" / "rinex" / "observations.rnx")
+    there.script(GPS, ROOT / "tests" / "rinex" / "observations.rnx")
     navigation = there.here / "navigation.rnx.gz"
-    navigation.write_bytes(gzip.compress((ROOT / "tests" / "papers" / "rinex" / "navigation.rnx").read_bytes()))
+    navigation.write_bytes(gzip.compress((ROOT / "tests" / "rinex" / "navigation.rnx").read_bytes()))
     there.run(ROOT / "notebooks" / "data" / "make_table.py", "observations.crx.gz", navigation, "table.csv.gz")
     made = rows(there.here / "table.csv.gz")
     assert len(made) == 6, made  # the station, the columns, four ranges
