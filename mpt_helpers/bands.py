@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from datetime import datetime
+from datetime import date, datetime
 from typing import NamedTuple
 
 import numpy as np
@@ -60,8 +60,8 @@ FEW = 30
 UNCHECKED = 30
 
 
-class Ahead(NamedTuple):
-    """Each later fix against its prediction, made some seconds before. All tracks follow one another along K.
+class ForecastErrors(NamedTuple):
+    """The forecast errors of later fixes, predicted some seconds before. All tracks follow one another along K.
 
     made, due (K,): the times of a prediction and of the fix that checks it, in s
     errors (K, m): measured minus predicted, NaN where nothing was measured
@@ -88,6 +88,10 @@ class Ahead(NamedTuple):
     left_out: int
     seconds: float
 
+    def __repr__(self) -> str:
+        K, m = self.errors.shape
+        return f"ForecastErrors({K} predictions of {m} axes, {self.seconds:g} s ahead; {self.left_out} fixes left out)"
+
 
 class Coverage(NamedTuple):
     """The share of errors inside a band, (m,), its standard error, (m,), and on how many independent predictions.
@@ -107,8 +111,8 @@ class Expected(NamedTuple):
     half_width: Array
 
 
-def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> Ahead:
-    """Return each fix against what was predicted of it `seconds` before, as an Ahead.
+def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
+    """Return each fix against what was predicted of it `seconds` before, as ForecastErrors.
 
     estimator is a filter with covariances, on a grid or with times of its own, whose model says what a step of any
     length is (`constant_velocity`, `constant_acceleration` and stacks of them); z is (N, m) or (N, m, M). After every
@@ -145,18 +149,18 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> Ahead:
         got = f"{seconds:g} with steps of {np.median(steps):g} s" if len(steps) else "fewer than two fixes"
         checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
     arrays = [np.concatenate(column) for column in zip(*[part[:-1] for part in parts], strict=True)]
-    return Ahead(*arrays, left_out=sum(part[-1] for part in parts), seconds=seconds)
+    return ForecastErrors(*arrays, left_out=sum(part[-1] for part in parts), seconds=seconds)
 
 
-def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Array:
+def following(a: ForecastErrors, before: ForecastErrors | None = None, level: float = 0.95) -> Array:
     """Return the half-widths (K, m) of a band that follows its own checked errors: f · c · sigma of this module.
 
     The band of a prediction has learnt from those of its own track that were due when it was made, and from no other.
-    `before` is an Ahead of an earlier stretch with the same horizon: the factor starts from where it ends there, and
-    from the normal distribution without one. Each axis has a band, which holds a share `level` of that axis' errors.
+    `before` are those of an earlier segment with the same horizon: the factor starts from where it ends there, and from
+    the normal distribution without one. Each axis has a band, which holds a share `level` of that axis' errors.
 
-    Raises TypeError for anything but an Ahead, ValueError for a level outside (0, 1) and for another horizon or number
-    of axes before.
+    Raises TypeError for anything but ForecastErrors, ValueError for a level outside (0, 1) and for another horizon or
+    number of axes before.
 
     >>> from mpt_helpers import KalmanFilter, constant_velocity
     >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
@@ -164,7 +168,7 @@ def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Arr
     >>> (following(a) / a.sigma / a.recent[:, None]).ravel().round(3)  # f after a hit, a miss and a hit
     array([1.96 , 1.95 , 2.145, 2.134])
     """
-    checks.instance("a", a, Ahead)
+    checks.instance("a", a, ForecastErrors)
     level = checks.level(level)
     log_f = _start(a.seconds, a.errors.shape[1], before, level)
     band = np.empty_like(a.sigma)
@@ -173,13 +177,13 @@ def following(a: Ahead, before: Ahead | None = None, level: float = 0.95) -> Arr
     return band
 
 
-def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Coverage:
+def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None) -> Coverage:
     """Return the share of the errors inside the band, on each axis, with its standard error, as a Coverage.
 
-    a is an Ahead, band the half-widths (K, m), `where` (K,) says which predictions to look at: those made while fast,
-    for example. An error that was not measured, NaN, is left out. So is one whose band is NaN: nothing was stated of
-    it, which is neither a hit nor a miss. The function warns of how many these are, since a band that states nothing in
-    hard cases looks better than it is.
+    a are ForecastErrors, band the half-widths (K, m), `where` (K,) says which predictions to look at: those made while
+    fast, for example. An error that was not measured, NaN, is left out. So is one whose band is NaN: nothing was stated
+    of it, which is neither a hit nor a miss. The function warns of how many these are, since a band that states nothing
+    in hard cases looks better than it is.
 
     Predictions that overlap in time share most of their errors. So those are counted as independent that do not: the
     first one, and from then on each that is made when the one counted before it is due, or later. Below 30 of them the
@@ -207,7 +211,7 @@ def coverage(a: Ahead, band: ArrayLike, where: ArrayLike | None = None) -> Cover
     return Coverage(share, np.sqrt(near * (1 - near) / (of_axes + 4)), fewest)
 
 
-def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayLike | None = None) -> Array:
+def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, where: ArrayLike | None = None) -> Array:
     """Return the mean interval score of the band on each axis, (m,): its width, and what an error exceeds it by.
 
         2 b + 2 / (1 - level) · max(|error| - b, 0),   b the half-width
@@ -228,8 +232,8 @@ def interval_score(a: Ahead, band: ArrayLike, level: float = 0.95, where: ArrayL
     return np.nanmean(np.where(judged, 2 * band + 2 / (1 - checks.level(level)) * missed_by, np.nan), axis=0)
 
 
-def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
-    """Return an Ahead whose sigma tell nothing: the median one of each axis times random numbers, lognormal (0, 1).
+def placebo(a: ForecastErrors, rng: np.random.Generator) -> ForecastErrors:
+    """Return ForecastErrors whose sigma tell nothing: the median of each axis times random numbers, lognormal (0, 1).
 
     A band that follows its errors holds as many of them with these. Its interval score and its coverage in states that
     are known beforehand are what a true sigma must beat. rng is a numpy Generator.
@@ -239,7 +243,7 @@ def placebo(a: Ahead, rng: np.random.Generator) -> Ahead:
     >>> placebo(a, np.random.default_rng(1)).sigma.ravel().round(2)
     array([0.54, 0.87])
     """
-    checks.instance("a", a, Ahead)
+    checks.instance("a", a, ForecastErrors)
     checks.instance("rng", rng, np.random.Generator)
     # Of the size of the true ones: on a short track a band has not yet learnt its size.
     sigma = np.median(a.sigma, axis=0) * np.exp(rng.standard_normal(a.sigma.shape))
@@ -269,13 +273,14 @@ class LiveBand:
     at 4 s: 5.14 ± 0.92
     """
 
-    def __init__(self, estimator: Filter, seconds: Seconds, before: Ahead | None = None, level: float = 0.95):
+    def __init__(self, estimator: Filter, seconds: Seconds, before: ForecastErrors | None = None, level: float = 0.95):
         self.model = _model_of_any_step(estimator)
         self.seconds = checks.duration("seconds", seconds)
         self.level = checks.level(level)
-        self.log_f = _start(self.seconds, self.model.m, before, self.level)
+        self._factor = _Factor(_start(self.seconds, self.model.m, before, self.level), self.level)
         self.average = 1.0  # a: the recent average of NIS / m
         self.last = None  # the estimate of the last call: time, x, P
+        self.kind = None  # of its time: a number, a date or a date with a zone
         self.first = self.model.x0, estimator.P0
         self.times = deque()  # of the fixes within the last horizon
         self.fixes = 0
@@ -285,7 +290,7 @@ class LiveBand:
     @property
     def factor(self) -> Array:
         """The factor f of each axis, (m,): 1.96 where the filter's own band of 95 % was right."""
-        return np.exp(self.log_f)
+        return np.exp(self._factor.log_f)
 
     def step(
         self, t: float | datetime | np.datetime64, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None
@@ -299,9 +304,9 @@ class LiveBand:
         then the steps are longer than the horizon, and the band would never learn.
         """
         n, m = self.model.n, self.model.m
-        t = checks.moment("t", t)
+        t = self._moment(t)
         z = checks.measurements(np.reshape(z, (1, -1)), m)[0].copy()  # it is kept, and the caller may fill it anew
-        x, P = checks.array("x", x, (n,)), checks.array("P", P, (n, n))
+        x, P = (each.copy() for each in checks.state(x, P, n))
         checks.no_infinity(z)
         R = self.model.R
         if r is not None:
@@ -323,6 +328,18 @@ class LiveBand:
         expected, sigma = self._predicted(x, P, self.seconds, R)
         return Expected(expected, scale * sigma)
 
+    def _moment(self, t):
+        """Return a time in seconds; all of them are numbers, or dates of one kind."""
+        kind = "numbers of seconds"
+        if isinstance(t, date | np.datetime64):
+            kind = "dates with a zone" if getattr(t, "tzinfo", None) is not None else "dates without a zone"
+        if isinstance(t, date) and not isinstance(t, datetime):
+            checks.refuse("t", "a time in seconds or a datetime", "a date without a time of day", TypeError)
+        if self.kind not in (None, kind):
+            checks.refuse("t", f"{self.kind}, as those before", kind)
+        self.kind = kind
+        return checks.moment("t", t)
+
     def _check(self, t, z, R):
         """Let the factor learn from the predictions that have come due at the fix z."""
         too_late = 0.0  # by how many seconds this fix came after predictions that it cannot check
@@ -335,9 +352,7 @@ class LiveBand:
             if _repeats(z, z_made):
                 continue
             expected, sigma = self._predicted(x, P, t - made, R)
-            error = np.abs(z - expected)
-            moved = _move(error, scale * sigma, self.fixes + 1 - number, self.level)
-            self.log_f = self.log_f + np.where(np.isnan(error), 0, moved)
+            self._factor.learn(np.abs(z - expected).tolist(), (scale * sigma).tolist(), self.fixes + 1 - number)
         if too_late and self.unchecked is not None:
             self._refuse_steps_that_are_too_long(too_late)
 
@@ -362,7 +377,7 @@ class LiveBand:
 
 
 def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
-    """Return the fields of an Ahead, but for seconds. x and P begin with those before the first row."""
+    """Return the fields of ForecastErrors, but for seconds. x and P begin with those before the first row."""
     fixes = np.flatnonzero(np.isfinite(z).any(axis=1))
     t_fix = t[fixes]
     due = np.searchsorted(t_fix, t_fix + seconds * (1 - TIME_ROUNDING))
@@ -427,49 +442,46 @@ def _memory(fixes):
     return max(SHORTEST_MEMORY, fixes)
 
 
-def _gain(fixes):
-    """Return gamma for a prediction that was checked so many fixes after it was made.
+class _Factor:
+    """log f of each axis, which learns from predictions when they come due.
 
     The fixes that come while one prediction waits are no more than the memory. So they move log f by 0.5 at most: if
     all of them are misses, the band becomes 1.6 times as wide.
     """
-    return 0.5 / _memory(fixes)
+
+    def __init__(self, log_f, level):
+        self.log_f, self.level = list(log_f), level
+
+    def learn(self, errors, half_widths, fixes):
+        """Learn from the sizes of errors, NaN where none counts, checked so many fixes after they were predicted."""
+        gain = 0.5 / _memory(fixes)
+        for axis, (error, half_width) in enumerate(zip(errors, half_widths, strict=True)):
+            if error == error:
+                self.log_f[axis] += gain * ((error > half_width) - (1 - self.level))
 
 
 def _follow(a, rows, log_f, level, band):
     """Write the half-widths of one track, a slice of rows, to band (K, m); return log f (m,) after the last fix."""
-    widths = a.sigma[rows] * a.recent[rows, None]
-    counts = ~(np.isnan(a.errors[rows]) | a.rests[rows, None])
+    factor = _Factor(log_f, level)
+    widths = (a.sigma[rows] * a.recent[rows, None]).tolist()
+    errors = np.where(a.rests[rows, None], np.nan, np.abs(a.errors[rows])).tolist()
     made_row, due_row, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
-    ends = []
-    for axis, log_factor in enumerate(log_f.tolist()):
-        errors, width = np.abs(a.errors[rows, axis]).tolist(), widths[:, axis].tolist()
-        counted = counts[:, axis].tolist()
-        half, checked = [], 0  # the half-widths so far; how many predictions the factor has learnt from
-        for k, row in enumerate(made_row):
-            while checked < k and due_row[checked] <= row:
-                if counted[checked]:
-                    log_factor += _move(errors[checked], half[checked], fixes[checked], level)
-                checked += 1
-            half.append(math.exp(log_factor) * width[k])
-        for k in range(checked, len(made_row)):  # due after the last one was made
-            if counted[k]:
-                log_factor += _move(errors[k], half[k], fixes[k], level)
-        ends.append(log_factor)
-        band[rows, axis] = half
-    return np.array(ends)
-
-
-def _move(error, half_width, fixes, level):
-    """Return the change of log f when a prediction comes due, checked so many fixes after it was made."""
-    return _gain(fixes) * ((error > half_width) - (1 - level))
+    half, checked = [], 0  # the half-widths so far; how many predictions the factor has learnt from
+    for k, row in enumerate([*made_row, math.inf]):  # those due after the last one was made are learnt from at the end
+        while checked < k and due_row[checked] <= row:
+            factor.learn(errors[checked], half[checked], fixes[checked])
+            checked += 1
+        if k < len(widths):
+            half.append([math.exp(f) * width for f, width in zip(factor.log_f, widths[k], strict=True)])
+    band[rows] = half
+    return np.array(factor.log_f)
 
 
 def _start(seconds, m, before, level):
     """Return log f (m,) at the start of predictions `seconds` ahead: where those before end, if there are any."""
     if before is None:
         return np.full(m, math.log(ndtri((1 + level) / 2)))
-    checks.instance("before", before, Ahead)
+    checks.instance("before", before, ForecastErrors)
     if before.seconds != seconds or before.errors.shape[1] != m:
         got = f"{before.seconds:g} s and {before.errors.shape[1]} axes"
         checks.refuse("before", f"predictions of {seconds:g} s and {m} axes, as those that follow", got)
@@ -515,12 +527,14 @@ def _checked_band(name, a, band, where):
 
     `name` is that of the function that judges, for the warning of errors without a half-width.
     """
-    checks.instance("a", a, Ahead)
+    checks.instance("a", a, ForecastErrors)
     band = checks.real_numbers("band", band, "half-widths")
     if band.shape != a.errors.shape:
         checks.refuse("band", f"half-widths of shape {a.errors.shape}", f"shape {band.shape}")
     if (band < 0).any():
         checks.refuse("band", "half-widths that are not negative, NaN where nothing is stated", f"{np.nanmin(band):g}")
+    if isinstance(where, np.ma.MaskedArray):
+        checks.refuse("where", "truth values", "a masked array (its filled(False) has none that is masked)", TypeError)
     where = np.ones(len(band), bool) if where is None else np.asarray(where)
     if where.shape != (len(band),) or where.dtype != bool:
         checks.refuse("where", f"{len(band)} truth values", f"shape {where.shape} of {where.dtype}")

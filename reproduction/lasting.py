@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
+from scipy.special import chdtri
 
 from mpt_helpers import _checks as checks
 from mpt_helpers._base import Filter
@@ -25,6 +26,8 @@ LEAST_FIXES = 100  # a log of fewer says nothing of three unknowns
 # An error that lasts is seen where it makes the log e³ = 20 times as probable: of logs of independent errors some 2 in
 # 100 become so by chance.
 SEEN = 3.0
+# Means over so many tau, of which there are so many or more, scatter as the fit says but once in a thousand times.
+SLOW, FEWEST_MEANS, UNLIKELY = 10, 5, 1e-3
 LEAST_SPANS = 10  # of a log beside the span of `memory`
 
 
@@ -121,7 +124,8 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     between the first and the last of them), each fitted apart. Where a standard error of log tau is above 0.5, the logs
     do not determine it: a UserWarning gives the span, and asks for more days. Where an error that lasts makes the logs
     less than 20 times as probable as independent errors do, it is not seen, and more days of the same would hardly
-    help: a UserWarning says how large it may be unseen, if it lasts for ten steps to a tenth of the log.
+    help: a UserWarning says how large it may be unseen, if it lasts for ten steps to a tenth of the log. Where means
+    over ten tau scatter more than the fit says, a slower error is there beside the quick one: a UserWarning says so.
 
     The floor is the root of the mean square about the log's mean less r, in the worst half of a log: a filter should
     state no less. Where nothing is seen, it is 0. A constant error is in no number here: it looks like another
@@ -169,6 +173,7 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
             with np.errstate(over="ignore"):
                 span = best * np.exp(np.multiply.outer([-1.96, 1.96], errors))
             floor = max(_of_lasting(half[:, axis], best[0]) for z in centred for half in np.array_split(z, 2))
+            _warn_of_slower_errors([z[:, axis] for z in centred], steps[0], best, axis)
             if errors[2] > UNKNOWN:
                 said = _span_in_words(span[:, 2], step, step * len(rows))
                 checks.warn(f"fit_lasting: axis {axis}: tau is {said}, which the logs do not determine: give more days")
@@ -177,6 +182,26 @@ def fit_lasting(*logs: tuple[ArrayLike, ArrayLike]) -> LastingFit:
     r, sigma, tau = np.transpose(values)
     known = dict(zip(PARAMETERS, np.transpose(spans, (2, 0, 1)), strict=True))
     return LastingFit(r, sigma, tau, known, np.array(floors), np.swapaxes(halves, 0, 1))
+
+
+def _warn_of_slower_errors(logs, step, best, axis):
+    """Warn where means of ten tau scatter more than r, sigma and tau say: a slower error is there beside a quick one.
+
+    The mean of n fixes over T seconds has a variance of r / n + 2 sigma² (tau / T - (tau / T)² (1 - exp(-T / tau))).
+    """
+    r, sigma, tau = best
+    n = max(math.ceil(SLOW * tau / step), 2)
+    means = [
+        np.nanmean(part) for z in logs for part in np.split(z, range(n, len(z), n)) if np.isfinite(part).sum() > n / 2
+    ]
+    part = tau / (n * step)
+    expected = r / n + 2 * sigma**2 * (part - part**2 * -math.expm1(-1 / part))
+    free = len(means) - len(logs)
+    found = float(np.sum(np.square(means))) / max(free, 1)
+    if free >= FEWEST_MEANS and found > expected * chdtri(free, UNLIKELY) / free:
+        scatter = f"scatter by {math.sqrt(found):.2g} m, not by {math.sqrt(expected):.2g} m as fitted"
+        slower = "a slower error is there too; give the means as a log of their own"
+        checks.warn(f"fit_lasting: axis {axis}: means over {_in_words(n * step)} {scatter}: {slower}")
 
 
 def _span_in_words(span, step, length):
@@ -384,8 +409,12 @@ def _on_a_grid(log):
     checks.no_infinity(z)
     if not np.isfinite(t).all():
         checks.refuse("t", "a time of each fix", "nan or infinity")
+    if np.abs(t).max() > checks.LATEST_TIME:
+        checks.refuse("t", "times in seconds", f"{np.abs(t).max():.15g}, as of Unix milli-, micro- or nanoseconds")
     if _fixes_on_an_axis(z) < LEAST_FIXES:
         checks.refuse("log", f"at least {LEAST_FIXES} fixes on each axis", _fixes_on_an_axis(z))
+    if (np.nanmax(z, axis=0) == np.nanmin(z, axis=0)).any():
+        checks.refuse("z", "positions that differ, by their errors", "one position in all fixes of an axis")
     gaps = np.diff(t)
     if not (gaps > 0).all():
         checks.refuse("t", "times that increase", f"{t[gaps.argmin()]:g} and then {t[gaps.argmin() + 1]:g}")

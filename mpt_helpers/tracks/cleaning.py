@@ -83,7 +83,7 @@ class Band(NamedTuple):
     seconds: how far ahead; half_width: the median half-width of the band that follows its own checked errors, m
     asked, held, own: the share of fixes that is asked for, that this band held, and that the fit's own band held
     checked: how many predictions were checked; independent: how many of them do not overlap in time
-    ahead, widths: all predictions of the track (bands.Ahead), and the half-widths of the band around them (K, m)
+    ahead, widths: the forecast errors of the whole track, and the half-widths of the band around them (K, m)
     unseen (K,): which of them lie in the part that was not seen
     """
 
@@ -94,7 +94,7 @@ class Band(NamedTuple):
     own: float
     checked: int
     independent: int
-    ahead: bands.Ahead
+    ahead: bands.ForecastErrors
     widths: Array
     unseen: NDArray[np.bool_]
 

@@ -1,6 +1,7 @@
 """Bands that follow their own errors: what they rest on, what they guarantee, that they know nothing of the future."""
 
 from dataclasses import replace
+from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from oracles import plain_band
 from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
-from mpt_helpers.bands import Ahead, LiveBand, ahead, coverage, following, interval_score, placebo
+from mpt_helpers.bands import ForecastErrors, LiveBand, ahead, coverage, following, interval_score, placebo
 
 AXIS = mpt.constant_velocity(dt=1.0, q=0.05, r=0.5, P0=np.diag([100.0, 100.0]))
 PLANE = mpt.stack(AXIS, AXIS)
@@ -29,12 +30,12 @@ def recorded(N=400, seed=0, model=PLANE):
 
 
 def an_ahead(errors, sigma=1.0, lag=1, seconds=None):
-    """An Ahead on a grid of one second, from errors (K, m), where every prediction waits for `lag` fixes."""
+    """Forecast errors on a grid of one second, from errors (K, m), where every prediction waits for `lag` fixes."""
     errors = np.asarray(errors, float)
     row = np.arange(len(errors))
     ones = np.ones(len(errors))
     sigma = np.broadcast_to(sigma, errors.shape).copy()
-    return Ahead(
+    return ForecastErrors(
         row * 1.0,
         row * 1.0 + lag,
         errors,
@@ -152,7 +153,7 @@ def test_times_that_are_a_horizon_apart_but_for_their_rounding_belong_together()
 def test_a_grid_gives_what_its_times_give():
     _, z = recorded()
     grid, times = (ahead(kf, z, 5.0) for kf in (mpt.KalmanFilter(PLANE), mpt.KalmanFilter(PLANE, t=np.arange(len(z)))))
-    for name in Ahead._fields:
+    for name in ForecastErrors._fields:
         np.testing.assert_allclose(getattr(grid, name), getattr(times, name), rtol=1e-9, atol=1e-9, err_msg=name)
 
 
@@ -533,7 +534,7 @@ def test_a_model_of_one_step_length_and_a_horizon_without_fixes_are_refused():
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda a: following(a.errors), "a: needs a Ahead"),
+        (lambda a: following(a.errors), "a: needs a ForecastErrors"),
         (lambda a: following(a, level=1.0), r"level: needs a number in \(0, 1\)"),
         (lambda a: following(a, before=an_ahead(a.errors, lag=2)), "before: needs predictions of 1 s and 2 axes"),
         (lambda a: following(a, before=an_ahead(a.errors[:, :1])), "before: needs predictions of 1 s and 2 axes"),
@@ -558,3 +559,36 @@ def test_the_live_band_refuses_a_time_that_runs_back():
     live.step(5.0, [0.0], AXIS.x0, AXIS.P0)
     with pytest.raises(ValueError, match="t: needs a time that is not before the last one, 5, got 4"):
         live.step(4.0, [0.0], AXIS.x0, AXIS.P0)
+
+
+@pytest.mark.parametrize(
+    ("times", "P", "said"),
+    [
+        (
+            (datetime(2024, 5, 3), datetime(2024, 5, 3, 0, 0, 1, tzinfo=UTC)),
+            np.eye(2),
+            "t: needs dates without a zone, as",
+        ),
+        ((0.0, datetime(2024, 5, 3)), np.eye(2), "t: needs numbers of seconds, as those before"),
+        ((date(2024, 5, 3),), np.eye(2), "t: needs a time in seconds or a datetime"),
+        ((0.0,), -np.eye(2), "P: needs a covariance"),
+        ((0.0,), np.array([[1.0, 50.0], [0.0, 1.0]]), "P: needs a covariance"),
+    ],
+)
+def test_the_live_band_refuses_times_of_two_kinds_and_what_is_no_covariance(times, P, said):
+    live = LiveBand(mpt.KalmanFilter(AXIS), 1.0)
+    for t in times[:-1]:
+        live.step(t, [0.0], [0.0, 1.0], np.eye(2))
+    with pytest.raises((ValueError, TypeError), match=said):
+        live.step(times[-1], [0.0], [0.0, 1.0], P)
+
+
+def test_a_mask_of_a_masked_array_is_refused():
+    a = an_ahead(np.zeros((40, 1)))
+    with pytest.raises(TypeError, match="where: needs truth values, got a masked array"):
+        coverage(a, a.sigma, where=np.ma.array(np.ones(40, bool), mask=np.arange(40) < 30))
+
+
+def test_forecast_errors_are_shown_by_their_shapes():
+    a = an_ahead(np.zeros((40, 2)))
+    assert repr(a) == f"ForecastErrors(40 predictions of 2 axes, 1 s ahead; {a.left_out} fixes left out)"

@@ -376,3 +376,26 @@ def test_a_receiver_at_rest_is_filtered_without_matrices_as_with_them():
         lasting._AtRest(model).innovations_of(z), mpt.KalmanFilter(model).innovations_of(z), strict=True
     ):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("slow", [0.0, 1.5])
+def test_a_slower_error_beside_a_quick_one_is_told(slow, seed):
+    """Two hours at 1 Hz with reflections of 20 s, and an error of half an hour: one tau cannot be both."""
+    rng = np.random.default_rng(seed)
+    z = np.zeros((7200, 1))
+    for sigma, tau, r in ((1.0, 20.0, 0.25), (slow, 1800.0, 1e-12)):
+        still = mpt.LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[r]])
+        z += mpt.simulate(lasting_error(still, sigma, tau, dt=1.0), 7200, rng)[1]
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        fit_lasting((np.arange(7200.0), z))
+    assert any("a slower error is there too" in str(each.message) for each in said) == (slow > 0)
+
+
+def test_unix_milliseconds_and_one_value_are_refused():
+    t, z = log_at_rest(0)
+    with pytest.raises(ValueError, match=r"t: needs times in seconds, got 1\d+, as of Unix milli"):
+        fit_lasting((1.7e12 + 1000 * t, z))
+    with pytest.raises(ValueError, match="z: needs positions that differ"):
+        fit_lasting((t, np.full(len(t), 5.0)))
