@@ -14,7 +14,7 @@ from mpt_helpers.tracks import cleaning
 
 GUIDE = (run_guide.DOCS / "by_hand.md").read_text(encoding="utf-8")  # every step
 SHORT = (run_guide.DOCS / "guide.md").read_text(encoding="utf-8")  # one command
-OTHER = {name: (run_guide.DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("small_processor", "lasting")}
+OTHER = {name: (run_guide.DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("small_processor",)}
 RECORDED = [
     "ride",
     "glider_nz_3s",
