@@ -125,10 +125,10 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     >>> make = lambda q, r: constant_velocity(dt=1.0, q=q, r=r, P0=np.eye(2))
     >>> _, z = simulate(make(q=0.04, r=0.5), N=500, rng=np.random.default_rng(1))
     >>> fit(make, z, q=1.0, r=1.0)
-         value  log error     95 % interval
-    q  0.03501       0.21  0.0231 to 0.0531
-    r   0.5658      0.087    0.477 to 0.671
-    log L = -637.402; errors from 6 blocks of 83 fixes
+         value  log error    95 % interval
+    q  0.03496       0.39  0.0163 to 0.075
+    r   0.5659       0.11   0.455 to 0.704
+    log L = -744.073; errors from 6 blocks of 83 fixes
 
     """
     if not callable(make):
