@@ -198,7 +198,7 @@ class KalmanFilter(RecursiveFilter):
         model = self.model
         if not (self._units[0] @ model.P0 @ self._units[0].T).max() < LARGEST:
             checks.refuse("P0", f"variances of what is measured below {LARGEST:g} times R", "larger ones")
-        return kalman_on_columns(self.prediction, model.H, model.R, model.x0, model.P0, self.r is not None)
+        return kalman_on_columns(self.prediction, model.H, model.R, model.x0, model.P0, rows)
 
     @cached_property
     def _units(self):

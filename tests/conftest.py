@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import Phase, settings
+from hypothesis import settings
 from sockets import talk_through_files
 
 import mpt_helpers as mpt
 
 COMMON = {"derandomize": True, "deadline": None, "database": None, "max_examples": 20}
 settings.register_profile("properties", **COMMON)
-settings.register_profile("mutants", **COMMON, phases=[Phase.generate])  # that an example fails is enough
 settings.load_profile("properties")
 talk_through_files()
 

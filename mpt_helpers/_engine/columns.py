@@ -272,19 +272,43 @@ def _coordinates(F, Q, H, variances, P0):
     return changes, T
 
 
-def kalman_on_columns(prediction, H, R, x0, P0, own_variances):
-    """Return the `advance` of the Kalman filter, x0 (d,) and P0 (d, d), where d > n if noises are states.
+def kalman_on_columns(prediction, H, R, x0, P0, rows):
+    """Return the `advance` of the Kalman filter on Rows, x0 (d,) and P0 (d, d), where d > n if noises are states.
 
-    `KalmanColumns` takes measurements of uncorrelated noises. Correlated ones become states v behind those of x:
-    z = [H I] [x; v], and what is measured has no other noise. It may be missing in part. S is the variance of H x + v,
-    which is positive: v is new in each row, and R is definite.
+    `KalmanColumns` takes measurements of uncorrelated noises. There are two ways to make them so, the second of which
+    takes rows that are partly missing, and costs m states more.
     """
-    variances, (m, n) = np.diag(R), H.shape
-    if own_variances or np.array_equal(R, np.diag(variances)):
+    variances = np.diag(R)
+    if rows.r is not None or np.array_equal(R, np.diag(variances)):
         return KalmanColumns(prediction, H, variances, P0).advance, x0, P0
-    with_noises = Prediction(block_diag(prediction.F, np.zeros((m, m))), block_diag(prediction.Q, R))
-    P0 = block_diag(P0, np.zeros((m, m)))
-    kalman = KalmanColumns(with_noises, np.hstack([H, np.eye(m)]), np.zeros(m), P0)
+    if (rows.seen.all(axis=1) == rows.seen.any(axis=1)).all():
+        return _decorrelated(prediction, H, R, P0), x0, P0
+    m = len(R)
+    noise = np.zeros((m, m))
+    return _with_noises_as_states(prediction, H, R, P0), np.append(x0, np.zeros(m)), block_diag(P0, noise)
+
+
+def _decorrelated(prediction, H, R, P0):
+    """Return the `advance` for rows that are whole or missed.
+
+    With R = L diag(variances) Lᵀ, the measurements L⁻¹ z = L⁻¹ H x + L⁻¹ v have uncorrelated noises.
+    """
+    root = np.linalg.cholesky(R)
+    L_inverse = np.linalg.inv(root / np.diag(root))
+    kalman = KalmanColumns(prediction, L_inverse @ H, np.diag(root) ** 2, P0)
+    return lambda row, x, P: kalman.advance(row._replace(z=np.tensordot(L_inverse, row.z, axes=1)), x, P)
+
+
+def _with_noises_as_states(prediction, H, R, P0):
+    """Return the `advance` for any rows.
+
+    The noises v become states behind those of x: z = [H I] [x; v], and what is measured has no other noise. S is the
+    variance of H x + v, which is positive: v is new in each row, and R is definite.
+    """
+    m, n = H.shape
+    noise = np.zeros((m, m))
+    both = Prediction(block_diag(prediction.F, noise), block_diag(prediction.Q, R))
+    kalman = KalmanColumns(both, np.hstack([H, np.eye(m)]), np.zeros(m), block_diag(P0, noise))
 
     def advance(row, x, P):
         if row.steps is not None:
@@ -293,7 +317,7 @@ def kalman_on_columns(prediction, H, R, x0, P0, own_variances):
             row = row._replace(steps=Steps(F, Q, row.steps.entries))
         return kalman.advance(row, x, P)
 
-    return advance, np.append(x0, np.zeros(m)), P0
+    return advance
 
 
 class ConstantGainColumns:

@@ -167,15 +167,6 @@ def settled_sigma(column, seconds):
     return np.sqrt([row @ P @ row for row in rows])
 
 
-def share_of_the_start(ratio, steps=10):
-    """Return the share of the first steps in the sum of |e| / |s| over all, from |e| / |s| (..., L).
-
-    >>> float(share_of_the_start(1 / columns()["cv"].positions(0, 10_000)[0]).round(2))  # an error that never changes
-    0.3
-    """
-    return ratio[..., :steps].sum(axis=-1) / ratio.sum(axis=-1)
-
-
 def errors(column, axis, noise, rng, runs, v=None):
     """Return e and s(k+N) of simulated runs on one axis, each (6, 110, runs).
 
