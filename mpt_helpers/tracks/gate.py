@@ -46,6 +46,8 @@ ARRIVED = 0.5
 WENT_ON = 0.25
 # P is at rest when no entry moves by more than this part of its standard deviations.
 AT_REST = 4e-16
+# A way that is so many times as fast as a track usually is leads to a wrong position, and is no jump of a receiver.
+IMPOSSIBLE = 1000.0
 # A segment is tried after the ones that ended at most so many before it. More in a row are never dropped.
 LOOK_BACK = 30
 
@@ -118,7 +120,7 @@ def segments_of(kf, z, begins, limit, patience):
     number = np.full(len(z), -1)
     if found:
         way = _Way(found, z / np.sqrt(np.diag(kf.model.R))[:, None], kf.times_of(len(z)), np.cumsum(recording))
-        for k, rows in enumerate(_cheapest_chain(_without_stuck_ones(found, way), way)):
+        for k, rows in enumerate(_cheapest_chain(_without_stuck_ones(_without_excursions(found, way), way), way)):
             number[rows] = k
     return number
 
@@ -269,6 +271,33 @@ def _in_sequence(steps, begins, limit, patience):
             state, rows, candidates = oldest.state, oldest.rows, []
     found.append(rows)
     return [rows for rows in found if rows]
+
+
+def _without_excursions(found, way):
+    """Return the segments without those that stand in one wrong position, as 0° N 0° E, from where the track returns.
+
+    The mobile goes there and back too fast, from and to where it could have gone without. At an end of a recording,
+    which has no way back, it must go there impossibly fast. Of the two positions that with more fixes is right.
+    """
+    rows, left = np.concatenate(found), []
+    for own, following in zip(found, [*found[1:], None], strict=True):
+        here = own[0], own[-1]
+        ways = [(left[-1][-1], here[0])] if left else []
+        ways += [(here[1], following[0])] if following else []
+        ways = [(a, b) for a, b in ways if way.recording[a] == way.recording[b]]
+        both = len(ways) == 2
+        at_most = FASTER if both else IMPOSSIBLE
+        if not ways or not all(way.too_fast([a], [b], at_most)[0] for a, b in ways):
+            left.append(own)
+            continue
+        near = HARDLY * min(way.distance(a, b) for a, b in ways)
+        other = ways[0][0] if ways[0][1] == here[0] else ways[0][1]
+        leads_on = both and way.too_fast([ways[0][0]], [ways[1][1]])[0]
+        moves = way.distance(np.array(own), here[0]).max() > near
+        at_other = (way.distance(rows, other) <= near).sum()
+        if leads_on or moves or (way.distance(rows, here[0]) <= near).sum() >= at_other:
+            left.append(own)
+    return left
 
 
 def _without_stuck_ones(found, way):

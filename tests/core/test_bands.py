@@ -571,8 +571,8 @@ def test_the_live_band_refuses_a_time_that_runs_back():
         ),
         ((0.0, datetime(2024, 5, 3)), np.eye(2), "t: needs numbers of seconds, as those before"),
         ((date(2024, 5, 3),), np.eye(2), "t: needs a time in seconds or a datetime"),
-        ((0.0,), -np.eye(2), "P: needs a covariance"),
-        ((0.0,), np.array([[1.0, 50.0], [0.0, 1.0]]), "P: needs a covariance"),
+        ((0.0,), -np.eye(2), "P: needs a symmetric"),
+        ((0.0,), np.array([[1.0, 50.0], [0.0, 1.0]]), "P: needs a symmetric"),
     ],
 )
 def test_the_live_band_refuses_times_of_two_kinds_and_what_is_no_covariance(times, P, said):

@@ -45,21 +45,36 @@ def bad_rows(kind):
         "six short ones": np.isin(k % 100, (7, 8, 9, 10, 11)),
         "three of other lengths": ((k >= 50) & (k < 55)) | ((k >= 200) & (k < 290)) | ((k >= 450) & (k < 480)),
         "at the start, and again": (k < 5) | ((k >= 200) & (k < 212)),
+        "at the end": k >= 540,
     }[kind]
 
 
 @pytest.mark.parametrize("position", [(-3e5, -5.8e6), (3000.0, 200.0)], ids=["null island", "3 km off"])
 @pytest.mark.parametrize(
-    "kind", ["one burst", "two bursts", "six short ones", "three of other lengths", "at the start, and again"]
+    "kind",
+    ["one burst", "two bursts", "six short ones", "three of other lengths", "at the start, and again", "at the end"],
 )
 def test_bursts_at_one_wrong_position_are_refused_and_no_good_fix_is(kind, position):
     t, _, z = ride()
     bad = bad_rows(kind)
     z[bad] = position
+    if kind == "at the end" and position[0] > 0:  # a jump of 3 km that stays, as far as anybody can tell
+        assert len(clean(t, z).starts) == 1
+        return
     c = clean(t, z)
     np.testing.assert_array_equal(c.refused, np.flatnonzero(bad))
     assert c.q < 0.1
     assert c.r == pytest.approx(4.0, rel=0.2)
+
+
+@pytest.mark.parametrize("rows", [(0, 40), (100, 160), (560, 600)])
+def test_a_wrong_position_while_the_mobile_rests_is_refused(rows):
+    t, true, z = ride()
+    true[50:250] = true[50]
+    true[250:] += true[50] - true[250]
+    z = true + np.random.default_rng(3).normal(0, 2.0, true.shape)
+    z[slice(*rows)] = -3e5, -5.8e6
+    np.testing.assert_array_equal(clean(t, z).refused, np.arange(*rows))
 
 
 @pytest.mark.parametrize(("step", "held"), [(0.1, 10), (1.0, 5), (1.0, 10)])
