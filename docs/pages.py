@@ -171,7 +171,7 @@ def figures_of(key, cells):
                 if captions
                 else ""
             )
-            finding = above or only or conclusion(caption) or section
+            finding = re.sub(r"^Figure \d+: ", "", above or only or conclusion(caption) or section)
             drawn.append(Drawn(name, numbered, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
 

@@ -86,5 +86,5 @@ def draw_braking(misses, seconds=5):
         ax[name].get_legend().remove()
     ax[names[0]].set_ylabel(f"predicted {seconds} s ahead,\nbeyond the true place (m)")
     fig.legend(lines, list(of_filters), loc="outside lower center", ncols=1)
-    fig.suptitle("No filter foresees a brake; the acceleration is learnt", x=0.02, ha="left", weight="bold")
+    fig.suptitle("No filter foresees a brake", x=0.02, ha="left", weight="bold")
     return fig
