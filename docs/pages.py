@@ -164,31 +164,31 @@ def figures_of(key, cells):
             captions = [part for part in prose if label in names_of(part)]
             (shown,) = (out for out in cell["outputs"] if "image/png" in out.get("data", {}))
             alt = shown["metadata"]["image/png"]["alt"]
-            above, only = drawn_titles("".join(shown["data"].get("text/plain", "")))
+            above, only, first = drawn_titles("".join(shown["data"].get("text/plain", "")))
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
             caption = (
                 re.sub(r"\]\((?!https?:|#)(?:\.\./)?([\w/]+\.ipynb)", r"](notebooks/\1", captions[0])
                 if captions
                 else ""
             )
-            finding = re.sub(r"^Figure \d+: ", "", above or only or conclusion(caption) or section)
+            finding = re.sub(r"^Figure \d+: ", "", above or only or conclusion(caption) or first or section)
             drawn.append(Drawn(name, numbered, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
 
 
 def drawn_titles(description):
-    r"""Return the title above a figure's panels and that of its only panel, from its description: "" if there is none.
+    r"""Return the title above a figure's panels, that of its only panel and that of its first: "" if there is none.
 
     >>> drawn_titles("late.png\ntext 'One step\\nlate'\naxes 1: 'error' x '' linear 0..1\naxes 2: x '' linear 0..1")
-    ('One step late', '')
+    ('One step late', '', 'error')
     >>> drawn_titles("gain.png\naxes 1: 'It settles' x 'step k' linear 0..1; y '' linear 0..1")
-    ('', 'It settles')
+    ('', 'It settles', 'It settles')
     """
     quoted = r"""('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*")"""
     above = re.match(rf"[^\n]*\ntext {quoted}", description)
     panels = re.findall(rf"(?m)^axes \d+: (?:{quoted} )?x ", description)
-    only = panels[0] if len(panels) == 1 else ""
-    return tuple(" ".join(ast.literal_eval(each).split()) if each else "" for each in (above[1] if above else "", only))
+    titles = (above[1] if above else "", panels[0] if len(panels) == 1 else "", panels[0] if panels else "")
+    return tuple(" ".join(ast.literal_eval(each).split()) if each else "" for each in titles)
 
 
 def conclusion(caption):

@@ -95,7 +95,6 @@ WRONG = {
     "mpt.FIRFilter.from_steady_state(kf)": "arg-type",
     "mpt.Separate([kf, kf])": "arg-type",
     "mpt.stack([model, model])": "arg-type",
-    "mpt.simulate(model, 10, 1234)": "arg-type",
     "mpt.simulate(model, 10.0, 1234)": "arg-type",
     "mpt.study(1.0, runs=10, seed=1)": "arg-type",
     "metrics.nees(kf)": "call-arg",
