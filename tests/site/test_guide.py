@@ -96,8 +96,8 @@ def test_the_numbers_in_the_words_of_the_short_guide_are_right(short):
     assert set(c.refused.tolist()) - own_faults == {3898, 4319}
     assert "Two fixes are refused of the ride itself" in SHORT
     by_curvature = np.sqrt(2 / np.isfinite(c.z).sum())
-    assert 6.5 < c.log_errors["q"] / by_curvature < 7.5
-    assert "says a seventh of that" in SHORT
+    assert 5.5 < c.log_errors["q"] / by_curvature < 6.5
+    assert "says a sixth of that" in SHORT
     both = (np.abs(c.band.ahead.errors) <= c.band.widths)[c.band.unseen].all(axis=1).mean()
     assert f"{both:.0%}" == "93%"
     assert "both at once hold less, here 93 %" in SHORT
