@@ -59,6 +59,8 @@ html_theme_options = {
     "navbar_end": ["theme-switcher"],
     "show_prev_next": False,
     "show_nav_level": 2,
+    "navigation_depth": 2,
+    "collapse_navigation": True,
     "show_toc_level": 2,
     "back_to_top_button": False,
     "secondary_sidebar_items": ["page-toc"],
@@ -69,7 +71,7 @@ html_theme_options = {
 }
 html_context = {"default_mode": "auto"}
 html_sidebars = {"index": [], "ledger": []}
-templates_path = ["templates/theme"]
+templates_path = [str(Path(__file__).parent / "templates" / "theme")]  # absolute, for autosummary
 html_static_path = ["_static", "_build/static"]
 html_extra_path = ["_build/extra"]
 html_css_files = ["colours.css", "site.css"]

@@ -286,19 +286,17 @@ def draw_sensor(folder):
     }
 
 
-def citations():
-    """Return CITATION.cff, how to cite this project, and the reference to each paper by its year."""
+def citation():
+    """Return CITATION.cff, and how to cite this project."""
     cff = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     (author,) = (each["name"] for each in cff["authors"])
     year = cff["date-released"][:4]
-    own = f"{author[0].upper()}{author[1:]} ({year}). {cff['title']}. Version {cff['version']}."
-    papers = {}
-    for each in cff["references"]:
-        names = ", ".join(f"{author['given-names']} {author['family-names']}" for author in each["authors"])
-        volume = " ".join(str(each[name]) for name in ("volume", "issue") if name in each)
-        at = f"{each['start']}-{each['end']}" if "start" in each else each["number"]
-        papers[str(each["year"])] = f"{names}, {each['title']}, {each['journal']} {volume} ({each['year']}) {at}."
-    return cff, own, papers
+    return cff, f"{author[0].upper()}{author[1:]} ({year}). {cff['title']}. Version {cff['version']}."
+
+
+def cited(about):
+    """Return the reference to a paper."""
+    return f"{about.authors}, {about.title}, {about.journal} ({about.year})."
 
 
 def prepared(notebook, drawn, top):
@@ -594,7 +592,7 @@ def main():
     plots.use_style()
     draw_still(about["live"]["presets"][about["live"]["shown"]], BUILD / "static")
     draw_accuracy((DOCS / "accuracy.md").read_text(encoding="utf-8").partition("<!-- digits -->")[2], BUILD / "static")
-    cff, own, references = citations()
+    cff, own = citation()
     name = f"mpt_helpers-{mpt.__version__}"
     size = write_archive(BUILD / "extra" / f"{name}.tar.gz", name)
     told = {each: described_lesson(each, notebook["cells"]) for each, notebook in lessons().items()}
@@ -611,7 +609,7 @@ def main():
         "version": mpt.__version__,
         "released": cff,
         "citation": own,
-        "citation_of": lambda key: references[key[:4]],
+        "citation_of": lambda key: cited(published(key).about),
         "accuracy": svg_size(BUILD / "static" / "accuracy.svg"),
         "lessons": told,
         "figures": {key: figures_of(key, notebook["cells"]) for key, notebook in pages.items()},

@@ -93,7 +93,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     Parameters
     ----------
     make : callable
-        make(**values) returns a model, for a Kalman filter, or a filter. Rows at steps of different lengths need a
+        ``make(**values)`` returns a model, for a Kalman filter, or a filter. Rows at steps of different lengths need a
         filter with times `t`: without them q comes out a hundred times too large, and nothing tells.
     z : array_like, (N, m) or (N, m, M)
         Measurements, NaN where missing.

@@ -236,7 +236,7 @@ LAYOUTS = {
     "big-endian": lambda z: z.astype(z.dtype.newbyteorder(">")),
     "list": np.ndarray.tolist,
 }
-KINDS = [np.float16, np.float32, np.float64, np.longdouble, np.int8, np.int64, np.uint16]
+KINDS = [np.float32, np.float64, np.longdouble, np.int8, np.int64, np.uint16]
 
 
 @all_filters
