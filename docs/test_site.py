@@ -239,7 +239,7 @@ def test_the_first_screen_asks_the_question_and_says_for_whom_and_what_was_found
     assert page.locator("h1").inner_text().startswith("Do four papers on tracking a position hold?")
     for reader in ("students", "recorded track", "readers of the papers", "Python package"):
         assert reader in page.locator("p.for").inner_text()
-    for each in ("p.about", "p.for", ".paper-row h3 >> nth=0"):
+    for each in ("p.about", "p.for", ".paper-row h2 >> nth=0"):
         box = page.locator(each).bounding_box()
         assert box["y"] + box["height"] <= WIDTHS[width], each
     for place in ("index.html", "guide.html"):  # a page with a list of its sections has a button more
