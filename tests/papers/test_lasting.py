@@ -348,7 +348,10 @@ BAD_LOGS = [
     ),
     (((np.arange(200.0)[::-1], np.arange(200.0) % 7),), "t: needs times that increase, got 199 and then 198"),
     (((np.where(np.arange(200) == 7, np.nan, np.arange(200)), np.ones(200)),), "t: needs a time of each fix"),
-    (((np.cumsum(np.where(np.arange(200) == 50, 0.1, 1.0)), np.arange(200) % 7),), "t: needs times at one step, here 1 s"),
+    (
+        ((np.cumsum(np.where(np.arange(200) == 50, 0.1, 1.0)), np.arange(200) % 7),),
+        "t: needs times at one step, here 1 s",
+    ),
     (((np.arange(200.0), np.full(200, np.nan)),), "log: needs at least 100 fixes on each axis, got 0"),
     ((log_at_rest(0), log_at_rest(0, dt=30.0)), "logs: needs one step and one number of axes, got steps of 30 to 60 s"),
 ]
