@@ -81,14 +81,30 @@ class Filter(Immutable):
 
     @property
     def P0(self) -> Array:
-        """P(0/0); raises TypeError for a filter that has none, a predictor or a FIR filter."""
+        """The covariance P(0/0) (n, n) that the filter starts from; predictors and FIR filters raise TypeError."""
         raise self._not_recursive()
 
     def filter(self, z: ArrayLike) -> Array:
-        """Return the estimates x(1/1) ... x(N/N): (N, n) for z of shape (N, m), (N, n, M) for z of shape (N, m, M).
+        """Return the estimates x(1/1) ... x(N/N) of all epochs.
 
-        z[0] is z(1), NaN where a measurement is missing. Raises ValueError or TypeError for another shape, another kind
-        of data, infinite values, and for gaps over which covariances overflow or rounding takes a variance below zero.
+        Parameters
+        ----------
+        z : array_like (N, m) or (N, m, M)
+            Measurements of one track, or of M tracks; NaN where one is missing. Row 0 is z(1). One sensor may give a
+            series (N,).
+
+        Returns
+        -------
+        ndarray (N, n) or (N, n, M)
+            Row k is x(k+1/k+1), given the measurements up to row k of z.
+
+        Raises
+        ------
+        ValueError
+            For another shape, for infinite measurements, and where covariances overflow or lose all their digits.
+        TypeError
+            For anything but real numbers.
+
         """
         z, many = self.as_tracks(z)
         x = np.empty((len(z), self.model.n, z.shape[2]))
@@ -99,30 +115,99 @@ class Filter(Immutable):
         return x if many else x[..., 0]
 
     def estimates(self, z: ArrayLike) -> Estimates:
-        """Return x(1/1) ... x(N/N) and their covariances P(1/1) ... P(N/N) in one pass: `.x` and `.P`.
+        """Return the estimates of all epochs and their covariances, in one pass.
 
-        x is (N, n) and P (N, n, n) for z of shape (N, m); (N, n, M) and (N, n, n, M) for z of shape (N, m, M). Raises
-        as `filter`, and TypeError for a filter that has no covariances.
+        Parameters
+        ----------
+        z : array_like (N, m) or (N, m, M)
+            Measurements as for `filter`.
+
+        Returns
+        -------
+        Estimates
+            x(k/k) as `x`, (N, n) or (N, n, M), and P(k/k) as `P`, (N, n, n) or (N, n, n, M).
+
+        Raises
+        ------
+        ValueError, TypeError
+            As `filter`; TypeError also for a filter without covariances.
+
         """
         return self._as_given(z, self.estimates_of)
 
     def covariances(self, z: ArrayLike) -> Array:
-        """Return P(1/1) ... P(N/N) for the gaps that z has: (N, n, n) for z (N, m), (N, n, n, M) for z (N, m, M).
+        """Return the covariances P(1/1) ... P(N/N): they depend on which measurements are missing, not on their values.
 
-        With an integer N for z, nothing is missing. Raises as `estimates`.
+        Parameters
+        ----------
+        z : array_like (N, m) or (N, m, M), or int
+            Measurements as for `filter`, or a number of epochs N in which nothing is missing.
+
+        Returns
+        -------
+        ndarray (N, n, n) or (N, n, n, M)
+            Row k is P(k+1/k+1).
+
+        Raises
+        ------
+        ValueError, TypeError
+            As `estimates`.
+
         """
         if np.ndim(z) == 0:
             z = np.zeros((checks.count("N", z), self.model.m))
         return self.estimates(z).P
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return the states and covariances of all epochs given all of z; raises TypeError where there are none."""
+        """Return the states of all epochs given all measurements, and their covariances.
+
+        Parameters
+        ----------
+        z : array_like (N, m) or (N, m, M)
+            Measurements as for `filter`.
+
+        Returns
+        -------
+        Estimates
+            x(k/N) as `x`, (N, n) or (N, n, M), and P(k/N) as `P`, (N, n, n) or (N, n, n, M).
+
+        Raises
+        ------
+        TypeError
+            For a filter whose gain is not that of its P: of constant gain, a predictor, a FIR filter.
+
+        """
         raise self._not_recursive()
 
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1); raises TypeError for a filter that has no step."""
+        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k), P(k/k) and one measurement z(k+1).
+
+        Parameters
+        ----------
+        x, P : array_like (n,), (n, n)
+            Estimate and covariance; at the start `model.x0` and `P0`.
+        z_k : array_like (m,)
+            The measurement, NaN where a component is missing.
+        dt : float or timedelta, optional
+            Time since x(k/k) in s, for a KalmanFilter of a model with a transition.
+        r : array_like (m,), optional
+            Variances of the measurement, for a KalmanFilter.
+
+        Returns
+        -------
+        x, P : ndarray (n,), (n, n)
+            Estimate and covariance after the measurement.
+
+        Raises
+        ------
+        ValueError
+            For other shapes, numbers that are not finite, or a P that is no covariance.
+        TypeError
+            For anything but real numbers, and for a filter that has no step: a predictor, a FIR filter.
+
+        """
         raise self._not_recursive()
 
     @property
@@ -216,7 +301,21 @@ class RecursiveFilter(Filter):
         return self.model.P0
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n); seen (m,) says which measurements are there."""
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k).
+
+        Parameters
+        ----------
+        P : ndarray (n, n)
+            The covariance P(k/k).
+        seen : ndarray (m,) of bool
+            Which measurements are there.
+
+        Returns
+        -------
+        A, B, P : ndarray (n, n), (n, m), (n, n)
+            The coefficients of x(k+1/k+1) = A x(k/k) + B z(k+1), and P(k+1/k+1).
+
+        """
         raise NotImplementedError
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
@@ -242,19 +341,26 @@ class RecursiveFilter(Filter):
         return Prediction(self.model.F, self.model.Q)
 
     def coefficients(self, N: int) -> Step:
-        """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing."""
+        """Return the coefficients of steps 1 to N with nothing missing.
+
+        Parameters
+        ----------
+        N : int
+            Number of steps.
+
+        Returns
+        -------
+        A, B, P : ndarray (N, n, n), (N, n, m), (N, n, n)
+            A_k, B_k and P(k/k) of each step, as a named tuple.
+
+        """
         each = steps.steps_without_gaps(self.next_step, self.P0, self.model.m, checks.count("N", N))
         return Step(*map(np.array, zip(*each, strict=True)))
 
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k) (n,), P(k/k) (n, n) and one measurement z(k+1) (m,).
-
-        NaN stands for a missing measurement. The start is `model.x0` and `P0`. dt and r are for a KalmanFilter. Raises
-        ValueError or TypeError for other shapes, for states and covariances that are not finite, and for a P that is
-        no covariance as two of its states show; its eigenvalues are not computed.
-        """
+        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter; dt and r are refused, as the model's own are used."""
         for name, given in (("dt", dt), ("r", r)):
             if given is not None:
                 need = "to be left out, as the steps and variances of this filter are those of its model"
@@ -265,15 +371,32 @@ class RecursiveFilter(Filter):
         return A @ x + B @ np.where(seen, z_k, 0), P
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return x(k/N) and P(k/N) of k = 1 ... N, the states given all measurements: `.x` and `.P`.
+        """Return the states of all epochs given all measurements, and their covariances.
 
-        The shapes are those of `estimates`. It is the papers' recursion run backwards (Rauch, Tung and Striebel 1965):
+        It is the papers' recursion run backwards (Rauch, Tung and Striebel 1965), with P(k/N) in Joseph's form:
 
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
-        with P(k/N) in Joseph's form. Raises as `estimates`, and TypeError for a filter of constant gain, or one that
-        fades: its P is not that of the best estimate. Warns of damped modes without process noise, whose P(k/N) loses
-        its digits.
+        Parameters
+        ----------
+        z : array_like (N, m) or (N, m, M)
+            Measurements as for `filter`.
+
+        Returns
+        -------
+        Estimates
+            x(k/N) as `x`, (N, n) or (N, n, M), and P(k/N) as `P`, (N, n, n) or (N, n, n, M).
+
+        Raises
+        ------
+        TypeError
+            For a filter whose gain is not that of its P, as a constant gain.
+
+        Warns
+        -----
+        UserWarning
+            Where damped modes without process noise take the digits of P(k/N).
+
         """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter whose P is that of the best estimate, got a {type(self).__name__}")

@@ -101,7 +101,8 @@ def duration(name: str, value: object) -> float:
     >>> duration("seconds", timedelta(minutes=1))
     60.0
     """
-    return positive(name, as_seconds(value))
+    need = "a positive number of seconds below 1e60"  # its fifth power, in the Q of constant acceleration, is a double
+    return number(name, as_seconds(value), need, lambda dt: 0 < dt < 1e60)
 
 
 def count(name: str, value: object, least: int = 1) -> int:

@@ -1,13 +1,9 @@
-"""Filters made of filters: the mean of two, and one for each axis.
-
-2014 and 2015 are papers of Assimakis & Adam; `mpt_helpers` has their titles.
-"""
+"""Filters made of filters: the mean of two, and one for each axis. 2014 and 2015 are papers of Assimakis & Adam."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +18,9 @@ from .lainiotis import LainiotisFilter
 from .model import LinearModel, stack
 from .steady import SteadyStateFilter
 
-# Two constant gains are one gain if they differ by no more than this part of the largest gain of the same state. Both
-# Riccati equations give one gain to six digits at least.
-SAME_GAIN = 1e-6
+# Two filters are stepped from one state while both return the same one, to this part of its size or of its standard
+# deviation: both Riccati equations give one gain to six digits at least.
+SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,15 +30,30 @@ class JoinFilter(Filter):
         x(k/k) = [x_1(k/k) + x_2(k/k)] / 2,   P(k/k) = [P_1(k/k) + P_2(k/k)] / 2
 
     The papers join the Kalman and the Lainiotis filter, JKLF, and both steady-state filters, JSSKLF. P is the papers'
-    formula: it is the covariance of the mean's error only where both give the same estimate. Raises TypeError for
-    anything but two filters, and ValueError where their models, times or variances differ (but for variances within a
-    Separate, which are not compared) or one predicts further ahead than the other.
+    formula: it is the covariance of the mean's error only where both give the same estimate.
 
-    >>> from mpt_helpers.model import gsm_axis
-    >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
-    >>> JoinFilter(KalmanFilter(axis), LainiotisFilter(axis)).filter([[1.0], [2.0]]).round(4)
-    array([[0.0612, 0.1224],
-           [0.5557, 0.4681]])
+    Parameters
+    ----------
+    first, second : Filter
+        Two filters of one model, with the same times and variances, that predict equally far ahead.
+
+    Raises
+    ------
+    TypeError
+        For anything but two filters.
+    ValueError
+        Where their models, times, variances or steps ahead differ.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> model = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.diag([100.0, 1.0]))
+    >>> join = mpt.JoinFilter(mpt.KalmanFilter(model), mpt.LainiotisFilter(model))
+    >>> join.filter([[1.0], [2.0], [3.1]]).round(2)
+    array([[1.  , 0.01],
+           [1.92, 0.84],
+           [3.04, 1.  ]])
+
     """
 
     first: Filter
@@ -79,16 +90,19 @@ class JoinFilter(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return the mean of both filters' steps from x (n,), P (n, n) and one measurement z_k (m,).
+        """Return the mean of both filters' steps from one state, as in Filter.
 
-        dt and r are as in KalmanFilter, for filters that both take them. Raises TypeError where the gains are not
-        known to be the same, as for two constant ones that differ: then each would need a state of its own.
+        Raises TypeError where the two return different states, as filters of different gains do: then each would need a
+        state of its own.
         """
-        if self.first.optimal != self.second.optimal or not _equal(*map(_constant_gain, self.parts)):
-            kinds = " and ".join(type(each).__name__ for each in self.parts)
-            raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         x_1, P_1 = self.first.step(x, P, z_k, dt, r)
         x_2, P_2 = self.second.step(x, P, z_k, dt, r)
+        sigma = np.sqrt(np.abs(P_1.diagonal()))
+        same_x = np.abs(x_1 - x_2) <= SAME * (np.abs(x_1) + sigma)
+        same_P = np.abs(P_1 - P_2) <= SAME * sigma * sigma[:, None]
+        if not (self.optimal or (same_x.all() and same_P.all())):
+            kinds = " and ".join(type(each).__name__ for each in self.parts)
+            raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
     @property
@@ -122,15 +136,29 @@ class JoinFilter(Filter):
 class Separate(Filter):
     """One filter for each axis: the papers' model B (2014 Section 5, Eqs. 17-18).
 
-    The states of the filters follow one another, as in `stack`, and each filter takes its own rows of z. Raises
-    TypeError for anything but filters, and ValueError for none, where one predicts further ahead than another, and
-    where the dt of their models differ: the rows of z are of one time.
+    The states of the filters follow one another, as in `stack`, and each filter takes its own components of z.
 
-    >>> from mpt_helpers.model import gsm_axis
-    >>> kf = KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1))
-    >>> Separate(kf, kf).filter([[1.0, 1.0], [2.0, 0.0]]).round(4)
-    array([[0.0612, 0.1224, 0.0612, 0.1224],
-           [0.5557, 0.4681, 0.1164, 0.06  ]])
+    Parameters
+    ----------
+    *filters : Filter
+        The filters, whose models have the same dt, and which predict equally far ahead.
+
+    Raises
+    ------
+    TypeError
+        For anything but filters.
+    ValueError
+        For no filter, and where the dt of their models or their steps ahead differ.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> axis = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.diag([100.0, 1.0]))
+    >>> kf = mpt.KalmanFilter(axis)
+    >>> mpt.Separate(kf, kf).filter([[1.0, 1.0], [2.0, 0.0]]).round(2)
+    array([[ 1.  ,  0.01,  1.  ,  0.01],
+           [ 1.92,  0.84,  0.08, -0.83]])
+
     """
 
     filters: tuple[Filter, ...]
@@ -141,20 +169,11 @@ class Separate(Filter):
         for i, each in enumerate(filters):
             checks.instance(f"filters[{i}]", each, Filter)
             _require_equally_far_ahead(f"filters[{i}]", filters[0], each)
-        known = [each.model.dt for each in filters if each.model.dt is not None]
-        for dt in known:
-            if dt != known[0]:
-                need = "models of one dt, as the measurements of a row of z are of one time"
-                checks.refuse("filters", need, f"{known[0]:g} and {dt:g} s")
         object.__setattr__(self, "filters", filters)
+        object.__setattr__(self, "model", stack(*(each.model for each in filters)))  # refuses models of different dt
 
     def __reduce__(self):
         return type(self), self.filters
-
-    @cached_property
-    def model(self) -> LinearModel:
-        """The models of the filters, stacked."""
-        return stack(*(each.model for each in self.filters))
 
     @property
     def steps_ahead(self) -> int:
@@ -179,10 +198,9 @@ class Separate(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x (n,) and P (n, n), block diagonal, after one step of each filter with its part of z_k (m,).
+        """Return one step of each filter with its components of z_k and of r, as in Filter; P is block diagonal.
 
-        dt is the time since x, for filters that all take it. r (m,) are the variances of z_k, each filter's own; all
-        NaN for a filter that has none.
+        A filter that was given no variances takes NaN in r for "none".
         """
         z_k, _ = checks.one_measurement(z_k, self.model.m)
         x, P = checks.state(x, P, self.model.n)
@@ -192,8 +210,8 @@ class Separate(Filter):
                 checks.refuse("r", f"a vector of {self.model.m} variances", f"shape {r.shape}")
         after = []
         for each, i, rows in self._slices():
-            r_i = None if r is None else _variances_for(each, r[rows])
-            after.append(each.step(x[i], P[i, i], z_k[rows], dt, r_i))
+            has_none = r is None or (each.r is None and np.isnan(r[rows]).all())
+            after.append(each.step(x[i], P[i, i], z_k[rows], dt, None if has_none else r[rows]))
         return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))
 
     def smooth(self, z: ArrayLike) -> Estimates:
@@ -235,37 +253,6 @@ def _block_diagonal(parts):
     return whole
 
 
-def _variances_for(estimator, r):
-    """Return the variances r (m,) of one measurement for the `step` of a filter: all NaN mean none, if it has none."""
-    return None if np.isnan(r).all() and estimator.r is None else r
-
-
-def _equal(K_1, K_2):
-    """Tell whether two gains (n, m) are one but for what two solvers may differ by, state by state: each has its unit.
-
-    Where a gain is zero, of two axes in one model for example, one solver may give zero and the other its rounding.
-    """
-    size = np.abs(K_1).max(axis=1, keepdims=True)
-    rounding = np.finfo(float).eps * size.max()
-    return (np.abs(K_1 - K_2) <= SAME_GAIN * size + rounding).all()
-
-
-def _constant_gain(estimator):
-    """Return the gain (n, m) of a steady-state filter and of what is made of them.
-
-    A filter whose gain follows its P (`optimal`) has zeros here: two of them have the same gain wherever they have the
-    same P. Of any other filter it is not known, and NaN equals nothing.
-    """
-    if isinstance(estimator, SteadyStateFilter):
-        return estimator.B
-    if isinstance(estimator, JoinFilter):
-        return _constant_gain(estimator.first)  # its `step` asks whether the second has the same
-    if isinstance(estimator, Separate):
-        return block_diag(*map(_constant_gain, estimator.filters))
-    n = len(estimator.P0)  # a filter that has no step raises here, by name
-    return np.full((n, estimator.model.m), 0.0 if estimator.optimal else np.nan)
-
-
 def _require_equally_far_ahead(name, first, other):
     if first.steps_ahead != other.steps_ahead:
         need, got = (f"one {each.steps_ahead} steps ahead" for each in (first, other))
@@ -273,12 +260,12 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    leaves = [*_leaves(first), *_leaves(second)]
-    if not all(same(leaves[0].t, other.t) for other in leaves[1:]):
+    of_first, of_second = _leaves(first), _leaves(second)
+    t = of_first[0].t
+    if not all(same(t, leaf.t) for leaf in (*of_first, *of_second)):
         checks.refuse("second", "a filter of the same times as the first", "one of others")
-    # The filters in a Separate see some columns of z each: one of them has no variances that others could be.
-    of_first, of_second = ([leaf.r for leaf in _leaves(each)] for each in (first, second))
-    if len(of_first) == len(of_second) and not all(map(same, of_first, of_second)):
+    # The filters in a Separate see some columns of z each: their variances are comparable only one by one.
+    if len(of_first) == len(of_second) and not all(same(a.r, b.r) for a, b in zip(of_first, of_second, strict=True)):
         checks.refuse("second", "a filter of the same variances as the first", "one of others")
 
 
@@ -288,13 +275,29 @@ def _leaves(estimator):
 
 
 def six_filters(model: LinearModel) -> dict[str, Filter]:
-    """Return the six filters of the papers by their names (2014 Table 1, 2015 Table 1), in the papers' order.
+    """Return the six filters of the papers (2014 Table 1, 2015 Table 1), in the papers' order.
 
-    Raises ValueError when the model has no steady state.
+    Parameters
+    ----------
+    model : LinearModel
+        The model, which must have a steady state.
 
-    >>> from mpt_helpers.model import gsm_axis
-    >>> list(six_filters(gsm_axis(dt=1.0, q=0.01, r=0.1)))
+    Returns
+    -------
+    dict
+        The filters by their names in the papers.
+
+    Raises
+    ------
+    ValueError
+        For a model without a steady state.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> list(mpt.six_filters(mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)))
     ['KF', 'LF', 'JKLF', 'SSKF', 'SSLF', 'JSSKLF']
+
     """
     kf, lf = KalmanFilter(model), LainiotisFilter(model)
     sskf, sslf = SteadyStateFilter.from_kalman(model), SteadyStateFilter.from_lainiotis(model)

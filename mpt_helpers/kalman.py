@@ -61,14 +61,18 @@ class KalmanFilter(RecursiveFilter):
 
     Examples
     --------
-    >>> from mpt_helpers.model import constant_velocity, gsm_axis
-    >>> KalmanFilter(gsm_axis(dt=1.0, q=0.01, r=0.1)).filter([[1.0], [2.0]]).round(4)
-    array([[0.0612, 0.1224],
-           [0.5557, 0.4681]])
-    >>> model = constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1])
-    >>> KalmanFilter(model, t=[1.0, 4.5]).filter([[1.0], [4.5]])
-    array([[1. , 1. ],
-           [4.5, 1. ]])
+    Position and velocity from measured positions, one second apart, then at times of their own:
+
+    >>> import mpt_helpers as mpt
+    >>> model = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.diag([100.0, 1.0]))
+    >>> kf = mpt.KalmanFilter(model)
+    >>> kf.filter([[1.0], [2.0], [3.1]]).round(2)
+    array([[1.  , 0.01],
+           [1.92, 0.84],
+           [3.04, 1.  ]])
+    >>> mpt.KalmanFilter(model, t=[1.0, 4.5]).filter([[1.0], [4.5]]).round(2)
+    array([[1.  , 0.01],
+           [4.47, 0.99]])
 
     """
 
@@ -88,9 +92,23 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse(name, need, "one whose F and Q are for one length only")
 
     def coefficients(self, N: int) -> Step:
-        """Return A (N, n, n), B (N, n, m) and the covariance P (N, n, n) of steps 1 to N with nothing missing.
+        """Return the coefficients of steps 1 to N with nothing missing.
 
-        Raises ValueError for a filter with times or variances: each of its epochs has a `next_step` of its own.
+        Parameters
+        ----------
+        N : int
+            Number of steps.
+
+        Returns
+        -------
+        A, B, P : ndarray (N, n, n), (N, n, m), (N, n, n)
+            A_k, B_k and P(k/k) of each step, as a named tuple.
+
+        Raises
+        ------
+        ValueError
+            For a filter with times or variances: each of its epochs has a `next_step` of its own.
+
         """
         if self.t is not None or self.r is not None:
             name, got = ("r", "variances") if self.t is None else ("t", "times")
@@ -100,9 +118,29 @@ class KalmanFilter(RecursiveFilter):
     def next_step(
         self, P: Array, seen: np.ndarray, dt: float | None = None, r: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k) (n, n), with the measurements seen (m,), by filterpy.
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k), by filterpy.
 
-        dt is the step in s, r (m,) are the variances; those of the model where None.
+        Parameters
+        ----------
+        P : ndarray (n, n)
+            The covariance P(k/k).
+        seen : ndarray (m,) of bool
+            Which measurements are there.
+        dt : float, optional
+            Length of the step in s; the model's where not given.
+        r : ndarray (m,), optional
+            Variances of the measurements; the model's R where not given.
+
+        Returns
+        -------
+        A, B, P : ndarray (n, n), (n, m), (n, n)
+            The coefficients of x(k+1/k+1) = A x(k/k) + B z(k+1), and P(k+1/k+1).
+
+        Raises
+        ------
+        ValueError
+            For a P that is no covariance, and for a step over which doubles do not hold the variances.
+
         """
         kf = copy.copy(self._filterpy)  # predict and update set its attributes, and other threads may take a step too
         kf.P = P
@@ -143,6 +181,7 @@ class KalmanFilter(RecursiveFilter):
         Returns
         -------
         x, P : ndarray (n,), (n, n)
+            Estimate and covariance after the measurement.
 
         Raises
         ------

@@ -19,19 +19,48 @@ class LainiotisFilter(RecursiveFilter):
 
         A_k = F_n [I + P(k/k) O_n]⁻¹,   B_k = K_n + A_k P(k/k) K_m,   P(k+1/k+1) = P_n + A_k P(k/k) F_nᵀ
 
-    Each step is made as if x(k/k) were exact: F_n, K_n and P_n; what is not known of it is added, with what the
-    measurement tells about it: O_n and K_m. That holds for many steps as well as for one, and that is what this filter
-    is good for: `partition` runs a long track in pieces by it, for every filter here. As a filter of its own it
-    computes what the Kalman filter computes. Tracks with different gaps take it many times as long.
+    F_n, K_n and P_n are those of a step from an exactly known x(k/k); O_n and K_m add what the measurement tells about
+    x(k/k). That composes: many steps have matrices of the same form, by which every filter here runs a long track in
+    pieces. As a filter of its own it computes what the Kalman filter computes, many times as slowly where tracks have
+    gaps of their own.
 
-    >>> from mpt_helpers.model import gsm_axis
-    >>> LainiotisFilter(gsm_axis(dt=1.0, q=0.01, r=0.1)).filter([[1.0], [2.0]]).round(4)
-    array([[0.0612, 0.1224],
-           [0.5557, 0.4681]])
+    Parameters
+    ----------
+    model : LinearModel
+        The model of motion and measurements.
+
+    Raises
+    ------
+    TypeError
+        For anything but a model.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> model = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.diag([100.0, 1.0]))
+    >>> mpt.LainiotisFilter(model).filter([[1.0], [2.0], [3.1]]).round(2)
+    array([[1.  , 0.01],
+           [1.92, 0.84],
+           [3.04, 1.  ]])
+
     """
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k), (n, n) or (M, n, n), with the measurements seen (m,)."""
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k).
+
+        Parameters
+        ----------
+        P : ndarray (n, n) or (M, n, n)
+            The covariance P(k/k), or a stack of them.
+        seen : ndarray (m,) of bool
+            Which measurements are there.
+
+        Returns
+        -------
+        A, B, P : ndarray (n, n), (n, m), (n, n)
+            The coefficients of x(k+1/k+1) = A x(k/k) + B z(k+1), and P(k+1/k+1); stacks where P is one.
+
+        """
         return lainiotis_step(P, self._constants_of(seen))
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:

@@ -19,18 +19,15 @@ from ._engine.shared import Step, products_for, run_shared
 from ._immutable import Immutable
 from .equations import square_root
 
-# The longest time step (s): its fifth power, in the Q of constant acceleration, is a double.
-LONGEST_DT = 1e60
-
-
-# F and Q of a step of any length, in s.
+# dt in s -> F and Q of a step of that length.
 Transition = Callable[[float], tuple[Array, Array]]
 # By how much two half steps of a transition may miss one whole step, relative to its size: a Q from a formula that
 # subtracts large numbers loses digits on short steps, and six of them should be left over the model's dt.
 MISSED = 1e-6
-# Rounding leaves some 1e-16 of the largest entry of F where a zero should be. Against a billionth of that entry it
-# stays below the millionth. (Of Q nothing is left out: over short steps an entry may rightly be 1e-18 of the largest.)
+# Where F should have a zero, rounding leaves 1e-16 of its largest entry: entries below this part of it count as this
+# large. (Not of Q: over short steps an entry may rightly be 1e-18 of the largest.)
 LEAST_OF_F = 1e-9
+TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -40,8 +37,8 @@ class LinearModel(Immutable):
         x(k+1) = F x(k) + w(k),     w ~ N(0, Q)
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
-    A model is immutable, also in copies and pickles. Two models are equal, and have the same hash, when all that they
-    hold is equal. `dataclasses.replace` makes another one; with another F or Q it knows steps of one length only.
+    A model is immutable, also in copies and pickles, and equal to another of the same numbers. `dataclasses.replace`
+    makes another one; with another F or Q it knows steps of one length only.
 
     Parameters
     ----------
@@ -80,7 +77,8 @@ class LinearModel(Immutable):
 
     Examples
     --------
-    >>> LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.01]], R=[[0.1]]).P0
+    >>> import mpt_helpers as mpt
+    >>> mpt.LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.01]], R=[[0.1]]).P0
     array([[0.]])
 
     A velocity that is forgotten within 20 s (an Ornstein-Uhlenbeck process), for steps of any length:
@@ -91,7 +89,7 @@ class LinearModel(Immutable):
     ...     Q_sv = tau**2 * b**2 / 2
     ...     Q = [[tau**2 * (dt - tau * (b + b**2 / 2)), Q_sv], [Q_sv, tau * b * (1 + a) / 2]]
     ...     return np.array(F), q * np.array(Q)
-    >>> LinearModel(transition=forgetful, dt=1.0, H=[[1, 0]], R=[[0.5]], P0=np.eye(2)).F.round(3)
+    >>> mpt.LinearModel(transition=forgetful, dt=1.0, H=[[1, 0]], R=[[0.5]], P0=np.eye(2)).F.round(3)
     array([[1.   , 0.975],
            [0.   , 0.951]])
 
@@ -124,11 +122,8 @@ class LinearModel(Immutable):
             checks.refuse(lacking, need, None, TypeError)
         if transition is not None:
             dt = checks.duration("dt", dt)
-            one_step = _checked(transition, dt)
-            F, Q = (own if given is None else given for own, given in zip(one_step, (F, Q), strict=True))
-        elif F is None or Q is None:
-            lacking, other = ("F", "Q") if F is None else ("Q", "F")
-            checks.refuse(lacking, f"a matrix, as {other} does, or a transition in place of both", None, TypeError)
+            F_dt, Q_dt = _checked(transition, dt)
+            F, Q = F_dt if F is None else F, Q_dt if Q is None else Q
         n, m = checks.rows("F", F), checks.rows("H", H)
         given = {
             "F": checks.array("F", F, (n, n)),
@@ -138,31 +133,66 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
         }
-        if transition is not None and not all(map(np.array_equal, (given["F"], given["Q"]), one_step)):
+        if transition is not None and not (np.array_equal(given["F"], F_dt) and np.array_equal(given["Q"], Q_dt)):
             dt = transition = None  # as in `replace` of F or Q: what another length would be is not known
-        given |= {"dt": dt, "transition": transition}
-        for name, value in given.items():
+        for name, value in (given | {"dt": dt, "transition": transition}).items():
             object.__setattr__(self, name, value)
 
     def over(self, dt: ArrayLike) -> tuple[Array, Array]:
-        """Return F and Q of a step of dt seconds, (n, n), or (..., n, n) of steps dt (...).
+        """Return F and Q of a step of dt seconds, or of many.
 
-        Raises ValueError for a model that knows steps of one length only.
+        Parameters
+        ----------
+        dt : array_like (...)
+            Lengths of the steps in s.
 
-        >>> constant_velocity(dt=2.0, q=0.01, r=0.1).over(3.0)[0]
+        Returns
+        -------
+        F, Q : ndarray (..., n, n)
+            Transition and process noise of each step.
+
+        Raises
+        ------
+        ValueError
+            For a model that knows steps of one length only.
+
+        Examples
+        --------
+        >>> import mpt_helpers as mpt
+        >>> mpt.constant_velocity(dt=2.0, q=0.01, r=0.1).over(3.0)[0]
         array([[1., 3.],
                [0., 1.]])
+
         """
         if self.transition is None:
             checks.refuse("model", "a transition, for steps of any length", "an F and a Q of one length only")
-        return _of_steps(self.transition, dt)
+        if np.ndim(dt) == 0 or getattr(self.transition, "takes_arrays", False):
+            return self.transition(dt)
+        lengths, which = np.unique(dt, return_inverse=True)
+        F, Q = zip(*map(self.transition, lengths.tolist()), strict=True)
+        which = which.reshape(np.shape(dt))  # numpy 2.0 returned another shape than 1.26 and 2.1
+        return np.array(F)[which], np.array(Q)[which]
 
     def with_noise_times(self, factor: float) -> LinearModel:
-        """Return the model with `factor` times its process noise, over steps of any length that it knows.
+        """Return the model with another process noise, over steps of any length that it knows.
 
-        >>> constant_velocity(dt=1.0, q=0.06, r=0.1).with_noise_times(2.0).Q
+        Parameters
+        ----------
+        factor : float
+            What Q is multiplied by, not negative.
+
+        Returns
+        -------
+        LinearModel
+            The model with factor Q.
+
+        Examples
+        --------
+        >>> import mpt_helpers as mpt
+        >>> mpt.constant_velocity(dt=1.0, q=0.06, r=0.1).with_noise_times(2.0).Q
         array([[0.04, 0.06],
                [0.06, 0.12]])
+
         """
         factor = checks.not_negative("factor", factor)
         transition = None if self.transition is None else Scaled(self.transition, factor)
@@ -177,16 +207,6 @@ class LinearModel(Immutable):
     def m(self) -> int:
         """Dimension of the measurement."""
         return len(self.H)
-
-
-def _of_steps(transition, dt):
-    """Return F and Q (..., n, n) of steps dt (...); a user's transition takes one number at a time."""
-    if np.ndim(dt) == 0 or getattr(transition, "takes_arrays", False):
-        return transition(dt)
-    each, which = np.unique(dt, return_inverse=True)
-    F, Q = zip(*map(transition, each.tolist()), strict=True)
-    which = which.reshape(np.shape(dt))  # numpy 2.0 returned another shape than 1.26 and 2.1
-    return np.array(F)[which], np.array(Q)[which]
 
 
 def _checked(transition, dt):
@@ -209,23 +229,23 @@ def _checked(transition, dt):
 
 
 def missed_by_halves(transition: Transition, dt: float) -> tuple[float, float]:
-    """Return by how much two steps of dt / 2 miss one of dt: F and Q, as the largest part of an entry.
+    """Return by how much two steps of dt / 2 miss one of dt, relative to the size of each entry: in F, and in Q.
 
-    It is infinite where numbers are not finite. An entry of F that should be zero may be rounding, as from
-    `scipy.linalg.expm`: F counts relative to `LEAST_OF_F` of its largest entry at least.
+    It is infinite where numbers are not finite.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        (half, noise), whole = (list(map(np.asarray, transition(each))) for each in (dt / 2, dt))
-        twice = half @ half, half @ noise @ half.T + noise
-        size = np.abs(half), np.abs(noise)
-        sizes = size[0] @ size[0], size[0] @ size[1] @ size[0].T + size[1]
-        sizes = np.maximum(sizes[0], LEAST_OF_F * sizes[0].max()), sizes[1]
-        missed = [
-            np.abs(two - one) / np.where(scale > 0, scale, np.finfo(float).tiny)
-            for two, one, scale in zip(twice, whole, sizes, strict=True)
-        ]
-    of_F, of_Q = (float(each.max()) if np.isfinite(each).all() else np.inf for each in missed)
-    return of_F, of_Q
+        (half, noise), (F, Q) = transition(dt / 2), transition(dt)
+        twice = half @ half, half @ noise @ np.transpose(half) + noise
+        half, noise = np.abs(half), np.abs(noise)
+        size_of_F, size_of_Q = half @ half, half @ noise @ half.T + noise  # of the terms that are added
+        size_of_F = np.maximum(size_of_F, LEAST_OF_F * size_of_F.max())
+        missed_of_F = np.abs(twice[0] - F) / np.where(size_of_F > 0, size_of_F, TINY)
+        missed_of_Q = np.abs(twice[1] - Q) / np.where(size_of_Q > 0, size_of_Q, TINY)
+    return _largest(missed_of_F), _largest(missed_of_Q)
+
+
+def _largest(values):
+    return float(values.max()) if np.isfinite(values).all() else np.inf
 
 
 def _matrices(rows):
@@ -312,18 +332,41 @@ def _on_diagonal(parts):
 
 
 def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
-    """Return the model of one axis of a GSM phone: position and velocity (2014 Eq. 3, 2015 Section 2, model B).
+    """Return the papers' model of one axis of a GSM phone, which measures the next position: H = [1 dt].
+
+    For positions that were measured where they stood, take `constant_velocity`: with this model they come out one step
+    late. It is 2014 Eq. 3, and model B of 2015 Section 2:
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
 
-    dt is the time step (s), q the variance of the velocity's change in a step (m²/s²), r the variance of a measurement
-    (m²), x0 (2,) and P0 (2×2) are the start. H measures s + v dt: the position that F predicts for the next step.
+    Parameters
+    ----------
+    dt : float or timedelta
+        Time step in s.
+    q : float
+        Variance of the velocity's change in a step in m²/s², not negative.
+    r : float
+        Variance of a measurement in m², positive.
+    x0, P0 : array_like (2,), (2, 2), optional
+        Mean and covariance of x(0), zero where not given.
 
-    Raises ValueError for dt <= 0, q < 0 or r <= 0.
+    Returns
+    -------
+    LinearModel
+        The model, whose states are position and velocity.
 
-    >>> gsm_axis(dt=1.0, q=0.01, r=0.1).Q
+    Raises
+    ------
+    ValueError
+        For dt <= 0, q < 0 or r <= 0.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.gsm_axis(dt=1.0, q=0.01, r=0.1).Q
     array([[0.0025, 0.005 ],
            [0.005 , 0.01  ]])
+
     """
     dt, q, r = _positive(dt, q, r)
     G = np.array([[dt / 2], [1.0]])
@@ -333,18 +376,38 @@ def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: A
 def constant_velocity(
     dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
 ) -> LinearModel:
-    """Return the model of one axis with nearly constant velocity: position and velocity (2016 Eq. 5).
+    """Return the model of one axis with nearly constant velocity, whose position is measured (2016 Eq. 5).
 
         F = [1 dt; 0 1],   H = [1 0],   Q = [dt³/3 dt²/2; dt²/2 dt] q,   R = r
 
-    dt is the time step (s), q the spectral density of the white noise that drives the velocity (m²/s³), r the variance
-    of the measured position (m²), x0 (2,) and P0 (2×2) are the start.
+    Parameters
+    ----------
+    dt : float or timedelta
+        Time step in s.
+    q : float
+        Spectral density of the white noise that drives the velocity in m²/s³, not negative.
+    r : float
+        Variance of a measured position in m², positive.
+    x0, P0 : array_like (2,), (2, 2), optional
+        Mean and covariance of x(0), zero where not given.
 
-    Raises ValueError for dt <= 0, q < 0 or r <= 0.
+    Returns
+    -------
+    LinearModel
+        The model, whose states are position and velocity.
 
-    >>> constant_velocity(dt=1.0, q=0.06, r=0.1).Q
+    Raises
+    ------
+    ValueError
+        For dt <= 0, q < 0 or r <= 0.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.constant_velocity(dt=1.0, q=0.06, r=0.1).Q
     array([[0.02, 0.03],
            [0.03, 0.06]])
+
     """
     dt, q, r = _positive(dt, q, r)
     return LinearModel(transition=ConstantVelocity(q), dt=dt, H=[[1, 0]], R=[[r]], x0=x0, P0=P0)
@@ -353,22 +416,42 @@ def constant_velocity(
 def constant_acceleration(
     dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
 ) -> LinearModel:
-    """Return the model of one axis with nearly constant acceleration: position, velocity and acceleration.
+    """Return the model of one axis with nearly constant acceleration, whose position is measured.
 
     2016 Eq. 6 with the Q of Section 5.2, which is the right one: Eq. 6 prints dt³/3 for dt³/6 in its first row.
 
         F = [1 dt dt²/2; 0 1 dt; 0 0 1],   H = [1 0 0],   R = r
         Q = [dt⁵/20 dt⁴/8 dt³/6; dt⁴/8 dt³/3 dt²/2; dt³/6 dt²/2 dt] q
 
-    dt is the time step (s), q the spectral density of the white noise that drives the acceleration (m²/s⁵), r the
-    variance of the measured position (m²), x0 (3,) and P0 (3×3) are the start.
+    Parameters
+    ----------
+    dt : float or timedelta
+        Time step in s.
+    q : float
+        Spectral density of the white noise that drives the acceleration in m²/s⁵, not negative.
+    r : float
+        Variance of a measured position in m², positive.
+    x0, P0 : array_like (3,), (3, 3), optional
+        Mean and covariance of x(0), zero where not given.
 
-    Raises ValueError for dt <= 0, q < 0 or r <= 0.
+    Returns
+    -------
+    LinearModel
+        The model, whose states are position, velocity and acceleration.
 
-    >>> constant_acceleration(dt=1.0, q=0.12, r=0.1).Q
+    Raises
+    ------
+    ValueError
+        For dt <= 0, q < 0 or r <= 0.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.constant_acceleration(dt=1.0, q=0.12, r=0.1).Q
     array([[0.006, 0.015, 0.02 ],
            [0.015, 0.04 , 0.06 ],
            [0.02 , 0.06 , 0.12 ]])
+
     """
     dt, q, r = _positive(dt, q, r)
     return LinearModel(transition=ConstantAcceleration(q), dt=dt, H=[[1, 0, 0]], R=[[r]], x0=x0, P0=P0)
@@ -377,36 +460,54 @@ def constant_acceleration(
 def gps_ins(
     dt: Seconds, q: float, r: ArrayLike, x0: ArrayLike | None = None, P0: ArrayLike | None = None
 ) -> LinearModel:
-    """Return the model of GPS and INS on one axis: position, velocity and the bias of the INS (2007 Eq. 11).
+    """Return the model of GPS and INS on one axis, with the bias of the INS (2007 Eq. 11).
 
         F = [1 dt 0; 0 1 0; 0 0 1],   H = [1 0 0; 0 1 1; 1 -dt 0],   Q = diag(0, q, 0),   R = diag(r)
 
     The rows of H are the position from GPS, the velocity with its bias from the INS, and a third row that the paper
-    does not explain: s - v dt, the position one step before. dt is the time step (s), q the variance of the velocity's
-    change in a step (m²/s²; the paper prints no Q), r the variances of the first two rows (m², m²/s²) or of all three
-    (m², m²/s², m²). x0 (3,) and P0 (3×3) are the start.
+    does not explain: s - v dt, the position one step before.
 
-    Raises ValueError for dt <= 0 or above 1e60 s, q < 0, a variance that is not positive, and for fewer or more.
+    Parameters
+    ----------
+    dt : float or timedelta
+        Time step in s.
+    q : float
+        Variance of the velocity's change in a step in m²/s², not negative. The paper prints no Q.
+    r : array_like (2,) or (3,)
+        Variances of the first two rows of H (m², m²/s²), or of all three (m², m²/s², m²).
+    x0, P0 : array_like (3,), (3, 3), optional
+        Mean and covariance of x(0), zero where not given.
 
-    >>> gps_ins(dt=1.0, q=0.0, r=(1.0, 1e-4)).H
+    Returns
+    -------
+    LinearModel
+        The model, whose states are position, velocity and bias.
+
+    Raises
+    ------
+    ValueError
+        For dt <= 0, q < 0 or r <= 0.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.gps_ins(dt=1.0, q=0.0, r=(1.0, 1e-4)).H
     array([[1., 0., 0.],
            [0., 1., 1.]])
+
     """
-    variances = checks.real_numbers("r", r, "two or three variances").tolist()
-    if not isinstance(variances, list) or len(variances) not in (2, 3):
+    variances = checks.real_numbers("r", r, "two or three variances").astype(float)
+    if variances.shape not in ((2,), (3,)):
         checks.refuse("r", "two or three variances", f"{r!r:.60}")
-    R = np.diag([checks.positive("r", variance) for variance in variances])
-    dt, q, _ = _positive(dt, q, variances[0])
+    for variance in variances:
+        dt, q, _ = _positive(dt, q, variance)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
-    return LinearModel(F=F, H=H[: len(R)], Q=np.diag([0, q, 0]), R=R, x0=x0, P0=P0)
+    return LinearModel(F=F, H=H[: len(variances)], Q=np.diag([0, q, 0]), R=np.diag(variances), x0=x0, P0=P0)
 
 
 def _positive(dt, q, r):
-    dt = checks.duration("dt", dt)
-    if dt > LONGEST_DT:
-        checks.refuse("dt", f"at most {LONGEST_DT:g} s, whose powers are doubles", f"{dt:g} s")
-    return dt, checks.not_negative("q", q), checks.positive("r", r)
+    return checks.duration("dt", dt), checks.not_negative("q", q), checks.positive("r", r)
 
 
 def stack(*models: LinearModel) -> LinearModel:
@@ -414,13 +515,31 @@ def stack(*models: LinearModel) -> LinearModel:
 
     Every matrix is block diagonal, and the states follow one another: [s_x v_x s_y v_y ...].
 
-    Raises ValueError when no model is given and where two of them say another dt, TypeError for anything but a
-    LinearModel.
+    Parameters
+    ----------
+    *models : LinearModel
+        The models of the axes, with the same dt where they have one.
 
-    >>> axis = gsm_axis(dt=1.0, q=0.01, r=0.1)
-    >>> stack(axis, axis).H
-    array([[1., 1., 0., 0.],
-           [0., 0., 1., 1.]])
+    Returns
+    -------
+    LinearModel
+        The model of all axes.
+
+    Raises
+    ------
+    TypeError
+        For anything but models.
+    ValueError
+        For no model, and where two of them say another dt.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> axis = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)
+    >>> mpt.stack(axis, axis).H
+    array([[1., 0., 0., 0.],
+           [0., 0., 1., 0.]])
+
     """
     for i, model in enumerate(models):
         checks.instance(f"models[{i}]", model, LinearModel)
@@ -446,21 +565,63 @@ def axes_of(transition: Transition) -> tuple[Transition, ...]:
 def exact_motion(model: LinearModel, x0: ArrayLike) -> LinearModel:
     """Return the model of a track that starts at x0 exactly and has no process noise; measurements keep their noise.
 
-    >>> exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]).Q
+    Parameters
+    ----------
+    model : LinearModel
+        The model of motion and measurements.
+    x0 : array_like (n,)
+        The start x(0).
+
+    Returns
+    -------
+    LinearModel
+        The model with this x0, and with P0 = 0 and Q = 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but a model and such a vector.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.exact_motion(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]).Q
     array([[0., 0.],
            [0., 0.]])
+
     """
     checks.instance("model", model, LinearModel)
     return replace(model.with_noise_times(0.0), x0=x0, P0=np.zeros_like(model.P0))
 
 
 def mean_track(model: LinearModel, N: int) -> Array:
-    """Return the track that a model takes without noise: x(1) ... x(N) = F x0 ... Fᴺ x0, (N, n).
+    """Return the track that a model takes without noise: x(1) ... x(N) = F x0 ... Fᴺ x0.
 
-    >>> mean_track(exact_motion(constant_velocity(dt=1.0, q=0.01, r=0.1), x0=[0, 20]), N=3)
+    Parameters
+    ----------
+    model : LinearModel
+        The model with F and x0.
+    N : int
+        Number of steps.
+
+    Returns
+    -------
+    ndarray (N, n)
+        The states; row k is x(k+1).
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but a model and a positive count.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.mean_track(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 20]), N=3)
     array([[20., 20.],
            [40., 20.],
            [60., 20.]])
+
     """
     checks.instance("model", model, LinearModel)
     x, states = model.x0, []
@@ -473,15 +634,35 @@ def mean_track(model: LinearModel, N: int) -> Array:
 def simulate(model: LinearModel, N: int, rng: Any, tracks: int | None = None) -> tuple[Array, Array]:
     """Draw true tracks and their measurements from a model (2014 Eq. 1).
 
-    N is the number of steps, rng a numpy Generator, a seed, or what else numpy.random.default_rng takes. tracks is the
-    number of tracks M, or None for one track.
+    Parameters
+    ----------
+    model : LinearModel
+        The model of motion and measurements.
+    N : int
+        Number of steps.
+    rng : Generator, int or anything that `numpy.random.default_rng` takes
+        Source of random numbers, or its seed.
+    tracks : int, optional
+        Number of tracks M; one track, without an axis of tracks, where not given.
 
-    Returns x and z of shapes (N, n) and (N, m), or (N, n, M) and (N, m, M). Row k is x(k+1), z(k+1): x(0) itself, drawn
-    from N(x0, P0), is not returned. Raises TypeError for anything but a model, ValueError for N < 1.
+    Returns
+    -------
+    x, z : ndarray (N, n), (N, m), or (N, n, M), (N, m, M)
+        True states and measurements. Row k is x(k+1), z(k+1); x(0), drawn from N(x0, P0), is not returned.
 
-    >>> x, z = simulate(gsm_axis(dt=1.0, q=0.01, r=0.1), N=5, rng=np.random.default_rng(1), tracks=3)
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but a model and positive counts.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> model = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)
+    >>> x, z = mpt.simulate(model, N=5, rng=1, tracks=3)
     >>> x.shape, z.shape
     ((5, 2, 3), (5, 1, 3))
+
     """
     checks.instance("model", model, LinearModel)
     rng = np.random.default_rng(rng)

@@ -1,6 +1,6 @@
 """Filters with constant coefficients: the steady-state filter and its FIR form.
 
-2014 and 2015 are papers of Assimakis & Adam, 2016 is one of Assimakis and others; `mpt_helpers` has their titles.
+2014 and 2015 are papers of Assimakis & Adam, 2016 is one of Assimakis and others.
 """
 
 from __future__ import annotations
@@ -29,19 +29,43 @@ MOST_TAPS = 1_000_000
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class SteadyStateFilter(RecursiveFilter):
-    """A filter with constant coefficients: A (n×n), B (n×m), and the error covariance P (n×n) of its steady state.
+    """A filter with constant coefficients (2014 Eqs. 9-15, 2015 Eqs. 6-12, 2016 Eqs. 8-12).
 
-    2014 Eqs. 9-15, 2015 Eqs. 6-12, 2016 Eqs. 8-12. Made by `from_kalman` or `from_lainiotis`, which solve different
-    Riccati equations: their agreement (2014 Eq. 15) is a real check.
+        x(k+1/k+1) = A x(k/k) + B z(k+1),   A = (I - B H) F
 
-    While nothing is missing, its covariance is P. Through a gap it grows, and afterwards it returns to P, just as the
-    covariance of the true error does that starts at P. A row of z that is partly NaN is refused, since the gain assumes
-    a whole row. Raises ValueError for arrays of another shape and for an A that is not (I - B H) F.
+    Made by `from_kalman` or `from_lainiotis`, which solve different Riccati equations: their agreement (2014 Eq. 15) is
+    a real check. While nothing is missing, the covariance stays P. It grows through a gap, and afterwards returns to P
+    as that of the true error does. A row of z that is partly NaN is refused: the gain is that of a whole row.
 
-    >>> from mpt_helpers.model import gsm_axis
-    >>> SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1)).B.round(4)
-    array([[0.3654],
-           [0.2068]])
+    Parameters
+    ----------
+    model : LinearModel
+        The model of motion and measurements.
+    A, B : array_like (n, n), (n, m)
+        The coefficients.
+    P : array_like (n, n)
+        P(0/0), the covariance of the steady state. It is not compared with A and B: from any other start the
+        covariances go to that of the steady state.
+
+    Raises
+    ------
+    TypeError
+        For anything but a model and arrays of real numbers.
+    ValueError
+        For arrays of another shape, and for an A that is not (I - B H) F.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> steady = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> steady.B.round(4)
+    array([[0.5485],
+           [0.2125]])
+    >>> steady.filter([[1.0], [2.0], [3.1]]).round(2)
+    array([[0.55, 0.21],
+           [1.44, 0.48],
+           [2.57, 0.73]])
+
     """
 
     A: Array
@@ -65,9 +89,25 @@ class SteadyStateFilter(RecursiveFilter):
 
     @classmethod
     def from_kalman(cls, model: LinearModel) -> Self:
-        """Solve the Riccati equation of the Kalman filter, then A = (I - K H) F and B = K (2014 Eqs. 10-11).
+        """Make the filter of a model by the Riccati equation of the Kalman filter.
 
-        Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
+            A = (I - K H) F,   B = K (2014 Eqs. 10-11)
+
+        Parameters
+        ----------
+        model : LinearModel
+            The model.
+
+        Returns
+        -------
+        SteadyStateFilter
+            The filter.
+
+        Raises
+        ------
+        ValueError
+            For a model without a steady state, naming the condition that fails and the mode.
+
         """
         P = riccati.rekf(model)
         K = gain(P, model.H, model.R)
@@ -78,9 +118,25 @@ class SteadyStateFilter(RecursiveFilter):
 
     @classmethod
     def from_lainiotis(cls, model: LinearModel) -> Self:
-        """Solve the Riccati equation of the Lainiotis filter, then A and B of 2014 Eqs. 13-14.
+        """Make the filter of a model by the Riccati equation of the Lainiotis filter (2014 Eqs. 13-14).
 
-        Raises ValueError when the model has no steady state, naming the condition that fails and the mode.
+            A = F_n [I + P O_n]⁻¹,   B = K_n + A P K_m
+
+        Parameters
+        ----------
+        model : LinearModel
+            The model.
+
+        Returns
+        -------
+        SteadyStateFilter
+            The filter.
+
+        Raises
+        ------
+        ValueError
+            For a model without a steady state, naming the condition that fails and the mode.
+
         """
         P = riccati.relf(model)
         riccati.require_resolved(model, P)
@@ -93,7 +149,7 @@ class SteadyStateFilter(RecursiveFilter):
         return self.P
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
-        """Return the Step from P(k/k) (n, n). In a missed epoch A is F, B is zero and P is F P Fᵀ + Q."""
+        """Return A, B and P(k+1/k+1), as in RecursiveFilter. In a missed epoch A is F, B is zero, P is F P Fᵀ + Q."""
         P_predicted = predicted_covariance(self.model, P)
         if not seen.any():
             return self.model.F, np.zeros_like(self.B), P_predicted
@@ -118,33 +174,47 @@ def _require_whole_rows(seen):
 def fir_order(A: ArrayLike, tol: float, norm: float | str = 2) -> int:
     """Return the FIR order: the first power M with ‖Aᴹ‖ < tol (2014 Section 7).
 
-    A is n×n, tol is the paper's ε, norm is 1, 2 (the spectral norm), inf, "fro" or "nuc", as in `numpy.linalg.norm`.
-    Raises ValueError for another norm, for tol outside (0, 1] and for an A whose powers do not fall below tol within a
-    million steps.
+    Parameters
+    ----------
+    A : array_like (n, n)
+        The coefficient of a steady-state filter.
+    tol : float
+        The paper's ε, in (0, 1].
+    norm : {2, 1, inf, 'fro', 'nuc'}
+        The norm as in `numpy.linalg.norm`; 2 is the spectral norm.
 
-    >>> fir_order([[0.5]], tol=0.1)
+    Returns
+    -------
+    int
+        The order M.
+
+    Raises
+    ------
+    ValueError
+        For a tol outside (0, 1], and for an A whose powers do not fall below it within a million steps.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.fir_order([[0.5]], tol=0.1)
     4
+
     """
     n = checks.rows("A", A)
     A = checks.array("A", A, (n, n))
-    if norm not in (1, 2, np.inf, "fro", "nuc"):
-        checks.refuse("norm", "1, 2, inf, 'fro' or 'nuc'", repr(norm))
     tol = checks.number("tol", tol, "a number in (0, 1]", lambda tol: 0 < tol <= 1)
     radius = np.abs(np.linalg.eigvals(A)).max()  # ρ: the powers of A fall by it in each step, in the end
     if radius >= 1:
         checks.refuse("A", "a spectral radius below 1", f"{radius:.6g}")
-    # With spectral radius ρ, ‖Aᴹ‖ ≥ ρᴹ ≥ tol for every M ≤ log tol / log ρ, so the search starts there. One part in 1e9
-    # is for the rounding of the logarithms.
+    # ‖Aᴹ‖ ≥ ρᴹ ≥ tol for every M ≤ log tol / log ρ, so the search starts there. One part in 1e9 is for rounding.
     least = np.log(tol) / np.log(radius) * (1 - 1e-9) if radius > 0 else 1
-    if least > MOST_TAPS:
-        checks.refuse("A", f"powers that fall below {tol:g} within {MOST_TAPS:,} steps", f"a radius of {radius:.9f}")
     order = max(1, int(least))
-    power = np.linalg.matrix_power(A, order)
-    while np.linalg.norm(power, norm) >= tol:
-        if order == MOST_TAPS:
-            checks.refuse("A", f"powers that fall below {tol:g} within {MOST_TAPS:,} steps", "powers that fall later")
+    power = np.linalg.matrix_power(A, order) if order <= MOST_TAPS else np.zeros_like(A)
+    while order <= MOST_TAPS and np.linalg.norm(power, norm) >= tol:
         power = power @ A
         order += 1
+    if order > MOST_TAPS:
+        checks.refuse("A", f"powers that fall below {tol:g} within {MOST_TAPS:,} steps", f"a radius of {radius:.9f}")
     return order
 
 
@@ -154,16 +224,35 @@ class FIRFilter(Filter):
 
         x(k/k) = Σ taps[j] z(k-j),   taps[j] = Aʲ B,   j = 0 ... order - 1
 
-    taps is (order, n, m). Measurements before z(1) count as zero, so the first `order` estimates are those of a start
-    at zero: x0 is not used, except to predict first epochs that are missed. A missed epoch is predicted,
-    F x(k-1/k-1), and its measurement replaced by the predicted one, H F x(k-1/k-1): fed with that, the steady-state
-    filter returns its prediction. The filter has no covariances. Raises TypeError or ValueError for anything but a
-    model and such an array.
+    Measurements before z(1) count as zero, so the first `order` estimates are those of a start at zero; x0 is used only
+    to predict first epochs that are missed. A missed epoch is predicted, F x(k-1/k-1), and its measurement replaced by
+    the predicted one, H F x(k-1/k-1): fed with that, the steady-state filter returns its prediction. The filter has no
+    covariances.
 
-    >>> from mpt_helpers.model import gsm_axis
-    >>> steady = SteadyStateFilter.from_kalman(gsm_axis(dt=1.0, q=0.01, r=0.1))
-    >>> FIRFilter.from_steady_state(steady, tol=1e-3).order
-    17
+    Parameters
+    ----------
+    model : LinearModel
+        The model of motion and measurements.
+    taps : array_like (order, n, m)
+        The weights of the last measurements, the newest first.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but a model and such an array.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> steady = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> fir = mpt.FIRFilter.from_steady_state(steady, tol=1e-3)
+    >>> fir.order
+    20
+    >>> fir.filter([[1.0], [2.0], [3.1]]).round(2)
+    array([[0.55, 0.21],
+           [1.44, 0.48],
+           [2.57, 0.73]])
+
     """
 
     model: LinearModel
@@ -171,13 +260,32 @@ class FIRFilter(Filter):
 
     def __init__(self, model: LinearModel, taps: ArrayLike):
         checks.instance("model", model, LinearModel)
-        order = len(np.atleast_1d(checks.real_numbers("taps", taps, "an (order, n, m) array")))
+        order = max(1, np.size(taps) // (model.n * model.m))
         object.__setattr__(self, "model", model)
-        object.__setattr__(self, "taps", checks.array("taps", taps, (max(1, order), model.n, model.m)))
+        object.__setattr__(self, "taps", checks.array("taps", taps, (order, model.n, model.m)))
 
     @classmethod
     def from_steady_state(cls, steady: SteadyStateFilter, tol: float = 1e-3) -> Self:
-        """Cut the impulse response Aʲ B of a steady-state filter where the spectral norm of Aʲ falls below tol."""
+        """Cut the impulse response Aʲ B of a steady-state filter where the spectral norm of Aʲ falls below tol.
+
+        Parameters
+        ----------
+        steady : SteadyStateFilter
+            The filter with A and B.
+        tol : float
+            The paper's ε, as in `fir_order`.
+
+        Returns
+        -------
+        FIRFilter
+            The FIR filter.
+
+        Raises
+        ------
+        TypeError, ValueError
+            For another filter, and as `fir_order`.
+
+        """
         checks.instance("steady", steady, SteadyStateFilter)
         taps = [steady.B]
         for _ in range(fir_order(steady.A, tol) - 1):

@@ -300,7 +300,7 @@ SECOND = np.timedelta64(1, "s")
         (lambda: KF.filter([[1.0], [1.0, 2.0]]), "z: .*got rows of different lengths"),
         (lambda: KF.filter(np.ma.masked_equal([[1.0], [2.0]], 2)), "z: .*got a masked array (its filled(np.nan) has"),
         (lambda: mpt.mean_track(CV, "3"), "N: needs an integer of at least 1, got '3'"),
-        (lambda: mpt.gsm_axis(10**400, 0.01, 0.1), "dt: needs a positive number, got 1000"),
+        (lambda: mpt.gsm_axis(10**400, 0.01, 0.1), "dt: needs a positive number of seconds below 1e60, got 1000"),
     ],
 )
 def test_what_was_got_is_said_with_the_cure_and_without_what_led_there(call, got):

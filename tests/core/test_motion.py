@@ -215,8 +215,8 @@ REFUSED = {
     "F that is not the identity at zero": (lambda: of(wrong(f=0.9)), ValueError, "F = I and Q = 0 over a step of zero"),
     "Q that is not zero at zero": (lambda: of(wrong(at_zero=1.0)), ValueError, "F = I and Q = 0 over a step of zero"),
     "Q of another shape": (lambda: of(lambda dt: (np.eye(2), np.eye(1))), ValueError, "transition: needs a"),
-    "no Q": (lambda: mpt.LinearModel(F=[[1]], H=[[1]], R=[[1]]), TypeError, "Q: needs a matrix, as F does, or a tran"),
-    "no F": (lambda: mpt.LinearModel(H=[[1]], R=[[1]]), TypeError, "F: needs a matrix, as Q does, or a transition"),
+    "no Q": (lambda: mpt.LinearModel(F=[[1]], H=[[1]], R=[[1]]), TypeError, "Q: needs a .* got None"),
+    "no F": (lambda: mpt.LinearModel(H=[[1]], R=[[1]]), TypeError, "F: needs a matrix, got None"),
     "dt without a transition": (
         lambda: mpt.LinearModel(F=[[1]], H=[[1]], Q=[[1]], R=[[1]], dt=1.0),
         TypeError,
