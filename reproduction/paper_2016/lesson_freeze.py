@@ -63,7 +63,6 @@ def draw_start(steps=25):
     """Return a figure of `typical_errors` and `errors_from_two_measurements`, on a logarithmic axis."""
     at_once, later = typical_errors(steps)
     k = np.arange(1, steps + 1)
-    plots.use_style()
     fig, axes = plots.panels([["error"]], height=3.4)
     ax = axes["error"]
     measured = ax.axhline(np.sqrt(R), color=plots.COLOUR_OF["measured"], ls=":", label="one measurement")
@@ -97,7 +96,6 @@ def draw_braking(misses, seconds=5):
     misses maps a brake in m/s² to {name of a filter: misses (m) of the predictions of seconds 0, 1, ...}.
     """
     styles = [(plots.COLOUR_OF["kalman"], "-"), (plots.COLOURS[2], "--"), (plots.COLOURS[2], "-")]
-    plots.use_style()
     names = [f"{brake:g} m/s²" for brake in misses]
     fig, ax = plots.panels([names], height=3.4)
     ax[names[1]].sharey(ax[names[0]])
