@@ -443,7 +443,7 @@ def clean(
             still = f"{(pieces >= 0).sum()} of {len(fixes)} fixes standing still"
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
         show("fitting")
-        noise = fitted(line, noise, scale, near=before is not None)
+        noise = fitted(line, noise, scale)
     line = on_one_line(track, pieces, noise, scale)
     show("smoothing")
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
@@ -689,8 +689,8 @@ def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:
     return fitting.NegativeLogLikelihood(make, ["q", "r"], line.z[:, None], ~line.first)  # each axis is a track
 
 
-def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
-    """Return maximum-likelihood q and r of the fixes of a line, searched along r / q, first near a guess or all over.
+def fitted(line: Line, guess: Noise, scale: Scale) -> Noise:
+    """Return maximum-likelihood q and r of the fixes of a line, searched along r / q, near a guess or else all over.
 
     Where r comes out below the rounding of the numbers it is set to that.
     """
@@ -702,8 +702,8 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
         return likelihood.with_best_scale(point) if within else (0.0, math.inf)
 
     at, ratio = np.log([guess.q, guess.r]), np.array([-0.5, 0.5])
-    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0) if near else at
-    if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # it was looked for in the wrong place
+    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0)
+    if abs(np.diff(found - at)[0]) > AROUND[-2]:  # it was looked for in the wrong place
         middle = at[0] + np.array([0.0, (low + high) / 2])
         found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
     q, r = np.exp(found)

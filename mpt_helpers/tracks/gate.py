@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks as checks
+from ..equations import neutralised
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
@@ -44,8 +45,6 @@ STUCK, HARDLY = 3, 0.1
 ARRIVED = 0.5
 # And it has gone on with at least this part of the speed with which it came: one that rests for long would crawl.
 WENT_ON = 0.25
-# P is at rest when no entry moves by more than this part of its standard deviations.
-AT_REST = 4e-16
 # A way that is so many times as fast as a track usually is leads to a wrong position, and is no jump of a receiver.
 IMPOSSIBLE = 1000.0
 # A segment is tried after the ones that ended at most so many before it. More in a row are never dropped.
@@ -110,11 +109,7 @@ def segments_of(kf, z, begins, limit, patience):
     The filter starts anew at each row of `begins`, where a recording begins, and from x0 and P0 at row 0 unless that is
     one of them. No segment goes on into another recording, and the way between two recordings is no jump.
     """
-    steps = _Steps(kf, z)
-    try:
-        found = _in_sequence(steps, set(begins), limit, patience)
-    except np.linalg.LinAlgError:
-        checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
+    found = _in_sequence(_Sequence(kf, z), set(begins), limit, patience)
     recording = np.zeros(len(z), dtype=int)
     recording[list(begins)] = 1
     number = np.full(len(z), -1)
@@ -125,146 +120,137 @@ def segments_of(kf, z, begins, limit, patience):
     return number
 
 
-class _Steps:
-    """One step of a Kalman filter for z (N, m, A). A state is x (n, A) and the _Covariance of each axis."""
+class _Sequence:
+    """A Kalman filter that is led through z (N, m, A) row by row; A axes of one track share P. A state is x (n, A), P.
+
+    A step depends on no measured value. On even steps P comes to rest, and then its steps are `made` already.
+    """
 
     def __init__(self, kf, z):
         epochs = kf.epochs_of(z)
-        self.model, self.z, self.seen = kf.model, z, ~np.isnan(z)
-        self.fixes, self.whole = self.seen.any(axis=(1, 2)).tolist(), self.seen.all(axis=(1, 2)).tolist()
-        self.dt = [None] * len(z) if epochs.dt is None else epochs.dt[:, 0].tolist()  # None: the model's
+        self.model, self.z, self.made = kf.model, z, {}
+        self.missing = np.isnan(z)
+        self.seen = ~self.missing.all(axis=2)
+        self.fixes = self.seen.any(axis=1).tolist()
+        self.dt, self.motions = [None] * len(z), {None: (kf.model.F, kf.model.Q)}  # F and Q by the length of a step
+        if epochs.dt is not None:
+            self.dt = epochs.dt[:, 0].tolist()
+            lengths = np.unique(epochs.dt)
+            self.motions |= dict(zip(lengths.tolist(), zip(*kf.model.over(lengths), strict=True), strict=True))
         self.variances = None if epochs.r is None else epochs.r[:, :, 0]
 
     def first(self):
         """Return the state before the first row."""
-        return np.repeat(self.model.x0[:, None], self.z.shape[2], axis=1), _Covariance(self.model.P0)
+        return np.repeat(self.model.x0[:, None], self.z.shape[2], axis=1), self.model.P0
 
     def start(self, k):
         """Return the state after a first fix, of row k: x0 and P0 moved there."""
-        looked = self.look(self.first(), k, self.model.dt)
-        moved = np.linalg.pinv(self.model.H[looked.step.seen]) @ looked.e
-        return looked.x + moved + looked.step.gain @ (
-            looked.e - self.model.H[looked.step.seen] @ moved
-        ), looked.step.taken
+        x, step, e = self._innovation(self.first(), k, None)
+        moved = np.linalg.pinv(step.H) @ e
+        return x + moved + step.gain @ (e - step.H @ moved), step.corrected
 
-    def look(self, state, k, dt=None):
-        """Return the state of row k before its measurement, with its innovation."""
-        x, covariance = state
-        step = self._step(covariance, k, self.dt[k] if dt is None else dt)
+    def look(self, state, k):
+        """Return what the fix of row k, if it has one, makes of a state."""
+        x, step, e = self._innovation(state, k, self.dt[k])
+        if e is None:
+            return _Look((x, step.predicted))
+        nis = float(np.vdot(e, step.precision @ e))
+        return _Look((x, step.predicted), (x + step.gain @ e, step.corrected), nis, nis + step.log_det)
+
+    def _innovation(self, state, k, dt):
+        """Return the predicted x of row k, its _Step and its innovation, None where there is no fix."""
+        x, P = state
+        step = self._step(P, k, dt)
         x = step.F @ x
-        if step.gain is None:
-            return _Looked(x, step)
-        z = self.z[k]
-        if not self.whole[k]:  # of axes that share P: what one of them lacks is expected to come as predicted
-            z = np.where(self.seen[k], z, self.model.H @ x)[step.seen]
-        e = z - step.H @ x
-        return _Looked(x, step, e, float(np.vdot(e, step.precision @ e)))
+        if not self.fixes[k]:
+            return x, step, None
+        e = self.z[k] - self.model.H @ x
+        e[self.missing[k]] = 0.0
+        return x, step, e
 
-    def _step(self, covariance, k, dt):
-        """Return the _Step of row k, which depends on no measured value."""
-        fix, whole = self.fixes[k], self.whole[k]
-        variances = None if self.variances is None or not fix else tuple(self.variances[k].tolist())
-        key = dt, fix, variances, None if whole or not fix else self.seen[k].tobytes()
-        if key not in covariance.steps:
-            F, Q = (self.model.F, self.model.Q) if dt is None else self.model.over(dt)
-            P = F @ covariance.P @ F.T + Q
-            if not fix:
-                return covariance.steps.setdefault(key, _Step(F, _Covariance(P)))
-            seen = self.seen[k].any(axis=1)
-            H, R = self.model.H[seen], self.model.R if variances is None else np.diag(np.where(seen, variances, 1.0))
-            HP = H @ P
-            S = HP @ H.T + R[np.ix_(seen, seen)]
-            log_det = 2 * float(np.log(np.diag(np.linalg.cholesky(S))).sum())
-            gain = np.linalg.solve(S, HP).T
-            taken = P - gain @ HP
-            sigma = np.sqrt(np.abs(taken.diagonal()))
-            at_rest = (np.abs(taken - covariance.P) <= AT_REST * np.outer(sigma, sigma)).all()
-            taken = covariance if at_rest else _Covariance(taken)
-            step = _Step(F, _Covariance(P), seen, H, np.linalg.inv(S), log_det * self.z.shape[2], gain, taken)
-            covariance.steps[key] = step
-        return covariance.steps[key]
+    def _step(self, P, k, dt):
+        r = None if self.variances is None or not self.fixes[k] else self.variances[k]
+        key = P.tobytes(), dt, self.seen[k].tobytes(), None if r is None else r.tobytes()
+        if key not in self.made:
+            self.made[key] = self._made(P, self.seen[k], dt, r)
+        return self.made[key]
 
-
-class _Covariance:
-    """P, and the steps that were taken from it: on even steps P comes to rest, and then they are made once."""
-
-    def __init__(self, P):
-        self.P, self.steps = P, {}
+    def _made(self, P, seen, dt, r):
+        """Return the _Step from P (n, n) over dt to a row whose measurements `seen` (m,) have variances r (m,)."""
+        F, Q = self.motions[dt]
+        P = F @ P @ F.T + Q
+        if not seen.any():
+            return _Step(F, P)
+        H, R = self.model.H, self.model.R if r is None else np.diag(np.where(seen, r, 1.0))
+        if not seen.all():
+            H, R = neutralised(H, R, seen)
+        HP = H @ P
+        S = HP @ H.T + R
+        precision = np.linalg.inv(S)
+        gain = HP.T @ precision
+        sign, log_det = np.linalg.slogdet(S)
+        if not sign > 0:
+            checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
+        return _Step(F, P, H, gain, P - gain @ HP, precision, float(log_det) * self.z.shape[2])
 
 
 class _Step(NamedTuple):
-    """F, the predicted covariance, and, where there is a fix: H, S⁻¹, log det S, the gain and the covariance after."""
+    """F, the predicted P, and, where there is a fix: H, the gain, the corrected P, S⁻¹ and log det S of all axes."""
 
     F: Any
-    predicted: _Covariance
-    seen: Any = None
+    predicted: Any
     H: Any = None
+    gain: Any = None
+    corrected: Any = None
     precision: Any = None
     log_det: float = 0.0
-    gain: Any = None
+
+
+class _Look(NamedTuple):
+    """The states if a fix is refused and if it is taken, its NIS, and its deviance: -2 log density, but for 2 pi."""
+
+    refused: Any
     taken: Any = None
-
-
-class _Looked(NamedTuple):
-    """A predicted x with its step, and the innovation of its row and NIS."""
-
-    x: Any
-    step: _Step
-    e: Any = None
     nis: float = 0.0
-
-    @property
-    def surprise(self):
-        """-2 log of the probability density of the row, but for a constant."""
-        return self.nis + self.step.log_det
-
-    @property
-    def refused(self):
-        """The state if nothing was measured."""
-        return self.x, self.step.predicted
-
-    @property
-    def taken(self):
-        """The state after the measurement."""
-        return self.x + self.step.gain @ self.e, self.step.taken
+    deviance: float = 0.0
 
 
 class _Candidate(NamedTuple):
-    """A new start: refused fixes that agree, the state after them, and how surprising the last of them was to it."""
+    """A new start: refused fixes that agree, the state after them, and the deviance of the last of them."""
 
     state: Any
     rows: list[int]
-    surprise: float = -math.inf
+    deviance: float = -math.inf
 
 
-def _in_sequence(steps, begins, limit, patience):
+def _in_sequence(sequence, begins, limit, patience):
     """Return the rows of each segment, in order of their first rows, by rules 1 and 2."""
     found, rows = [], []
-    state, candidates = steps.first(), []
-    for k, fix in enumerate(steps.fixes):
+    state, candidates = sequence.first(), []
+    for k, fix in enumerate(sequence.fixes):
         if k in begins:
             found.append(rows)
             rows, state, candidates = [], None, []
         if state is None:  # before the first fix of a recording
             if fix:
-                state, rows = steps.start(k), [k]
+                state, rows = sequence.start(k), [k]
             continue
-        looked = steps.look(state, k)
+        look = sequence.look(state, k)
+        looks = [sequence.look(each.state, k) for each in candidates]
         if not fix:
-            state = looked.refused
-            candidates = [each._replace(state=steps.look(each.state, k).refused) for each in candidates]
+            state = look.refused
+            candidates = [each._replace(state=own.refused) for each, own in zip(candidates, looks, strict=True)]
             continue
-        agreed = []
-        for each in candidates:
-            other = steps.look(each.state, k)
-            if other.nis <= limit:
-                agreed.append(_Candidate(other.taken, [*each.rows, k], other.surprise))
-        if looked.nis <= limit and all(looked.surprise <= each.surprise + RARE for each in agreed):
-            state, candidates = looked.taken, []
+        agreed = [
+            _Candidate(own.taken, [*each.rows, k], own.deviance)
+            for each, own in zip(candidates, looks, strict=True)
+            if own.nis <= limit
+        ]
+        if look.nis <= limit and all(look.deviance <= each.deviance + RARE for each in agreed):
+            state, candidates = look.taken, []
             rows.append(k)
             continue
-        state = looked.refused
-        candidates = [*agreed, _Candidate(steps.start(k), [k])]
+        state, candidates = look.refused, [*agreed, _Candidate(sequence.start(k), [k])]
         oldest = candidates[0]
         if len(oldest.rows) == patience:
             found.append(rows)

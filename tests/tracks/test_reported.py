@@ -191,7 +191,7 @@ def test_times_that_run_back_within_a_segment_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("km", "step", "speed", "noise"), [(4500, 10, 250.0, 10.0), (9000, 10, 250.0, 0.0), (6000, 600, 8.0, 30.0)]
+    ("km", "step", "speed", "noise"), [(4500, 10, 250.0, 10.0), (9000, 30, 250.0, 0.0), (6000, 600, 8.0, 30.0)]
 )
 def test_a_flight_along_the_earth_has_its_length_its_speed_and_no_jump(km, step, speed, noise, tmp_path):
     N = int(km * 1000 / (speed * step)) + 1
@@ -257,7 +257,7 @@ def test_a_player_who_runs_about_in_a_small_place_is_no_stop():
 def test_rounded_walks_with_rests_are_cleaned_or_said_to_stand_still():
     """Seventeen of a hundred were refused for the gaps between segments, which clean itself had made."""
     still = []
-    for seed in range(40):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(10, 60))
         z = np.cumsum(rng.normal(size=(n, 2)) * (rng.random((n, 1)) < 0.3), axis=0).round(0)
@@ -268,7 +268,7 @@ def test_rounded_walks_with_rests_are_cleaned_or_said_to_stand_still():
             still.append(str(error))
         else:
             assert np.isfinite(c.x[c.mask]).all()
-    assert len(still) < 5
+    assert len(still) < 3
     assert all("z: needs a track that moves" in each for each in still)
 
 

@@ -181,9 +181,8 @@ def test_a_part_of_a_file_beside_it_is_not_overwritten(spoilt, capsys):
     assert other.read_text() == "mine"
 
 
-@pytest.mark.parametrize("name", [b"ride\xff.gpx", b"$a$ ^_{.gpx"])
-def test_names_that_are_no_text_or_look_like_formulas_are_no_hindrance(spoilt, name):
-    path = spoilt.rename(spoilt.parent / os.fsdecode(name))
+def test_a_name_that_is_no_text_and_looks_like_a_formula_is_no_hindrance(spoilt):
+    path = spoilt.rename(spoilt.parent / os.fsdecode(b"$a$ ^_{\xff.gpx"))
     run = [sys.executable, "-m", "mpt_helpers", "track", path]
     ascii_only = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(run, capture_output=True, cwd=ROOT, env=ascii_only, check=True)
@@ -304,7 +303,7 @@ def table(path, head, *columns):
 
 def test_r_is_that_of_the_fixes_that_are_kept():
     """With noise of Student's t, of so few degrees of freedom that some fixes are refused as faults."""
-    for seed in range(4):
+    for seed in range(2):
         z, _, _ = positions(N=1000, seed=seed)
         rng = np.random.default_rng(seed)
         noise = 2 * rng.standard_t(1.5, z.shape)
@@ -563,11 +562,11 @@ def test_q_and_r_are_those_of_fit():
 
 
 def test_errors_of_q_and_r_hold_on_simulated_tracks():
-    """The errors over those stated have an rms of 1: in 40 runs ± 0.11, and blocks tell their own size to some 20 %."""
+    """The errors over those stated have an rms of 1: in 16 runs ± 0.18, and blocks tell their own size to some 20 %."""
     off = {"q": [], "r": []}
-    for seed in range(40):
-        z, _, _ = positions(N=400, seed=seed)
-        c = tracks.clean(np.arange(400.0), z, rounding=0.0)
+    for seed in range(16):
+        z, _, _ = positions(N=300, seed=seed)
+        c = tracks.clean(np.arange(300.0), z, rounding=0.0)
         for name, true in (("q", 0.05), ("r", 4.0)):
             off[name].append(np.log(getattr(c, name) / true) / c.log_errors[name])
     for name, each in off.items():
