@@ -197,8 +197,10 @@ class Filter(Immutable):
 
         Returns
         -------
-        x, P : ndarray (n,), (n, n)
-            Estimate and covariance after the measurement.
+        x : ndarray (n,)
+            The estimate x(k+1/k+1).
+        P : ndarray (n, n)
+            Its covariance P(k+1/k+1).
 
         Raises
         ------
@@ -312,8 +314,12 @@ class RecursiveFilter(Filter):
 
         Returns
         -------
-        A, B, P : ndarray (n, n), (n, m), (n, n)
-            The coefficients of x(k+1/k+1) = A x(k/k) + B z(k+1), and P(k+1/k+1).
+        A : ndarray (n, n)
+            The coefficient of x(k/k) in x(k+1/k+1) = A x(k/k) + B z(k+1).
+        B : ndarray (n, m)
+            The coefficient of z(k+1).
+        P : ndarray (n, n)
+            The covariance P(k+1/k+1).
 
         """
         raise NotImplementedError
@@ -348,8 +354,12 @@ class RecursiveFilter(Filter):
 
         Returns
         -------
-        A, B, P : ndarray (N, n, n), (N, n, m), (N, n, n)
-            A_k, B_k and P(k/k) of each step, as a named tuple.
+        A : ndarray (N, n, n)
+            A_k of each step.
+        B : ndarray (N, n, m)
+            B_k of each step.
+        P : ndarray (N, n, n)
+            P(k/k) after each step.
 
         """
         each = steps.steps_without_gaps(self.next_step, self.P0, self.model.m, checks.count("N", N))

@@ -101,8 +101,12 @@ class KalmanFilter(RecursiveFilter):
 
         Returns
         -------
-        A, B, P : ndarray (N, n, n), (N, n, m), (N, n, n)
-            A_k, B_k and P(k/k) of each step, as a named tuple.
+        A : ndarray (N, n, n)
+            A_k of each step.
+        B : ndarray (N, n, m)
+            B_k of each step.
+        P : ndarray (N, n, n)
+            P(k/k) after each step.
 
         Raises
         ------
@@ -133,8 +137,12 @@ class KalmanFilter(RecursiveFilter):
 
         Returns
         -------
-        A, B, P : ndarray (n, n), (n, m), (n, n)
-            The coefficients of x(k+1/k+1) = A x(k/k) + B z(k+1), and P(k+1/k+1).
+        A : ndarray (n, n)
+            The coefficient of x(k/k) in x(k+1/k+1) = A x(k/k) + B z(k+1).
+        B : ndarray (n, m)
+            The coefficient of z(k+1).
+        P : ndarray (n, n)
+            The covariance P(k+1/k+1).
 
         Raises
         ------
@@ -180,8 +188,10 @@ class KalmanFilter(RecursiveFilter):
 
         Returns
         -------
-        x, P : ndarray (n,), (n, n)
-            Estimate and covariance after the measurement.
+        x : ndarray (n,)
+            The estimate x(k+1/k+1).
+        P : ndarray (n, n)
+            Its covariance P(k+1/k+1).
 
         Raises
         ------

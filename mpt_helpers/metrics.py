@@ -1,4 +1,4 @@
-"""The distances of estimates from each other and from the truth, and the sizes that they should have."""
+"""Errors of estimates, and the tests of a filter's consistency: innovations, NIS, NEES, likelihood."""
 
 from __future__ import annotations
 
@@ -14,13 +14,28 @@ from ._base import Filter, one_or_many
 from ._checks import Array
 from ._engine.algebra import whitened
 from ._engine.shared import epochs_at_a_time
-from .bands import ahead as ahead  # these four stood here once, and users may still find them here
-from .bands import coverage as coverage
-from .bands import following as following
-from .bands import interval_score as interval_score
+from .bands import ahead, coverage, following, interval_score
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
 from .steady import SteadyStateFilter
+
+__all__ = [
+    "ErrorMoments",
+    "Innovations",
+    "ahead",
+    "chi_square_band",
+    "coverage",
+    "error_moments",
+    "following",
+    "innovations",
+    "interval_score",
+    "log_likelihood",
+    "nees",
+    "nis",
+    "relative_gap",
+    "rms",
+    "suspicious",
+]
 
 # A median NIS, for each number measured, of these times the one that a true model has, says that something is wrong: on
 # ten recorded tracks fitted filters had 0.2 to 1.4, first guesses 0.04 to 120, and degrees, kilometres and
@@ -37,10 +52,29 @@ MEDIAN_OF_A_SQUARE = float(2 * gammaincinv(0.5, 0.5))
 
 
 def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
-    """Return the largest difference between two arrays of one shape, relative to the largest entry of b.
+    """Return the largest difference between two arrays, relative to the largest entry of b.
 
-    >>> relative_gap([1.0, 2.0], [1.0, 4.0])
+    Parameters
+    ----------
+    a, b : array_like
+        Two arrays of one shape.
+
+    Returns
+    -------
+    float
+        max|a - b| / max|b|.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but real numbers, and for two shapes.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.metrics.relative_gap([1.0, 2.0], [1.0, 4.0])
     0.5
+
     """
     a, b = (checks.real_numbers(name, each, "an array of numbers") for name, each in (("a", a), ("b", b)))
     if a.shape != b.shape:
@@ -51,35 +85,75 @@ def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
 def rms(values: ArrayLike, axis: int | tuple[int, ...] | None = None) -> Any:
     """Return the root mean square along an axis, or of all values.
 
-    >>> float(rms([3.0, -3.0]))
+    Parameters
+    ----------
+    values : array_like
+        Real numbers.
+    axis : int or tuple of int, optional
+        Axes to average over; all where not given.
+
+    Returns
+    -------
+    ndarray or float
+        The root mean square.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> float(mpt.metrics.rms([3.0, -3.0]))
     3.0
+
     """
     values = checks.real_numbers("values", values, "an array of numbers")
     return np.sqrt(np.mean(np.square(values, dtype=float), axis=axis))
 
 
 class Innovations(NamedTuple):
-    """The innovations z(k) - H x(k/k-1), (N, m) or (N, m, M), and their covariance S, (N, m, m) or (N, m, m, M)."""
+    """The innovations of a filter and their covariance.
+
+    Attributes
+    ----------
+    values : ndarray (N, m) or (N, m, M)
+        z(k) - H x(k/k-1), NaN where z has NaN.
+    S : ndarray (N, m, m) or (N, m, m, M)
+        H P(k/k-1) Hᵀ + R, of a measurement that is there or missing.
+
+    """
 
     values: Array
     S: Array
 
 
 def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
-    """Return z(k) - H x(k/k-1) and S(k) = H P(k/k-1) Hᵀ + R for k = 1 ... N of a filter over measurements z.
+    """Return the innovations z(k) - H x(k/k-1) and their covariance S(k) = H P(k/k-1) Hᵀ + R.
 
-    `estimator` is any filter but a predictor and a FIR filter, z is (N, m) or (N, m, M). `values` has the shape of z,
-    with NaN where z has NaN. S is the covariance of a measurement, missing or not: (N, m, m), or (N, m, m, M) for many
-    tracks.
+    Parameters
+    ----------
+    estimator : Filter
+        Any filter but a predictor and a FIR filter.
+    z : array_like (N, m) or (N, m, M)
+        Measurements, NaN where one is missing.
 
-    Raises ValueError or TypeError for measurements of another kind, and TypeError for a predictor or a FIR filter: they
-    have no innovations.
+    Returns
+    -------
+    Innovations
+        The innovations as `values`, in the shape of z, and their covariance as `S`.
 
-    >>> from mpt_helpers.model import constant_velocity
-    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> innovations(steady, [[1.0], [2.0]]).values.round(4)
+    Raises
+    ------
+    TypeError
+        For a predictor or a FIR filter: they have no innovations.
+    ValueError
+        For measurements of another shape, and where states or covariances overflow.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> steady = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> mpt.metrics.innovations(steady, [[1.0], [2.0]]).values.round(4)
     array([[1.   ],
            [1.239]])
+
     """
     _, many, values, S = _of(estimator, z)
     return Innovations(*one_or_many(values, S, many))
@@ -110,7 +184,7 @@ def _squares(values, C):
 
 
 class Squares(NamedTuple):
-    """The terms of the log likelihood of each row, (N, M): νᵀ S⁻¹ ν, log det S, and the count of its numbers."""
+    """The terms of the log-likelihood of each row, (N, M): νᵀ S⁻¹ ν, log det S, and the number of measurements."""
 
     squares: Array
     log_det: Array
@@ -118,22 +192,40 @@ class Squares(NamedTuple):
 
 
 def squares_of(estimator: Filter, z: ArrayLike) -> Squares:
-    """Return the Squares of each epoch of z (N, m) or (N, m, M): `nis`, `log_likelihood` and `fit` are made of them.
-
-    Raises as `innovations`.
-    """
+    """Return the terms of the log-likelihood of each epoch of z, for `nis`, `log_likelihood` and `fit`."""
     _, _, values, S = _of(estimator, z)
     return Squares(*_squares(values, S), np.isfinite(values).sum(axis=1))
 
 
 def nis(estimator: Filter, z: ArrayLike) -> Array:
-    """Return the normalised innovation squared of each epoch, (N,) or (N, M), NaN where nothing was measured.
+    """Return the normalised innovation squared, νᵀ S⁻¹ ν, of each epoch.
 
-    For a consistent filter its mean is the number of measurements in the epoch. Raises as `innovations`.
+    For a consistent filter it is chi-square with as many degrees of freedom as there are measurements in the epoch.
 
-    >>> from mpt_helpers.model import constant_velocity
-    >>> nis(SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [2.0]]).round(2)
+    Parameters
+    ----------
+    estimator : Filter
+        A filter as for `innovations`.
+    z : array_like (N, m) or (N, m, M)
+        Measurements, NaN where one is missing.
+
+    Returns
+    -------
+    ndarray (N,) or (N, M)
+        NIS, NaN where nothing was measured.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `innovations`.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> steady = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> mpt.metrics.nis(steady, [[1.0], [2.0]]).round(2)
     array([4.51, 6.93])
+
     """
     squares, _, count = squares_of(estimator, z)
     result = np.where(count == 0, np.nan, squares)
@@ -141,16 +233,37 @@ def nis(estimator: Filter, z: ArrayLike) -> Array:
 
 
 def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
-    """Return the logarithm of the probability density of measurements z, a number or, for many tracks, (M,).
+    """Return the logarithm of the probability density of the measurements: the sum over the innovations.
 
-    It is the sum of the log densities of the innovations. For a filter with a constant gain it is a quasi-likelihood:
-    its S assumes that P(0/0) is the steady P, and its innovations are correlated until the start or a gap is
-    forgotten. Raises as `innovations`.
+        log p(z) = -1/2 Σ [νᵀ S⁻¹ ν + log det S + m log 2π]
 
-    >>> from mpt_helpers.kalman import KalmanFilter
-    >>> from mpt_helpers.model import constant_velocity
-    >>> round(float(log_likelihood(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[1.0], [np.nan]])), 4)
+    For a filter of constant gain it is a quasi-likelihood: its S assumes that P(0/0) is the steady P, and its
+    innovations are correlated until the start, or a gap, is forgotten.
+
+    Parameters
+    ----------
+    estimator : Filter
+        A filter as for `innovations`.
+    z : array_like (N, m) or (N, m, M)
+        Measurements, NaN where one is missing.
+
+    Returns
+    -------
+    float or ndarray (M,)
+        A number, or one for each track of z (N, m, M).
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `innovations`.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> round(float(mpt.metrics.log_likelihood(kf, [[1.0], [np.nan]])), 4)
     -4.6228
+
     """
     squares, log_det, count = squares_of(estimator, z)
     result = -0.5 * (squares + log_det + count * np.log(2 * np.pi)).sum(axis=0)
@@ -158,28 +271,44 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
 
 
 def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
-    """Return warnings, by kind, of what looks wrong with measurements or with the filter for them; none if all is well.
+    """Return warnings, by kind, of what looks wrong with measurements or with the filter for them.
 
-    It knows nothing but the innovations and the times, and cannot tell metres from feet. Each number measured is looked
-    at alone here: its NIS is the square of its innovation over the variance of that. The kinds are
+    Only innovations and times are looked at: metres and feet cannot be told apart. The kinds are
 
-    - "units": the median NIS is some 1e-4 of what it should be, or 1e4 times that;
+    - "units": the median NIS of a measured number is some 1e-4 of what it should be, or 1e4 times that;
     - "far off": the NIS of one number is more than 1e4 times the median one;
-    - "correlated": innovations follow one another, as where q is too small or too large beside r, or exchanged with it;
-    - "same time": fixes of a track have the time of the one before, although both measure the same axis.
+    - "correlated": successive innovations are correlated, as where q is too small or too large beside r, or exchanged;
+    - "same time": two rows measure the same axis at the same time.
 
-    estimator and z are those of `innovations`. A number that repeats the one before it on its axis does not count in
-    the medians. Raises as `innovations`.
+    Parameters
+    ----------
+    estimator : Filter
+        A filter as for `innovations`.
+    z : array_like (N, m) or (N, m, M)
+        Measurements, NaN where one is missing. A number that repeats the one before it on its axis does not count in
+        the medians.
 
-    >>> from mpt_helpers.kalman import KalmanFilter
-    >>> from mpt_helpers.model import constant_velocity, simulate
-    >>> model = constant_velocity(dt=1.0, q=0.04, r=0.5, P0=np.eye(2))
-    >>> _, z = simulate(model, N=200, rng=np.random.default_rng(1))
-    >>> suspicious(KalmanFilter(model), z)
+    Returns
+    -------
+    dict
+        A sentence for each kind; empty if all is well.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `innovations`.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> model = mpt.constant_velocity(dt=1.0, q=0.04, r=0.5, P0=np.eye(2))
+    >>> _, z = mpt.simulate(model, N=200, rng=1)
+    >>> mpt.metrics.suspicious(mpt.KalmanFilter(model), z)
     {}
     >>> z[70] = 1e4
-    >>> suspicious(KalmanFilter(model), z)
+    >>> mpt.metrics.suspicious(mpt.KalmanFilter(model), z)
     {'far off': 'row 70 of z is far off: its NIS is 2e+08 times the median one'}
+
     """
     z, _, values, S = _of(estimator, z)
     unit = values / np.sqrt(np.einsum("kjj...->kj...", S))
@@ -236,15 +365,33 @@ def _said_of_equal_times(t, z):
 
 
 def nees(errors: ArrayLike, P: ArrayLike) -> Array:
-    """Return the normalised estimation error squared eᵀ P⁻¹ e of each step, (N,) or (N, M).
+    """Return the normalised estimation error squared, eᵀ P⁻¹ e, of each step.
 
-    errors is (N, n) or (N, n, M). P is the covariance that the filter reports: (n, n), (N, n, n) or (N, n, n, M). The
-    mean over steps or tracks is n when the errors have mean zero and covariance P.
+    Its mean is n where the errors have mean zero and covariance P.
 
-    Raises ValueError for other shapes, for NaN, and for a P that is not symmetric and positive definite.
+    Parameters
+    ----------
+    errors : array_like (N, n) or (N, n, M)
+        Errors of the states, for one track or for M.
+    P : array_like (n, n), (N, n, n) or (N, n, n, M)
+        The covariance that the filter reports.
 
-    >>> nees([[1.0, 2.0]], [[1.0, 0.0], [0.0, 4.0]])
+    Returns
+    -------
+    ndarray (N,) or (N, M)
+        NEES.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For other shapes, for NaN, and for a P that is not symmetric and positive definite.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.metrics.nees([[1.0, 2.0]], [[1.0, 0.0], [0.0, 4.0]])
     array([2.])
+
     """
     need = "an (N, n) or (N, n, M) array"
     errors = checks.real_numbers("errors", errors, need).astype(float)
@@ -270,13 +417,38 @@ def nees(errors: ArrayLike, P: ArrayLike) -> Array:
 
 
 def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the central band of the mean of `runs` independent chi-square variables of `dof` degrees of freedom.
+    """Return the central band of the mean of independent chi-square variables.
 
-    The mean NEES (dof n) or NIS (dof m) over so many runs of a consistent filter lies in it with probability `level`.
+    The mean NEES (dof n) or NIS (dof m) over the runs of a consistent filter lies in it with probability `level`.
 
-    >>> low, high = chi_square_band(dof=2, runs=100)
+    Parameters
+    ----------
+    dof : int
+        Degrees of freedom of each.
+    runs : int
+        Number of variables.
+    level : float
+        Probability, between 0 and 1.
+
+    Returns
+    -------
+    low : float
+        The lower edge of the band.
+    high : float
+        The upper edge.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but positive counts and a number in (0, 1).
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> low, high = mpt.metrics.chi_square_band(dof=2, runs=100)
     >>> round(low, 2), round(high, 2)
     (1.63, 2.41)
+
     """
     total = checks.count("dof", dof) * checks.count("runs", runs)
     level = checks.level(level)
@@ -285,7 +457,16 @@ def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, fl
 
 
 class ErrorMoments(NamedTuple):
-    """The mean (N, n) and the covariance (N, n, n) of an error at the steps 1 to N."""
+    """The mean and the covariance of an error at the steps 1 to N.
+
+    Attributes
+    ----------
+    mean : ndarray (N, n)
+        The mean of each step.
+    covariance : ndarray (N, n, n)
+        The covariance of each step.
+
+    """
 
     mean: Array
     covariance: Array
@@ -298,14 +479,36 @@ def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: 
 
         e(k+1) = A e(k) + (I - B H) w(k) - B v(k+1),   e(0) = x(0) - x(0/0),   e(k+s/k) = Fˢ e(k) + noise
 
-    Returns mean (N, n) and covariance (N, n, n) of x(k+s) - x(k+s/k) for k = 1 ... N and s = steps. Raises ValueError
-    when truth has another F or H.
+    Parameters
+    ----------
+    steady : SteadyStateFilter
+        The filter.
+    truth : LinearModel
+        The model of the measurements, with the F and H of the filter's model.
+    N : int
+        Number of steps.
+    steps : int
+        How far ahead s the filter's state is predicted.
 
-    >>> from mpt_helpers.model import constant_velocity, exact_motion
-    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> error_moments(steady, exact_motion(steady.model, x0=[0.0, 20.0]), N=2).mean.round(3)
+    Returns
+    -------
+    ErrorMoments
+        `mean` (N, n) and `covariance` (N, n, n) of x(k+s) - x(k+s/k) for k = 1 ... N.
+
+    Raises
+    ------
+    ValueError
+        For a truth of another F or H.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> steady = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> truth = mpt.exact_motion(steady.model, x0=[0.0, 20.0])
+    >>> mpt.metrics.error_moments(steady, truth, N=2).mean.round(3)
     array([[ 9.029, 15.75 ],
            [11.187, 10.485]])
+
     """
     checks.instance("steady", steady, SteadyStateFilter)
     checks.instance("truth", truth, LinearModel)

@@ -16,8 +16,6 @@ from . import _checks as checks
 
 # Runs that share a stream of random numbers and are drawn together. Changing this changes the results of a seed.
 BLOCK = 200
-# More results than these, of eight bytes each, fit into no memory.
-MOST_RUNS = 10**10
 RESULT = f"a result of M = {BLOCK} columns, (..., M)"
 
 
@@ -28,27 +26,48 @@ def study(
     *,
     workers: int | Callable[..., Iterable[Any]] = 1,
 ) -> np.ndarray:
-    """Return the statistics of many runs of an experiment, (..., runs).
+    """Return the statistics of many runs of an experiment.
 
-    experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs. M is
-    always 200: each block of 200 runs has its own stream of the seed, so that no result depends on the workers, and the
-    first runs of a longer study are those of a shorter one. Columns beyond `runs` are dropped.
+    Each block of 200 runs has its own stream of the seed, so that no result depends on the workers, and the first runs
+    of a longer study are those of a shorter one. A progress bar is shown only on a terminal. An interrupt ends the
+    study at once, or, with threads, when the running blocks are done.
 
-    runs is a positive count, seed an integer that is not negative. workers is a number of threads, or a callable like
-    `map` that keeps the order, such as the `map` of a `concurrent.futures` executor; for processes, the experiment must
-    be picklable. A progress bar is shown only on a terminal. An interrupt ends the study at once, or, with threads,
-    when the running blocks are done.
+    Parameters
+    ----------
+    experiment : callable
+        experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs; M
+        is always 200.
+    runs : int
+        Number of runs; columns beyond it are dropped.
+    seed : int
+        Seed of the random numbers, not negative.
+    workers : int or callable
+        Number of threads, or a callable like `map` that keeps the order, such as the `map` of a `concurrent.futures`
+        executor or of a dask cluster; for processes, the experiment must be picklable.
 
-    Raises ValueError or TypeError for bad arguments and for an experiment that does not return M columns.
+    Returns
+    -------
+    ndarray (..., runs)
+        The results of the runs.
 
-    >>> study(lambda rng, M: rng.standard_normal((100, M)).mean(axis=0), runs=1000, seed=1).std().round(2)
-    np.float64(0.1)
+    Raises
+    ------
+    TypeError, ValueError
+        For bad arguments, and for an experiment that does not return M columns of numbers.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> means = mpt.study(lambda rng, M: rng.standard_normal((100, M)).mean(axis=0), runs=1000, seed=1)
+    >>> means.shape, means.std().round(2)
+    ((1000,), np.float64(0.1))
+
     """
     if not callable(experiment):
         checks.refuse("experiment", "a callable of (rng, M)", type(experiment).__name__, TypeError)
     runs, seed = checks.count("runs", runs), checks.count("seed", seed, least=0)
-    if runs > MOST_RUNS:
-        checks.refuse("runs", f"at most {MOST_RUNS:,}, whose results fit into memory", f"{runs:,}")
+    if runs > 1e10:
+        checks.refuse("runs", "at most 1e10, whose results fit into memory", f"{runs:.0e}")
     streams = np.random.SeedSequence(seed).spawn(-(-runs // BLOCK))
     parts = []
     with _mapper(workers) as mapper, tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
@@ -76,11 +95,9 @@ def _let_the_process_keep_memory():
 def _run_block(experiment, stream):
     _let_the_process_keep_memory()
     part = experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK)
-    if isinstance(part, np.ma.MaskedArray):
-        checks.refuse("experiment", RESULT, "a masked array (its filled(np.nan) has NaN)", TypeError)
+    if np.asarray(part).dtype != bool:
+        part = checks.real_numbers("experiment", part, RESULT)
     part = np.asarray(part)
-    if part.dtype.kind not in "biuf":
-        checks.refuse("experiment", RESULT, f"an array of {part.dtype} data", TypeError)
     if part.ndim == 0 or part.shape[-1] != BLOCK:
         checks.refuse("experiment", RESULT, f"shape {part.shape}")
     return part.copy()  # an experiment may return the same buffer again

@@ -1,7 +1,4 @@
-"""Predictions some steps ahead: of any filter, and of the steady-state filter as 2016 prints it.
-
-2016 is a paper of Assimakis and others; `mpt_helpers` has its title.
-"""
+"""Predictions some steps ahead: of any filter, and of the steady-state filter as 2016 (Assimakis et al.) prints it."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from .steady import SteadyStateFilter
 
 
 class _Ahead(Filter):
-    """The states of an `estimator` so many `steps` ahead: what both predictors share."""
+    """The state of an `estimator` some `steps` ahead: what both predictors share."""
 
     @property
     def model(self) -> LinearModel:
@@ -55,20 +52,32 @@ class _Ahead(Filter):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictor(_Ahead):
-    """The prediction of a filter's state some steps ahead: `filter(z)` returns x(1+N/1), x(2+N/2), ...
+    """The prediction of a filter's state N steps ahead: row k of `filter(z)` is x(k+N/k).
 
         x(k+N/k) = Fᴺ x(k/k),   P(k+N/k) = Fᴺ P(k/k) Fᴺᵀ + Q + F Q Fᵀ + ... + Fᴺ⁻¹ Q (Fᴺ⁻¹)ᵀ
 
-    `estimator` is any filter, `steps` is N, in steps of the model's dt also where the filter has times of its own. Row
-    k of `covariances(z)` is P(k+N/k). A prediction has no P0, no innovations and no `step`. Raises TypeError or
-    ValueError for another kind of argument.
+    A prediction has no P0, no innovations, no `step` and no smoother.
 
-    >>> from mpt_helpers.kalman import KalmanFilter
-    >>> from mpt_helpers.model import constant_velocity
-    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 2], P0=np.eye(2)))
-    >>> Predictor(kf, steps=3).filter([[2.0], [4.0]])
+    Parameters
+    ----------
+    estimator : Filter
+        The filter whose state is predicted.
+    steps : int
+        The number of steps N, each of the model's dt, also where the filter has times of its own.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but a filter and a count.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 2], P0=np.eye(2)))
+    >>> mpt.Predictor(kf, steps=3).filter([[2.0], [4.0]])
     array([[ 8.,  2.],
            [10.,  2.]])
+
     """
 
     estimator: Filter
@@ -81,19 +90,32 @@ class Predictor(_Ahead):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SteadyStatePredictor(_Ahead):
-    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): `filter(z)` returns x(1+N/1), x(2+N/2), ...
+    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): row k of `filter(z)` is x(k+N/k).
 
         x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
 
-    `steady` is the SteadyStateFilter with A and B, `steps` is N. The prediction is Fᴺ x(k/k), and computed so, through
-    gaps too: where nothing is missing, the recursion above is that of the filter in other coordinates. Raises TypeError
-    or ValueError for another kind of argument.
+    It is computed as Fᴺ x(k/k), through gaps too: where nothing is missing, that is the recursion above.
 
-    >>> from mpt_helpers.model import constant_velocity
-    >>> steady = SteadyStateFilter.from_kalman(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> SteadyStatePredictor(steady, steps=3).filter([[1.0], [2.0]]).round(4)
+    Parameters
+    ----------
+    steady : SteadyStateFilter
+        The filter with A and B.
+    steps : int
+        The number of steps N.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but such a filter and a count.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> steady = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> mpt.SteadyStatePredictor(steady, steps=3).filter([[1.0], [2.0]]).round(4)
     array([[1.186 , 0.2125],
            [2.8678, 0.4757]])
+
     """
 
     steady: SteadyStateFilter
@@ -110,9 +132,7 @@ class SteadyStatePredictor(_Ahead):
 
     @property
     def A(self) -> Array:
-        """A_N = Fᴺ A F⁻ᴺ (n×n), as precise as Fᴺ can be inverted; `filter` does not use it. Raises LinAlgError, a
-        ValueError, where F has no inverse.
-        """
+        """A_N = Fᴺ A F⁻ᴺ (n×n), which `filter` does not use; raises LinAlgError where F has no inverse."""
         return np.linalg.solve(self.F_N.T, (self.F_N @ self.steady.A).T).T
 
     @property

@@ -1,10 +1,10 @@
 """Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
 
-`rekf` takes scipy's solution, by a generalized Schur decomposition, and refines it; `relf` composes longer and longer
-stretches of the filter. As one finds P without the other, their agreement is a real check. Each checks its solution
-against its own equation; a model that has no steady state is refused by the same test for both.
+`rekf` takes scipy's solution, by a generalized Schur decomposition, and refines it; `relf` doubles the number of steps.
+As one finds P without the other, their agreement is a real check. Each checks its solution against its own equation; a
+model without a steady state is refused by the same test, the rank test of Popov, Belevitch and Hautus (PBH), for both.
 
-2014 and 2015 are papers of Assimakis & Adam; `mpt_helpers` has their titles.
+2014 and 2015 are papers of Assimakis & Adam.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from .equations import (
 )
 from .model import LinearModel
 
+__all__ = ["rekf", "relf"]
+
 # A mode whose distance from being undetectable or unstabilizable is below this, relative to the matrix, counts as such:
 # the rounding of an eigenvalue of F, loose enough for n of a few hundred.
 MODE_ROUNDING = 1e-12
@@ -42,34 +44,68 @@ ROUNDS = 64
 
 
 def rekf(model: LinearModel) -> Array:
-    """Return P_p (n×n), the steady-state prediction error covariance (2014 Eq. 11, 2015 Eq. 9).
+    """Return the steady-state prediction error covariance P_p (2014 Eq. 11, 2015 Eq. 9).
 
         P_p = Q + F P_p Fᵀ - F P_p Hᵀ [H P_p Hᵀ + R]⁻¹ H P_p Fᵀ
 
-    Solved by scipy, then refined by two steps of Newton's method. Raises ValueError when there is no steady state,
-    naming the condition that fails and the mode of F.
+    Solved by scipy, then refined by two steps of Newton's method.
 
-    >>> from mpt_helpers.model import gsm_axis
-    >>> rekf(gsm_axis(dt=1.0, q=0.01, r=0.1)).round(4)
-    array([[0.0597, 0.0257],
-           [0.0257, 0.0227]])
+    Parameters
+    ----------
+    model : LinearModel
+        The model with F, H, Q and R.
+
+    Returns
+    -------
+    ndarray (n, n)
+        P_p, the covariance of x(k+1/k).
+
+    Raises
+    ------
+    ValueError
+        For a model without a steady state, naming the condition that fails and the mode of F.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.riccati.rekf(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)).round(4)
+    array([[0.1215, 0.0471],
+           [0.0471, 0.0308]])
+
     """
     return _steady_state(model, _solve_rekf)
 
 
 def relf(model: LinearModel) -> Array:
-    """Return P_e (n×n), the steady-state estimation error covariance (2014 Eq. 14, 2015 Eq. 12), by doubling.
+    """Return the steady-state estimation error covariance P_e (2014 Eq. 14, 2015 Eq. 12), by doubling.
 
         P_e = P_n + F_n [I + P_e O_n]⁻¹ P_e F_nᵀ
 
-    Each round composes two stretches of the Lainiotis recursion from P = 0 into one of the same form, so that round i
-    covers 2^i steps (D. G. Lainiotis, N. D. Assimakis and S. K. Katsikas, J. Math. Anal. Appl. 186, 1994). Raises
-    ValueError when there is no steady state, naming the condition that fails and the mode of F.
+    From P = 0, each round composes the Lainiotis steps so far with themselves, so that round i covers 2^i steps
+    (D. G. Lainiotis, N. D. Assimakis and S. K. Katsikas, J. Math. Anal. Appl. 186, 1994).
 
-    >>> from mpt_helpers.model import gsm_axis
-    >>> relf(gsm_axis(dt=1.0, q=0.01, r=0.1)).round(4)
-    array([[0.0285, 0.008 ],
-           [0.008 , 0.0127]])
+    Parameters
+    ----------
+    model : LinearModel
+        The model with F, H, Q and R.
+
+    Returns
+    -------
+    ndarray (n, n)
+        P_e, the covariance of x(k/k).
+
+    Raises
+    ------
+    ValueError
+        For a model without a steady state, naming the condition that fails and the mode of F.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.riccati.relf(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)).round(4)
+    array([[0.0549, 0.0212],
+           [0.0212, 0.0208]])
+
     """
     return _steady_state(model, _solve_relf)
 

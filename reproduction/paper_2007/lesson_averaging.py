@@ -74,7 +74,6 @@ def titled(fig, finding):
 
 def draw_waves(cases, names, hours=3.5):
     """Draw the errors of the height over some hours, as single fixes and without their noise: a panel for each name."""
-    plots.use_style()
     fig, ax = plots.panels([[name] for name in names], height=2.0)
     titled(fig, "An error of GPS is a slow wave with noise on it")
     for name in names:
@@ -92,7 +91,6 @@ def draw_waves(cases, names, hours=3.5):
 
 def draw_biases(case, raw):
     """Draw the lasting error of the height over a day, with the satellites' code biases left in (raw) and corrected."""
-    plots.use_style()
     fig, ax = plots.panels([["up"]], height=2.8)
     titled(fig, "A part of the lasting error was ours to correct")
     for each, colour, label in ((raw, plots.COLOURS[1], "biases left in"), (case, plots.COLOURS[0], "corrected")):
@@ -110,7 +108,6 @@ def draw_recorded(cases):
     On the left there is a band from the least to the largest of all cases. On the right a curve of a case ends at its
     station's name; its style is that of its kind of range.
     """
-    plots.use_style()
     fig, ax = plots.panels([["parts", "whole"]], height=3.8)
     titled(fig, "A line fit takes out the noise. The lasting error stays")
     ends = {}
@@ -150,7 +147,6 @@ def in_space(judged, what):
 
 def draw_stated(filtered):
     """Draw what three filters make and what they state at the end of a window: a pair of dots for each case."""
-    plots.use_style()
     fig, ax = plots.panels([["metres"]], height=0.72 * len(filtered) + 1.2)
     titled(fig, "All three filters are about equally wrong. One says so")
     panel, ticks, right = ax["metres"], [], 0

@@ -1,5 +1,6 @@
 """The form of notebooks: that of a paper is its reproduction, found from the contents at its front; lessons tell."""
 
+import importlib.util
 import re
 
 import pytest
@@ -7,7 +8,7 @@ from conftest import GIVES_A_VERDICT, LESSONS, ROOT, cells_of, prose, source
 
 from reproduction.ledger import keys, published, stored_verdicts
 from reproduction.ledger.contents import BETWEEN, contents
-from reproduction.ledger.verdicts import MIME
+from reproduction.ledger.verdicts import DIFFERS, ERRATUM, MIME
 
 DRAWS = re.compile(r"\b(plt|ax|axes|panel)\s*[.\[]|\bplots\.(panels|finish|legend_below)\b|\bmatplotlib\b")
 LINK = re.compile(r"\]\(#([^)]*)\)")
@@ -68,6 +69,20 @@ def test_the_contents_are_those_of_the_verdicts(paper):
     verdicts = stored_verdicts(ROOT / "notebooks" / f"{paper.key}.ipynb")
     (found,) = BETWEEN.finditer(source(cells[0]))
     assert contents(paper.rows, verdicts) in found[0]
+
+
+def test_each_reason_for_what_is_wrong_has_a_short_form(paper):
+    paper, _ = paper
+    verdicts = stored_verdicts(ROOT / "notebooks" / f"{paper.key}.ipynb")
+    wrong = {each.cause for each in verdicts if each.verdict in (DIFFERS, ERRATUM)}
+    assert [id for id in wrong if not paper.causes[id].short] == []
+
+
+def test_the_first_cell_says_what_to_install_where_the_project_is_missing(paper, monkeypatch):
+    _, cells = paper
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(SystemExit, match=r"needs the project around it: .* pip install -r environment\.txt -e \.$"):
+        exec(code(cells)[0], {})
 
 
 def test_the_contents_have_each_item_once(paper):
