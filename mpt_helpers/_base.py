@@ -18,8 +18,8 @@ one step, `next_step`; `on_columns` may say the same for many columns at once. W
     smooth                ->  _smoothed       ->  engine.estimates, smoothing.smoothed
     innovations_of        ->  engine.innovations  ->  engine.estimates
 
-    engine.estimates      ->  shared_steps    ->  next_step                      tracks without gaps
-                          ->  in_columns      ->  advance (of next_steps, or its own)    all others
+    engine.estimates      ->  shared_steps    ->  next_step               tracks without gaps
+                          ->  on_columns      ->  advance of one epoch    all others
 
 `_as_given` gives users their tracks back as they came, one or many; `_in_tiles` takes some tracks at a time, so that
 the covariances of all do not have to be in memory at once.
@@ -237,7 +237,7 @@ class Filter(Immutable):
         """
         raise NotImplementedError
 
-    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
+    def on_columns(self, rows: Rows) -> Callable:
         """Return the filter on columns, as a RecursiveFilter does; raises TypeError for one that has no step."""
         raise self._not_recursive()
 
@@ -332,14 +332,12 @@ class RecursiveFilter(Filter):
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
 
-    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
-        """Return the filter on columns: its `advance` (`_engine.columns`), x0 (d,) and P0 (d, d).
+    def on_columns(self, rows: Rows) -> Callable:
+        """Return the filter on columns, its `advance` (`_engine.columns`), for Rows that start at x0 and P0.
 
-        It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations. There may
-        be more states than the model's, after these: then d > n.
+        It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations.
         """
-        stepped = SteppedColumns(self.next_steps, self.optimal, self.prediction, self.model.H, self.model.R)
-        return stepped.advance, self.model.x0, self.P0
+        return SteppedColumns(self.next_steps, self.optimal, self.prediction, self.model.H, self.model.R).advance
 
     @cached_property
     def prediction(self) -> Prediction:

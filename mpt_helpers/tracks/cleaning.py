@@ -702,10 +702,10 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
         return likelihood.with_best_scale(point) if within else (0.0, math.inf)
 
     at, ratio = np.log([guess.q, guess.r]), np.array([-0.5, 0.5])
-    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND) if near else at
+    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0) if near else at
     if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # it was looked for in the wrong place
         middle = at[0] + np.array([0.0, (low + high) / 2])
-        found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND)
+        found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
     q, r = np.exp(found)
     if r > scale.rounding:
         return Noise(float(q), float(r), False)
