@@ -18,8 +18,8 @@ one step, `next_step`; `on_columns` may say the same for many columns at once. W
     smooth                ->  _smoothed       ->  engine.estimates, smoothing.smoothed
     innovations_of        ->  engine.innovations  ->  engine.estimates
 
-    engine.estimates      ->  shared_steps    ->  next_step                      tracks without gaps
-                          ->  in_columns      ->  advance (of next_steps, or its own)    all others
+    engine.estimates      ->  shared_steps    ->  next_step               tracks without gaps
+                          ->  on_columns      ->  advance of one epoch    all others
 
 `_as_given` gives users their tracks back as they came, one or many; `_in_tiles` takes some tracks at a time, so that
 the covariances of all do not have to be in memory at once.
@@ -197,8 +197,10 @@ class Filter(Immutable):
 
         Returns
         -------
-        x, P : ndarray (n,), (n, n)
-            Estimate and covariance after the measurement.
+        x : ndarray (n,)
+            The estimate x(k+1/k+1).
+        P : ndarray (n, n)
+            Its covariance P(k+1/k+1).
 
         Raises
         ------
@@ -235,7 +237,7 @@ class Filter(Immutable):
         """
         raise NotImplementedError
 
-    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
+    def on_columns(self, rows: Rows) -> Callable:
         """Return the filter on columns, as a RecursiveFilter does; raises TypeError for one that has no step."""
         raise self._not_recursive()
 
@@ -312,8 +314,12 @@ class RecursiveFilter(Filter):
 
         Returns
         -------
-        A, B, P : ndarray (n, n), (n, m), (n, n)
-            The coefficients of x(k+1/k+1) = A x(k/k) + B z(k+1), and P(k+1/k+1).
+        A : ndarray (n, n)
+            The coefficient of x(k/k) in x(k+1/k+1) = A x(k/k) + B z(k+1).
+        B : ndarray (n, m)
+            The coefficient of z(k+1).
+        P : ndarray (n, n)
+            The covariance P(k+1/k+1).
 
         """
         raise NotImplementedError
@@ -326,14 +332,12 @@ class RecursiveFilter(Filter):
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
 
-    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
-        """Return the filter on columns: its `advance` (`_engine.columns`), x0 (d,) and P0 (d, d).
+    def on_columns(self, rows: Rows) -> Callable:
+        """Return the filter on columns, its `advance` (`_engine.columns`), for Rows that start at x0 and P0.
 
-        It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations. There may
-        be more states than the model's, after these: then d > n.
+        It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations.
         """
-        stepped = SteppedColumns(self.next_steps, self.optimal, self.prediction, self.model.H, self.model.R)
-        return stepped.advance, self.model.x0, self.P0
+        return SteppedColumns(self.next_steps, self.optimal, self.prediction, self.model.H, self.model.R).advance
 
     @cached_property
     def prediction(self) -> Prediction:
@@ -350,8 +354,12 @@ class RecursiveFilter(Filter):
 
         Returns
         -------
-        A, B, P : ndarray (N, n, n), (N, n, m), (N, n, n)
-            A_k, B_k and P(k/k) of each step, as a named tuple.
+        A : ndarray (N, n, n)
+            A_k of each step.
+        B : ndarray (N, n, m)
+            B_k of each step.
+        P : ndarray (N, n, n)
+            P(k/k) after each step.
 
         """
         each = steps.steps_without_gaps(self.next_step, self.P0, self.model.m, checks.count("N", N))

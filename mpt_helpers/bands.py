@@ -41,6 +41,18 @@ from . import _checks as checks
 from ._base import Filter
 from ._checks import Array, Seconds
 
+__all__ = [
+    "Coverage",
+    "Expected",
+    "ForecastErrors",
+    "LiveBand",
+    "ahead",
+    "coverage",
+    "following",
+    "interval_score",
+    "placebo",
+]
+
 # What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
 SHORTEST_MEMORY = 5
 # The part of a prediction's variance that the recent innovations scale.
@@ -61,18 +73,31 @@ UNCHECKED = 30
 
 
 class ForecastErrors(NamedTuple):
-    """The forecast errors of later fixes, predicted some seconds before. All tracks follow one another along K.
+    """The forecast errors of later fixes, each predicted some seconds before. All tracks follow one another along K.
 
-    made, due (K,): the times of a prediction and of the fix that checks it, in s
-    errors (K, m): measured minus predicted, NaN where nothing was measured
-    sigma (K, m): the standard deviation of the error that the filter states
-    recent (K,): c, the size of the recent innovations over the one stated, when the prediction was made
-    row, due_row (K,): the rows of z of both fixes
-    fixes (K,): how many fixes later the one is that checks it
-    track (K,): the track that they belong to, 0 where there is one
-    rests (K,): whether the fix that checks it repeats the one it was made at: then following learns nothing from it
-    left_out: how many fixes had no later one between 1 and 1.5 horizons: before a gap, and at the end
-    seconds: the horizon
+    Attributes
+    ----------
+    made, due : ndarray (K,)
+        Times of a prediction and of the fix that checks it, in s.
+    errors : ndarray (K, m)
+        Measured minus predicted, NaN where nothing was measured.
+    sigma : ndarray (K, m)
+        Standard deviation of the error that the filter states.
+    recent : ndarray (K,)
+        c, the size of the recent innovations over the stated one, when the prediction was made.
+    row, due_row : ndarray of int (K,)
+        Rows of z of both fixes.
+    fixes : ndarray of int (K,)
+        How many fixes later the checking one is.
+    track : ndarray of int (K,)
+        The track that they belong to, 0 where there is one.
+    rests : ndarray of bool (K,)
+        Whether the checking fix repeats the one it was predicted at; `following` learns nothing from it.
+    left_out : int
+        How many fixes had no later one between 1 and 1.5 horizons: before a gap, and at the end.
+    seconds : float
+        The horizon.
+
     """
 
     made: Array
@@ -94,9 +119,15 @@ class ForecastErrors(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """The share of errors inside a band, (m,), its standard error, (m,), and on how many independent predictions.
+    """The share of errors inside a band.
 
-    The last is that of the axis with the fewest.
+    Attributes
+    ----------
+    share, error : ndarray (m,)
+        The share on each axis and its standard error.
+    independent : int
+        The number of independent predictions, on the axis with the fewest.
+
     """
 
     share: Array
@@ -105,29 +136,57 @@ class Coverage(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """A measurement that is expected (m,), and the half-widths of the band around it (m,)."""
+    """The expected measurement and its band.
+
+    Attributes
+    ----------
+    position : ndarray (m,)
+        The expected measurement.
+    half_width : ndarray (m,)
+        The half-widths of the band around it.
+
+    """
 
     position: Array
     half_width: Array
 
 
 def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
-    """Return each fix against what was predicted of it `seconds` before, as ForecastErrors.
+    """Return the forecast errors: each fix against its prediction, made `seconds` before.
 
-    estimator is a filter with covariances, on a grid or with times of its own, whose model says what a step of any
-    length is (`constant_velocity`, `constant_acceleration` and stacks of them); z is (N, m) or (N, m, M). After every
-    fix the first one that is `seconds` later is predicted, if it is at most 1.5 times as much later. On a grid the
-    times count from the first row.
+    After every fix the first one that is `seconds` later is predicted, if it is at most 1.5 times as much later. On a
+    grid the times count from the first row.
 
-    Raises ValueError for a model that does not know steps of any length, for a joint or separate filter whose parts
-    have times, for a horizon that is not positive or that no fix is later by; TypeError for a predictor, and for a
-    filter without covariances.
+    Parameters
+    ----------
+    estimator : Filter
+        A filter with covariances, on a grid or with times of its own, of a model with a transition.
+    z : array_like (N, m) or (N, m, M)
+        Measurements, NaN where one is missing.
+    seconds : float or timedelta
+        The horizon in s.
 
-    >>> from mpt_helpers import KalmanFilter, constant_velocity
-    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
-    >>> a = ahead(kf, [[1.1], [1.9], [np.nan], [4.0], [5.2]], seconds=2.0)
+    Returns
+    -------
+    ForecastErrors
+        The errors and the standard deviations that the filter states of them.
+
+    Raises
+    ------
+    TypeError
+        For a predictor, and for a filter without covariances.
+    ValueError
+        For a model without a transition, for a joint or separate filter whose parts have times, and for a horizon that
+        is not positive or that no fix is later by.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
+    >>> a = mpt.metrics.ahead(kf, [[1.1], [1.9], [np.nan], [4.0], [5.2]], seconds=2.0)
     >>> a.made, a.due, a.errors.ravel().round(2), a.sigma.ravel().round(2), a.left_out
     (array([0., 1.]), array([3., 3.]), array([-0.02,  0.04]), array([0.56, 0.53]), 2)
+
     """
     model = _model_of_any_step(estimator)
     seconds = checks.duration("seconds", seconds)
@@ -153,20 +212,41 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
 
 
 def following(a: ForecastErrors, before: ForecastErrors | None = None, level: float = 0.95) -> Array:
-    """Return the half-widths (K, m) of a band that follows its own checked errors: f · c · sigma of this module.
+    """Return the half-widths of a band that follows its own checked errors: f · c · sigma of this module.
 
     The band of a prediction has learnt from those of its own track that were due when it was made, and from no other.
-    `before` are those of an earlier segment with the same horizon: the factor starts from where it ends there, and from
-    the normal distribution without one. Each axis has a band, which holds a share `level` of that axis' errors.
 
-    Raises TypeError for anything but ForecastErrors, ValueError for a level outside (0, 1) and for another horizon or
-    number of axes before.
+    Parameters
+    ----------
+    a : ForecastErrors
+        The errors of `ahead`.
+    before : ForecastErrors, optional
+        Those of an earlier segment with the same horizon: the factor f starts from where it ends there, and from the
+        normal distribution where not given.
+    level : float
+        The share of an axis' errors that its band is to hold, between 0 and 1.
 
-    >>> from mpt_helpers import KalmanFilter, constant_velocity
-    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> a = ahead(kf, [[0.0], [0.1], [5.0], [5.1], [5.2]], seconds=1.0)
-    >>> (following(a) / a.sigma / a.recent[:, None]).ravel().round(3)  # f after a hit, a miss and a hit
+    Returns
+    -------
+    ndarray (K, m)
+        The half-widths, in the units of the errors.
+
+    Raises
+    ------
+    TypeError
+        For anything but ForecastErrors.
+    ValueError
+        For a level outside (0, 1), and for another horizon or number of axes before.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> a = mpt.metrics.ahead(kf, [[0.0], [0.1], [5.0], [5.1], [5.2]], seconds=1.0)
+    >>> band = mpt.metrics.following(a)
+    >>> (band / a.sigma / a.recent[:, None]).ravel().round(3)  # f after a hit, a miss and a hit
     array([1.96 , 1.95 , 2.145, 2.134])
+
     """
     checks.instance("a", a, ForecastErrors)
     level = checks.level(level)
@@ -178,26 +258,45 @@ def following(a: ForecastErrors, before: ForecastErrors | None = None, level: fl
 
 
 def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None) -> Coverage:
-    """Return the share of the errors inside the band, on each axis, with its standard error, as a Coverage.
+    """Return the share of the errors inside a band, on each axis, with its standard error.
 
-    a are ForecastErrors, band the half-widths (K, m), `where` (K,) says which predictions to look at: those made while
-    fast, for example. An error that was not measured, NaN, is left out. So is one whose band is NaN: nothing was stated
-    of it, which is neither a hit nor a miss. The function warns of how many these are, since a band that states nothing
-    in hard cases looks better than it is.
+    Predictions that overlap in time share most of their errors. Independent are the first one, and from then on each
+    that is made when the one counted before it is due, or later. The standard error is that of a share of so many, with
+    two hits and two misses added (Agresti and Coull 1998), so that it is not zero where all of them hit.
 
-    Predictions that overlap in time share most of their errors. So those are counted as independent that do not: the
-    first one, and from then on each that is made when the one counted before it is due, or later. Below 30 of them the
-    function warns. The standard error is that of a share of so many, with two hits and two misses added (Agresti and
-    Coull 1998), so that it is not zero where all of them hit.
+    Parameters
+    ----------
+    a : ForecastErrors
+        The errors of `ahead`.
+    band : array_like (K, m)
+        Half-widths of the band. Where one is NaN nothing was stated, which counts as neither a hit nor a miss.
+    where : array_like of bool (K,), optional
+        Which predictions to look at; all where not given.
 
-    Raises ValueError for a band or a `where` of another shape, a negative half-width, and where an axis has no
-    prediction left.
+    Returns
+    -------
+    Coverage
+        The share, its standard error and the number of independent predictions.
 
-    >>> from mpt_helpers import KalmanFilter, constant_velocity
-    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> a = ahead(kf, np.where(np.arange(64) == 60, 9.0, 0.0)[:, None], seconds=1.0)
-    >>> coverage(a, following(a))  # one fix is 9 m off, and the filter with it for a while
+    Raises
+    ------
+    ValueError
+        For a band or a `where` of another shape, a negative half-width, and where an axis has no prediction left.
+
+    Warns
+    -----
+    UserWarning
+        Of fewer than 30 independent predictions, and of errors left out since their band is NaN: a band that states
+        nothing in hard cases looks better than it is.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> a = mpt.metrics.ahead(kf, np.where(np.arange(64) == 60, 9.0, 0.0)[:, None], seconds=1.0)
+    >>> mpt.metrics.coverage(a, mpt.metrics.following(a))  # one fix is 9 m off, and the filter with it for a while
     Coverage(share=array([0.96825397]), error=array([0.02894597]), independent=63)
+
     """
     band, judged = _checked_band("coverage", a, band, where)
     inside = np.where(judged, np.abs(a.errors) <= band, np.nan)
@@ -212,20 +311,44 @@ def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None)
 
 
 def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, where: ArrayLike | None = None) -> Array:
-    """Return the mean interval score of the band on each axis, (m,): its width, and what an error exceeds it by.
+    """Return the mean interval score of a band on each axis: its width, and by how much errors exceed it.
 
         2 b + 2 / (1 - level) · max(|error| - b, 0),   b the half-width
 
-    It is smallest for the true quantiles (Gneiting and Raftery 2007, Eq. 43), in the units of the errors: a band that
-    is too wide pays by its width, one that is too narrow by 40 times what it misses (level 0.95). It leaves out and
-    raises what `coverage` does, and warns as it does, but not of few predictions.
+    It is smallest for the true quantiles (Gneiting and Raftery 2007, Eq. 43): a band that is too wide pays by its
+    width, one that is too narrow by 40 times what it misses (level 0.95).
 
-    >>> from mpt_helpers import KalmanFilter, constant_velocity
-    >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
+    Parameters
+    ----------
+    a : ForecastErrors
+        The errors of `ahead`.
+    band : array_like (K, m)
+        Half-widths of the band, NaN where nothing is stated.
+    level : float
+        The share of errors that the band is to hold, between 0 and 1.
+    where : array_like of bool (K,), optional
+        Which predictions to look at; all where not given.
+
+    Returns
+    -------
+    ndarray (m,)
+        The score of each axis, in the units of the errors.
+
+    Raises
+    ------
+    ValueError
+        As `coverage`.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> a = mpt.metrics.ahead(kf, [[0.0], [0.5], [2.0]], seconds=1.0)
     >>> a.errors.ravel().round(2)
     array([0.5 , 1.82])
-    >>> interval_score(a, np.ones((2, 1))).round(2)  # the second is missed by 0.82
+    >>> mpt.metrics.interval_score(a, np.ones((2, 1))).round(2)  # the second is missed by 0.82
     array([18.38])
+
     """
     band, judged = _checked_band("interval_score", a, band, where)
     missed_by = np.maximum(np.abs(a.errors) - band, 0)
@@ -233,15 +356,31 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
 
 
 def placebo(a: ForecastErrors, rng: np.random.Generator) -> ForecastErrors:
-    """Return ForecastErrors whose sigma tell nothing: the median of each axis times random numbers, lognormal (0, 1).
+    """Return the errors with a sigma that tells nothing: the median of each axis times lognormal (0, 1) numbers.
 
     A band that follows its errors holds as many of them with these. Its interval score and its coverage in states that
-    are known beforehand are what a true sigma must beat. rng is a numpy Generator.
+    are known beforehand are what a true sigma must beat.
 
-    >>> from mpt_helpers import KalmanFilter, constant_velocity
-    >>> a = ahead(KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1)), [[0.0], [0.5], [2.0]], seconds=1.0)
-    >>> placebo(a, np.random.default_rng(1)).sigma.ravel().round(2)
+    Parameters
+    ----------
+    a : ForecastErrors
+        The errors of `ahead`.
+    rng : numpy.random.Generator
+        Source of random numbers.
+
+    Returns
+    -------
+    ForecastErrors
+        The errors with another sigma, and with c = 1.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
+    >>> a = mpt.metrics.ahead(kf, [[0.0], [0.5], [2.0]], seconds=1.0)
+    >>> mpt.bands.placebo(a, np.random.default_rng(1)).sigma.ravel().round(2)
     array([0.54, 0.87])
+
     """
     checks.instance("a", a, ForecastErrors)
     checks.instance("rng", rng, np.random.Generator)
@@ -253,16 +392,27 @@ def placebo(a: ForecastErrors, rng: np.random.Generator) -> ForecastErrors:
 class LiveBand:
     """The band of `following`, fix by fix, beside the `step` of a filter.
 
-    estimator is a filter as in `ahead`; `before` and `level` are those of `following`. `factor` (m,) is f.
-
     f and c are those of `following` at each fix, but sigma may differ. Here it belongs to a measurement exactly
     `seconds` after the fix, of the variances r that the step is given (the model's, where it is given none or nothing
     was measured). There it belongs to the fix that checks the prediction. That comes up to 1.5 times as late where
     steps are uneven, so that sigma is larger, and it has its own variances.
 
-    >>> from mpt_helpers import KalmanFilter, constant_velocity
-    >>> kf = KalmanFilter(constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
-    >>> live = LiveBand(kf, seconds=2.0)
+    Parameters
+    ----------
+    estimator : Filter
+        A filter as for `ahead`.
+    seconds : float or timedelta
+        The horizon in s.
+    before : ForecastErrors, optional
+        Those of an earlier segment with the same horizon, as for `following`.
+    level : float
+        The share of an axis' errors that its band is to hold, between 0 and 1.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
+    >>> live = mpt.bands.LiveBand(kf, seconds=2.0)
     >>> x, P = kf.model.x0, kf.P0
     >>> for t, z in enumerate([[1.1], [1.9], [3.2]]):
     ...     x, P = kf.step(x, P, z)
@@ -271,6 +421,7 @@ class LiveBand:
     at 2 s: 3.01 ± 0.79
     at 3 s: 3.96 ± 0.89
     at 4 s: 5.14 ± 0.92
+
     """
 
     def __init__(self, estimator: Filter, seconds: Seconds, before: ForecastErrors | None = None, level: float = 0.95):
@@ -295,13 +446,31 @@ class LiveBand:
     def step(
         self, t: float | datetime | np.datetime64, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None
     ) -> Expected:
-        """Return what is measured `seconds` after t (s, or a date), and the half-widths of its band, as an Expected.
+        """Return the expected measurement `seconds` after t and its band.
 
-        z (m,) is the measurement at t, NaN where it is missing or was refused; x (n,) and P (n, n) are the estimate
-        after it; r (m,) are the variances of the measurement where it has some of its own. Raises ValueError for
-        another shape, an infinite measurement, a variance that is not positive where there is one, a time before the
-        last one, and if none of the first 30 fixes that came late enough for a prediction was 1 to 1.5 horizons later:
-        then the steps are longer than the horizon, and the band would never learn.
+        Parameters
+        ----------
+        t : float or datetime
+            Time of this epoch, in s or as a date.
+        z : array_like (m,)
+            The measurement at t, NaN where it is missing or was refused.
+        x, P : array_like (n,), (n, n)
+            The filter's estimate after it, and its covariance.
+        r : array_like (m,), optional
+            Variances of the measurement, where it has some of its own.
+
+        Returns
+        -------
+        Expected
+            The expected measurement and the half-widths of the band.
+
+        Raises
+        ------
+        ValueError
+            For another shape, an infinite measurement, a variance that is not positive, a time before the last one, and
+            where none of the first 30 fixes that came late enough for a prediction was 1 to 1.5 horizons later: then
+            the steps are longer than the horizon, and the band would never learn.
+
         """
         n, m = self.model.n, self.model.m
         t = self._moment(t)

@@ -103,13 +103,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     Returns
     -------
     Fit
-
-    Warns
-    -----
-    UserWarning
-        Where log L does not fall as a parameter goes to zero, where it is flat, where a value is so far from its guess
-        that units may differ, of what `metrics.suspicious` finds, and where the first measurements are far from the
-        start of the model, so that the fit explains the distance as motion or noise.
+        The parameters, their errors and the filter.
 
     Raises
     ------
@@ -119,12 +113,19 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     TypeError
         Where make returns something else.
 
+    Warns
+    -----
+    UserWarning
+        Where log L does not fall as a parameter goes to zero, where it is flat, where a value is so far from its guess
+        that units may differ, of what `metrics.suspicious` finds, and where the first measurements are far from the
+        start of the model, so that the fit explains the distance as motion or noise.
+
     Examples
     --------
-    >>> from mpt_helpers.model import constant_velocity, simulate
-    >>> make = lambda q, r: constant_velocity(dt=1.0, q=q, r=r, P0=np.eye(2))
-    >>> _, z = simulate(make(q=0.04, r=0.5), N=500, rng=np.random.default_rng(1))
-    >>> fit(make, z, q=1.0, r=1.0)
+    >>> import mpt_helpers as mpt
+    >>> make = lambda q, r: mpt.constant_velocity(dt=1.0, q=q, r=r, P0=np.eye(2))
+    >>> _, z = mpt.simulate(make(q=0.04, r=0.5), N=500, rng=1)
+    >>> mpt.fit(make, z, q=1.0, r=1.0)
          value  log error    95 % interval
     q  0.03496       0.39  0.0163 to 0.075
     r   0.5659       0.11   0.455 to 0.704
@@ -453,23 +454,46 @@ CLOSE, MOST_RESCALINGS = 1e-2, 50
 
 
 def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:
-    """Return the filter with Q times a factor under which the band that it states holds a share `level` of z.
+    """Return the filter with Q times a factor under which its own band holds a share `level` of the measurements.
 
     The likelihood judges by the next fix, and recorded tracks turn and stop more than it expects: ten seconds ahead,
-    the fitted filter's own 95 % band is too narrow. Here the errors of `bands.ahead` decide, all axes together: the
+    the fitted filter's own 95 % band is too narrow. Here the errors of `metrics.ahead` decide, all axes together: the
     quantile of |error| / sigma becomes that of the normal distribution. R, and with it what is known of the noise,
-    stays. Fit, rescale, and judge on what neither has seen; `bands.following` adapts further, and costs a call more.
+    stays. Fit, rescale, and judge on what neither has seen; `metrics.following` adapts further, and costs a call more.
 
-    estimator is a Kalman filter that `bands.ahead` takes, z is (N, m) or (N, m, M), seconds is the horizon. Raises
-    as `bands.ahead`, TypeError for another filter, and ValueError where no Q gives such a band: where the noise of
-    the measurements alone, or a start that is not known, is more than the errors.
+    Parameters
+    ----------
+    estimator : KalmanFilter
+        A filter as for `metrics.ahead`.
+    z : array_like (N, m) or (N, m, M)
+        Measurements, NaN where one is missing.
+    seconds : float or timedelta
+        The horizon in s.
+    level : float
+        The share that the band is to hold, between 0 and 1.
 
-    >>> from mpt_helpers.model import constant_velocity, simulate
-    >>> true = constant_velocity(dt=1.0, q=0.04, r=0.5, P0=np.eye(2))
-    >>> _, z = simulate(true, N=1000, rng=np.random.default_rng(1))
-    >>> kf = KalmanFilter(true.with_noise_times(1 / 20))
-    >>> bool(0.5 < rescaled(kf, z, seconds=10).model.Q[1, 1] / true.Q[1, 1] < 2)
+    Returns
+    -------
+    KalmanFilter
+        The filter with the model's Q rescaled.
+
+    Raises
+    ------
+    TypeError
+        For another filter.
+    ValueError
+        As `metrics.ahead`, and where no Q gives such a band: where the noise of the measurements alone, or an unknown
+        start, is more than the errors.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> true = mpt.constant_velocity(dt=1.0, q=0.04, r=0.5, P0=np.eye(2))
+    >>> _, z = mpt.simulate(true, N=1000, rng=1)
+    >>> kf = mpt.KalmanFilter(true.with_noise_times(1 / 20))
+    >>> bool(0.5 < mpt.rescaled(kf, z, seconds=10).model.Q[1, 1] / true.Q[1, 1] < 2)
     True
+
     """
     checks.instance("estimator", estimator, KalmanFilter)
     level = checks.level(level)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from . import _checks as checks
 from ._base import RecursiveFilter
 from ._checks import Array, Seconds
-from ._engine.columns import Epochs, Rows, kalman_on_columns
+from ._engine.columns import Epochs, KalmanColumns, Rows
 from ._engine.shared import Step
 from .equations import neutralised, unit_measurements
 from .model import LinearModel, missed_by_halves
@@ -101,8 +101,12 @@ class KalmanFilter(RecursiveFilter):
 
         Returns
         -------
-        A, B, P : ndarray (N, n, n), (N, n, m), (N, n, n)
-            A_k, B_k and P(k/k) of each step, as a named tuple.
+        A : ndarray (N, n, n)
+            A_k of each step.
+        B : ndarray (N, n, m)
+            B_k of each step.
+        P : ndarray (N, n, n)
+            P(k/k) after each step.
 
         Raises
         ------
@@ -133,8 +137,12 @@ class KalmanFilter(RecursiveFilter):
 
         Returns
         -------
-        A, B, P : ndarray (n, n), (n, m), (n, n)
-            The coefficients of x(k+1/k+1) = A x(k/k) + B z(k+1), and P(k+1/k+1).
+        A : ndarray (n, n)
+            The coefficient of x(k/k) in x(k+1/k+1) = A x(k/k) + B z(k+1).
+        B : ndarray (n, m)
+            The coefficient of z(k+1).
+        P : ndarray (n, n)
+            The covariance P(k+1/k+1).
 
         Raises
         ------
@@ -180,8 +188,10 @@ class KalmanFilter(RecursiveFilter):
 
         Returns
         -------
-        x, P : ndarray (n,), (n, n)
-            Estimate and covariance after the measurement.
+        x : ndarray (n,)
+            The estimate x(k+1/k+1).
+        P : ndarray (n, n)
+            Its covariance P(k+1/k+1).
 
         Raises
         ------
@@ -232,12 +242,12 @@ class KalmanFilter(RecursiveFilter):
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
 
-    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
+    def on_columns(self, rows: Rows) -> Callable:
         """Return the filter on columns, as in RecursiveFilter."""
         model = self.model
         if not (self._units[0] @ model.P0 @ self._units[0].T).max() < LARGEST:
             checks.refuse("P0", f"variances of what is measured below {LARGEST:g} times R", "larger ones")
-        return kalman_on_columns(self.prediction, model.H, model.R, model.x0, model.P0, rows)
+        return KalmanColumns(self.prediction, model.H, model.R, model.P0, rows).advance
 
     @cached_property
     def _units(self):

@@ -57,8 +57,12 @@ class LainiotisFilter(RecursiveFilter):
 
         Returns
         -------
-        A, B, P : ndarray (n, n), (n, m), (n, n)
-            The coefficients of x(k+1/k+1) = A x(k/k) + B z(k+1), and P(k+1/k+1); stacks where P is one.
+        A : ndarray (n, n)
+            The coefficient of x(k/k) in x(k+1/k+1) = A x(k/k) + B z(k+1).
+        B : ndarray (n, m)
+            The coefficient of z(k+1).
+        P : ndarray (n, n)
+            The covariance P(k+1/k+1); all three are stacks where P is one.
 
         """
         return lainiotis_step(P, self._constants_of(seen))

@@ -432,8 +432,10 @@ def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, fl
 
     Returns
     -------
-    low, high : float
-        The edges of the band.
+    low : float
+        The lower edge of the band.
+    high : float
+        The upper edge.
 
     Raises
     ------

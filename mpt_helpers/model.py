@@ -148,8 +148,10 @@ class LinearModel(Immutable):
 
         Returns
         -------
-        F, Q : ndarray (..., n, n)
-            Transition and process noise of each step.
+        F : ndarray (..., n, n)
+            The transition of each step.
+        Q : ndarray (..., n, n)
+            The covariance that it adds to the state.
 
         Raises
         ------
@@ -647,8 +649,10 @@ def simulate(model: LinearModel, N: int, rng: Any, tracks: int | None = None) ->
 
     Returns
     -------
-    x, z : ndarray (N, n), (N, m), or (N, n, M), (N, m, M)
-        True states and measurements. Row k is x(k+1), z(k+1); x(0), drawn from N(x0, P0), is not returned.
+    x : ndarray (N, n) or (N, n, M)
+        True states. Row k is x(k+1); x(0), drawn from N(x0, P0), is not returned.
+    z : ndarray (N, m) or (N, m, M)
+        Measurements. Row k is z(k+1).
 
     Raises
     ------

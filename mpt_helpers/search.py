@@ -35,11 +35,12 @@ LINE = math.log(1e4) * np.arange(-6, 7)
 AROUND = math.log(10) * np.arange(-2, 3)
 
 
-def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH):
+def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH, nothing=NOTHING):
     """Return the lowest point origin + s direction (d,) that is found: the best of a few far apart, and then near it.
 
     rated(point) returns a shift and a value: the value is that of the point with the shift added to all its components.
-    reach are the values of s that are tried first; the last s is found to `close`.
+    reach are the values of s that are tried first; the last s is found to `close`. Values that differ by less than
+    `nothing` count as equal, and of these the nearest is gone on from.
     """
     known = {}
 
@@ -52,7 +53,7 @@ def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH):
     for places in (reach, AROUND):
         places = s + places
         values = np.array([value(each) for each in places])
-        alike = values <= values.min() + NOTHING  # several where r makes no difference, say: the nearest is best
+        alike = values <= values.min() + nothing  # several where r makes no difference, say: the nearest is best
         s = float(places[np.argmin(np.where(alike, np.abs(places - s), np.inf))])
     bounds = [each if math.isfinite(value(each)) else s for each in (s + AROUND[1], s + AROUND[-2])]
     found = float(minimize_scalar(value, bounds=bounds, method="bounded", options={"xatol": close}).x)

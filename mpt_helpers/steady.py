@@ -156,11 +156,10 @@ class SteadyStateFilter(RecursiveFilter):
         _require_whole_rows(seen)
         return self.A, self.B, corrected_covariance(P_predicted, self.B, self.model.H, self.model.R)
 
-    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
+    def on_columns(self, rows: Rows) -> Callable:
         """Return the filter on columns, as in RecursiveFilter."""
         _require_whole_rows(rows.seen)
-        columns = ConstantGainColumns(self.prediction, self.B, self.model.H, self.model.R)
-        return columns.advance, self.model.x0, self.P
+        return ConstantGainColumns(self.prediction, self.B, self.model.H, self.model.R).advance
 
 
 def _require_whole_rows(seen):

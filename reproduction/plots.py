@@ -33,7 +33,7 @@ def use_style() -> None:
 
 
 def panels(layout: list[list[str]], height: float = 2.3, width: float = 5.2) -> tuple[Figure, dict[str, Axes]]:
-    """Return a figure and its axes by name.
+    """Return a figure in the style of this project, and its axes by name.
 
     layout is a list of rows of names; a name that stands twice spans both places. height is that of a row and width
     that of the figure, in inches.
@@ -42,8 +42,14 @@ def panels(layout: list[list[str]], height: float = 2.3, width: float = 5.2) -> 
     >>> sorted(ax)
     ['gap', 's_x', 's_y']
     """
+    use_style()
     fig = Figure(figsize=(width, height * len(layout)), layout="constrained")
     return fig, fig.subplot_mosaic(layout)
+
+
+def head(fig: Figure, text: str) -> None:
+    """Say above a figure which one it is, such as "Figure 1: position estimation"."""
+    fig.suptitle(text, x=0.02, ha="left", weight="bold", fontsize="medium")
 
 
 def finish(ax: Axes, xlabel: str, title: str) -> None:

@@ -41,10 +41,17 @@ GRIDS_OF_METRES = DECIMALS
 class Track(NamedTuple):
     """A segment of a recorded track.
 
-    t (N,): times in s since `start`
-    z (N, 2) or (N, 3): metres east and north of the origin, and above it; a height is NaN where the file has none
-    origin: latitude and longitude (°) and height (m) that z counts from: the segment's first ones, or those given
-    start: the time of the first fix of the file that was kept
+    Attributes
+    ----------
+    t : ndarray (N,)
+        Times in s since `start`.
+    z : ndarray (N, 2) or (N, 3)
+        Metres east and north of the origin, and above it; a height is NaN where the file has none.
+    origin : tuple of float
+        Latitude and longitude (°) and height (m) that z counts from: the segment's first ones, or those given.
+    start : datetime
+        The time of the first fix of the file that was kept.
+
     """
 
     t: Array
@@ -60,21 +67,44 @@ def gpx(
     pause: Seconds | None = None,
     origin: tuple[float, ...] | None = None,
 ) -> list[Track]:
-    """Return the track segments of a GPX file as a list of Tracks; segments without a fix are left out.
+    """Return the track segments of a GPX file; segments without a fix are left out.
 
     Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
-    together: filter each for itself. With `pause`, a segment is also cut wherever its next fix comes more than so many
-    seconds later (a number, or a timedelta). Each segment lies in the plane through its own first fix, where z is 0,
-    since segments may be far apart; `origin`, a latitude, a longitude and, if wanted, a height (m), puts all of them
-    into one plane. With up=True a third column has the heights.
+    together: filter each for itself. Every fix needs a time, later than that of the one before in its segment: an equal
+    time is almost always one fix written twice or the rounding of times, and would count as two independent
+    measurements.
 
-    Every fix needs a time, later than that of the one before in its segment: an equal time is almost always one fix
-    written twice or the rounding of times, and would count as two independent measurements. skip=True leaves out as few
-    fixes as will do, and warns how many.
+    Parameters
+    ----------
+    path : path
+        The GPX file.
+    up : bool
+        Whether z has the heights as a third column.
+    skip : bool
+        Whether to leave out as few fixes as will do where times are missing or do not increase, with a warning.
+    pause : float or timedelta, optional
+        A segment is also cut wherever its next fix comes more than this later, in s.
+    origin : tuple of float, optional
+        Latitude and longitude (°) and, if wanted, height (m) of one plane for all segments. Where not given, each
+        segment lies in the plane through its own first fix: segments may be far apart.
 
-    Raises ValueError for a file that is no GPX, holds no tracks (routes and waypoints have no times), or has fixes that
-    are out of order, have no time or no degrees, of which the first is named, for a pause that is not positive and an
-    origin that is none.
+    Returns
+    -------
+    list of Track
+        The segments.
+
+    Raises
+    ------
+    ValueError
+        For a file that is no GPX or holds no tracks (routes and waypoints have no times), naming the first fix that is
+        out of order or has no time or no degrees; for a pause that is not positive and an origin that is none.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> for segment in mpt.tracks.gpx("ride.gpx", pause=300.0):  # doctest: +SKIP
+    ...     print(segment.start, len(segment.t), "fixes")
+
     """
     if pause is not None:
         pause = checks.duration("pause", pause)
@@ -106,15 +136,34 @@ def gpx(
 
 
 def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = None) -> Array:
-    """Return positions in metres east and north of an origin, (N, 2), from latitudes and longitudes (N,) in degrees.
+    """Return positions in metres east and north of an origin.
 
-    origin is a latitude, a longitude and, if they are given, a height (m); without one it is the first position. The
-    positions lie in the plane that touches the Earth at the origin: 100 km away lengths are 0.01 % too short. NaN
-    stays NaN. Raises ValueError for other shapes, degrees that are none and an origin that is none.
+    The positions lie in the plane that touches the Earth at the origin: 100 km away lengths are 0.01 % too short.
 
-    >>> local([57.0, 57.0009], [9.9, 9.9]).round(1) + 0.0
+    Parameters
+    ----------
+    lat, lon : array_like (N,)
+        Latitudes and longitudes in degrees, NaN where there is none.
+    origin : tuple of float, optional
+        Latitude, longitude and, if wanted, height (m); the first position where not given.
+
+    Returns
+    -------
+    ndarray (N, 2)
+        Metres east and north, NaN where the position is.
+
+    Raises
+    ------
+    ValueError
+        For other shapes, numbers that are no degrees, and an origin that is none.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> mpt.tracks.local([57.0, 57.0009], [9.9, 9.9]).round(1) + 0.0
     array([[  0. ,   0. ],
            [  0. , 100.2]])
+
     """
     lat, lon = checks.real_numbers("lat", lat, "latitudes"), checks.real_numbers("lon", lon, "longitudes")
     if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
@@ -127,15 +176,37 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
 
 
 def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return latitudes and longitudes (N,) in degrees of positions z (N, 2) in metres: the inverse of `local`.
+    """Return latitudes and longitudes of positions in metres: the inverse of `local`.
 
-    origin is that of `local`, whose height the positions have: the plane touches the Earth at the origin and is 1.8 km
-    above its surface 150 km away, which is reckoned with. Longitudes are between -180 and 180. NaN stays NaN. Raises
-    ValueError for another shape and an origin that is none.
+    The positions have the height of the origin: 150 km away the plane is 1.8 km above the surface, and this is
+    corrected for.
 
-    >>> lat, lon = degrees([[0.0, 100.2]], origin=(57.0, 9.9))
+    Parameters
+    ----------
+    z : array_like (N, 2)
+        Metres east and north, NaN where there is no position.
+    origin : tuple of float
+        Latitude, longitude and, if wanted, height (m), as given to `local`.
+
+    Returns
+    -------
+    lat : ndarray (N,)
+        Latitudes in degrees.
+    lon : ndarray (N,)
+        Longitudes in degrees, between -180 and 180.
+
+    Raises
+    ------
+    ValueError
+        For another shape and an origin that is none.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> lat, lon = mpt.tracks.degrees([[0.0, 100.2]], origin=(57.0, 9.9))
     >>> lat.round(4), lon.round(4)
     (array([57.0009]), array([9.9]))
+
     """
     z = checks.real_numbers("z", z, "positions (N, 2) in metres").astype(float)
     if z.ndim != 2 or z.shape[1] != 2:
@@ -276,12 +347,19 @@ def track(
         `x`, `y` (m). They may have `ele` (m), `hdop` and `accuracy` (m) too. The index of a frame may be the time.
     columns : dict, optional
         Other names of these columns, as {"time": "when"}.
-    seconds, limit, pause, show
-        As of `clean`.
+    seconds : float or timedelta
+        The horizon of the band in s, as of `clean`.
+    limit : float
+        The NIS above which a fix is refused, as of `gated`.
+    pause : float or timedelta, optional
+        After so long without a fix, in s, a recording begins anew, as of `clean`.
+    show : callable
+        Called with what is done next, in words.
 
     Returns
     -------
     Cleaned
+        The cleaned track.
 
     Raises
     ------
@@ -290,10 +368,10 @@ def track(
 
     Examples
     --------
-    >>> import numpy as np, pandas
+    >>> import pandas, mpt_helpers as mpt
     >>> t = pandas.date_range("2024-05-03T10:00", periods=300, freq="s", name="time")
     >>> x = np.cumsum(np.sin(np.arange(300) / 40)) + np.random.default_rng(1).normal(0, 0.5, 300)
-    >>> c = track(pandas.DataFrame({"x": x, "y": x}, index=t))
+    >>> c = mpt.track(pandas.DataFrame({"x": x, "y": x}, index=t))
     >>> c.to_frame().columns.tolist()
     ['time', 'x', 'y', 'v_x', 'v_y', 'sigma', 'sigma_v', 'kept', 'segment']
 

@@ -80,11 +80,23 @@ CHECKED = 1 / 3
 class Band(NamedTuple):
     """The worth of predictions on the part of a track that the fit behind them has not seen.
 
-    seconds: how far ahead; half_width: the median half-width of the band that follows its own checked errors, m
-    asked, held, own: the share of fixes that is asked for, that this band held, and that the fit's own band held
-    checked: how many predictions were checked; independent: how many of them do not overlap in time
-    ahead, widths: the forecast errors of the whole track, and the half-widths of the band around them (K, m)
-    unseen (K,): which of them lie in the part that was not seen
+    Attributes
+    ----------
+    seconds : float
+        How far ahead.
+    half_width : float
+        The median half-width in m of the band that follows its own checked errors.
+    asked, held, own : float
+        The share of fixes that is asked for, that this band held, and that the fit's own band held.
+    checked, independent : int
+        How many predictions were checked, and how many of them do not overlap in time.
+    ahead : ForecastErrors
+        The forecast errors of the whole track.
+    widths : ndarray (K, m)
+        The half-widths of the band around them.
+    unseen : ndarray of bool (K,)
+        Which of them lie in the part that was not seen.
+
     """
 
     seconds: float
@@ -183,17 +195,17 @@ class Cleaned:
 
     Attributes
     ----------
-    t : (N,)
+    t : ndarray (N,)
         Times in s.
-    z : (N, m)
+    z : ndarray (N, m)
         Positions in m as recorded, NaN where there is none.
-    pieces : (N,)
+    pieces : ndarray of int (N,)
         The segment of each fix, 0, 1, ..., and -1 where it is refused or there is none.
-    x, P : (N, 2 m), (N, 2 m, 2 m)
+    x, P : ndarray (N, 2 m), (N, 2 m, 2 m)
         Smoothed position and velocity of each axis, [east, v_east, north, v_north], and their covariance; NaN where a
         row lies in no segment.
     q, r : float
-        Of all axes, m²/s³ and m², of the fixes that are kept.
+        Process noise (m²/s³) and variance of a fix (m²) of all axes, of the fixes that are kept.
     log_errors : dict
         Standard errors of their logarithms, infinite for an r that is the rounding of the numbers.
     rounding : bool
@@ -201,10 +213,12 @@ class Cleaned:
     band : Band or None
         None for a track too short to judge one on.
     filter : KalmanFilter
-        That of all segments on one line of time, `line`.
+        The filter of all segments on one line of time, `line`.
+    line : Line
+        The rows that lie in segments, on one line of time.
     recordings : list
         The rows where a recording begins: the first one, after a pause, and in another segment of the file.
-    repeats : (N,)
+    repeats : ndarray of bool (N,)
         The rows that are no fixes of their own: repeated positions, and all but the newest of one time.
     said : list
         What was found about the times, in words.
@@ -254,15 +268,36 @@ class Cleaned:
         return report.unusual(self)
 
     def report(self) -> str:
-        """Return a report, in words, of what was done to the track and what was found about it."""
+        """Say in words what was done to the track and what was found about it.
+
+        Returns
+        -------
+        str
+            The report, of several lines.
+
+        """
         return report.text(self)
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers of the report by name, ready for JSON."""
+        """Return the numbers of the report.
+
+        Returns
+        -------
+        dict
+            The numbers by name, ready for JSON.
+
+        """
         return report.summary(self)
 
     def plot(self) -> Figure:
-        """Return a figure: a map with the refused fixes, and the speed with its band."""
+        """Draw the track: a map with the refused fixes, and the speed with its band.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        """
         return plot.figure(self)
 
     def gpx(self, path: str | PathLike[str], overwrite: bool = False) -> None:
@@ -270,17 +305,35 @@ class Cleaned:
 
         Times, heights, segments and all else that the file of the track holds are kept. A fix that was refused within a
         segment lies on the smoothed line; one between segments is left out, and after a jump a new one begins, so that
-        a map draws no line over the jump. Raises ValueError for a track in metres, and FileExistsError for a file that
-        exists, unless `overwrite` is True; the source is never written over.
+        a map draws no line over the jump.
+
+        Parameters
+        ----------
+        path : path
+            The file to write, never the source.
+        overwrite : bool
+            Whether a file that exists is replaced.
+
+        Raises
+        ------
+        ValueError
+            For a track in metres.
+        FileExistsError
+            For a file that exists, unless `overwrite` is True.
+
         """
         write_together({Path(path): writers.gpx_bytes(self)}, overwrite, self.source.path)
 
     def to_frame(self) -> Any:
         """Return the track as a pandas frame with a row for each fix that was used.
 
-        It has `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y`
-        (m/s), `sigma` and `sigma_v`, the standard deviations of each axis of these, `kept`, and the number of the
-        segment; NaN and -1 outside of segments. The rows have the labels of the frame that the track is from.
+        Returns
+        -------
+        pandas.DataFrame
+            `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y` (m/s),
+            `sigma` and `sigma_v`, the standard deviations of each axis of these, `kept`, and the number of the segment;
+            NaN and -1 outside of segments. The rows have the labels of the frame that the track is from.
+
         """
         return writers.frame_of(self)
 
@@ -333,6 +386,7 @@ def clean(
     Returns
     -------
     Cleaned
+        The cleaned track.
 
     Raises
     ------
@@ -342,11 +396,11 @@ def clean(
 
     Examples
     --------
-    >>> from mpt_helpers.model import simulate
-    >>> axis = constant_velocity(dt=1.0, q=0.04, r=4.0)
-    >>> _, z = simulate(stack(axis, axis), N=600, rng=np.random.default_rng(1))
+    >>> import mpt_helpers as mpt
+    >>> axis = mpt.constant_velocity(dt=1.0, q=0.04, r=4.0)
+    >>> _, z = mpt.simulate(mpt.stack(axis, axis), N=600, rng=1)
     >>> z[100] += 500.0
-    >>> c = clean(np.arange(600.0), z)
+    >>> c = mpt.tracks.clean(np.arange(600.0), z)
     >>> c.refused.tolist(), c.starts.tolist(), round(c.q, 3), round(c.r, 2)
     ([100], [], 0.035, 4.03)
 
@@ -648,10 +702,10 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
         return likelihood.with_best_scale(point) if within else (0.0, math.inf)
 
     at, ratio = np.log([guess.q, guess.r]), np.array([-0.5, 0.5])
-    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND) if near else at
+    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0) if near else at
     if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # it was looked for in the wrong place
         middle = at[0] + np.array([0.0, (low + high) / 2])
-        found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND)
+        found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
     q, r = np.exp(found)
     if r > scale.rounding:
         return Noise(float(q), float(r), False)

@@ -279,6 +279,8 @@ def _without_excursions(found, way):
     The mobile goes there and back too fast, from and to where it could have gone without. At an end of a recording,
     which has no way back, it must go there impossibly fast. Of the two positions that with more fixes is right.
     """
+    if way.fast == 0:  # a track that mostly stands still, but for the steps of a coarse grid
+        return found
     rows, left = np.concatenate(found), []
     for own, following in zip(found, [*found[1:], None], strict=True):
         here = own[0], own[-1]

@@ -76,11 +76,8 @@ def in_words(row: Row, verdicts: Iterable[Verdict]) -> str:
 def contents(rows: Iterable[Row], verdicts: Verdicts) -> str:
     """Return the counts in a sentence and the table of contents, in Markdown."""
     count = verdicts.checked()
-    reasons = len({each.cause for each in verdicts if each.verdict in (DIFFERS, ERRATUM)})
     part = f", {count['part']} in part" if count["part"] else ""
-    wrong = f"{count['fail']} do{'es' if count['fail'] == 1 else ''} not"
-    if count["fail"]:
-        wrong += f", for {counted(reasons, 'reason')}"
+    wrong = f"{count['fail']} do{'es' if count['fail'] == 1 else ''} not{for_which_reasons(verdicts)}"
     lines = [
         f"**The paper prints {count['all']} numbers, formulas, claims and figures as results. {count['checked']} of "
         f"them can be checked: {count['hold']} hold{part}, {wrong}.**",
@@ -91,6 +88,17 @@ def contents(rows: Iterable[Row], verdicts: Verdicts) -> str:
     for row in rows:
         lines.append(f"| [{row.name}](#{row.anchor}) | {row.shows} | {in_words(row, verdicts)} |")
     return "\n".join(lines)
+
+
+def for_which_reasons(verdicts: Verdicts) -> str:
+    """Return how many reasons there are for what is wrong, and which, in a few words; causes may share their words."""
+    wrong = [each for each in verdicts if each.verdict in (DIFFERS, ERRATUM)]
+    causes = [verdicts.causes[key] for key in dict.fromkeys((each.paper, each.cause) for each in wrong)]
+    if not causes:
+        return ""
+    said = f", for {counted(len(causes), 'reason')}"
+    short = dict.fromkeys(cause.short for cause in causes if cause.short)
+    return f"{said}: {', '.join(short)}" if short else said
 
 
 def write_contents(notebook: Path, text: str):

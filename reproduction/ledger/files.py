@@ -143,9 +143,10 @@ def stored_verdicts(notebook: str | Path) -> Verdicts:
     paper = published(path.stem)
     records = []
     try:
-        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        for number, cell in enumerate(json.loads(path.read_text(encoding="utf-8"))["cells"], 1):
+            name = cell.get("id", str(number))  # before nbformat 4.5 cells have no ids
             for output in cell.get("outputs", []):
-                records += [{**record, "cell": cell["id"]} for record in output.get("data", {}).get(MIME, [])]
+                records += [{**record, "cell": name} for record in output.get("data", {}).get(MIME, [])]
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise ValueError(f"{path}: needs an executed notebook ({error!r})") from None
     if not records:

@@ -76,13 +76,15 @@ class Cause:
     kind is "slip" (a wrong number or formula), "wording" (a sentence that says it wrongly while nothing computed
     depends on it), "finding" (a claim or formula that fails or holds only in part) or "copy" (lost by our copy, not by
     the paper).
-    `sentence` says what is wrong and what is right, `meaning` says what follows for a user of the filter.
+    `sentence` says what is wrong and what is right, `meaning` says what follows for a user of the filter, `short` says
+    in a few words what is wrong, where reasons are listed.
     """
 
     id: str
     kind: str
     sentence: str
     meaning: str
+    short: str = ""
 
 
 def printed_of(item: Item) -> tuple[str, str, str, str]:

@@ -174,7 +174,7 @@ class Paper:
         """
         rows = []
         for id, gap in gaps.items():
-            size = gap_text(gap)
+            size = gap_text(gap, below)
             evidence = f"{what}: largest gap {size}" if what else f"largest gap {size}"
             given = self.claim(id, bool(gap < below), evidence, basis=self._item(id).basis or "identity", reason=reason)
             rows.append([place(given), shortened(given.printed), size])
@@ -189,13 +189,13 @@ class Paper:
             rows.append([place(given), given.printed, evidence])
         return self._shown(Grid(["", "the paper says", "what we find"], rows, sentences=True))
 
-    def lacking(self, missing: Mapping[str, str]) -> Shown:
-        """Record what cannot be checked, {id: what is missing}, and show it in a table."""
+    def lacking(self, missing: Mapping[str, str], *, folded: str = "") -> Shown:
+        """Record what cannot be checked, {id: what is missing}, and show it in a table, folded under a text if any."""
         rows = []
         for id, what in missing.items():
             given = self.cannot_check(id, what, cause=self._item(id).cause or None)
             rows.append([place(given), given.printed, what])
-        return self._shown(Grid(["", "what cannot be checked", "why"], rows, sentences=True))
+        return self._shown(Grid(["", "what cannot be checked", "why"], rows, sentences=True), folded=folded)
 
     def _cell(self, item, value, basis, reason, grid, decimals):
         """Check one cell of a table, and return it as it is shown."""
@@ -225,21 +225,30 @@ class Paper:
         causes = Counter(each.cause for each in failing)
         sign = mark(IN_PART) if all(each.verdict == IN_PART for each in failing) else mark(DIFFERS)
         if layout.wrong and causes:
-            return [f"{sign} {counted(causes.total(), 'cell')}: {layout.wrong}"]
-        told = []
-        for id, count in causes.items():
-            told_at = self._told_at.setdefault(id, layout.name)
-            why = self.causes[id].sentence if told_at == layout.name else f"as in {told_at}."
-            told.append(f"{sign} {counted(count, 'cell')}: {why}")
+            told = [f"{sign} {counted(causes.total(), 'cell')}: {layout.wrong}"]
+        else:
+            told = [f"{sign} {counted(count, 'cell')}: {self._why(id, layout.name)}" for id, count in causes.items()]
+        unchecked = [each for each in self._to_report if each.verdict == CANNOT_BE_CHECKED and each.printed != "?"]
+        for reason, count in Counter(each.reason for each in unchecked).items():
+            told.append(f"{mark(CANNOT_BE_CHECKED)} {counted(count, 'cell')}: {reason}.")
         return told
 
-    def _shown(self, grid, told=None):
+    def _why(self, cause, here):
+        """Return the sentence of a cause, or where it was told before."""
+        told_at = self._told_at.setdefault(cause, here)
+        return self.causes[cause].sentence if told_at == here else f"As in {told_at}."
+
+    def _shown(self, grid, told=None, folded=""):
         """Return what a cell shows: a table, and below it what is wrong; of claims, the reason of each that fails."""
         if told is None:
-            reasons = [f"{mark(each.verdict)} {each.reason}" for each in self._to_report if each.verdict in FAILS]
-            told = list(dict.fromkeys(reasons))
+            told = []
+            for each in self._to_report:
+                if each.verdict in FAILS:
+                    reason = each.reason.replace(self.causes[each.cause].sentence, self._why(each.cause, each.where))
+                    told.append(f"{mark(each.verdict)} {reason}")
+            told = list(dict.fromkeys(told))
         given, self._to_report = self._to_report, []
-        return Shown(given, self.causes_by_paper(), grid, told)
+        return Shown(given, self.causes_by_paper(), grid, told, folded)
 
     def report(self) -> Verdicts:
         """Return the Verdicts given since the last report; as the last line of a cell, it shows and stores them."""
@@ -328,7 +337,8 @@ def _agreeing(verdicts):
     """Return in words how many of a table's cells agree."""
     times = Counter(each.verdict for each in verdicts)
     unchecked, lost = times[CANNOT_BE_CHECKED], sum(each.printed == "?" for each in verdicts)
-    said = f"{sum(times[each] for each in HOLDS)} of {len(verdicts) - unchecked} agree"
+    how = "within the band" if times[WITHIN_BAND] and not times[REPRODUCED] else "agree"
+    said = f"{sum(times[each] for each in HOLDS)} of {len(verdicts) - unchecked} {how}"
     if times[IN_PART]:
         said += f", {times[IN_PART]} in part"
     if lost:

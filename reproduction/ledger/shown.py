@@ -154,15 +154,19 @@ def shortened(text: str, most: int = 60) -> str:
 
 
 class Shown(Verdicts):
-    """Verdicts that a cell shows as a table with sentences below, and stores for machines as Verdicts do."""
+    """Verdicts that a cell shows as a table with sentences below, and stores for machines as Verdicts do.
 
-    def __init__(self, verdicts, causes, grid: Grid, told: Iterable[str] = ()):
+    If a text stands for `folded`, HTML shows it in their place until a reader opens it.
+    """
+
+    def __init__(self, verdicts, causes, grid: Grid, told: Iterable[str] = (), folded: str = ""):
         super().__init__(verdicts, causes)
-        self.grid, self.told = grid, list(told)
+        self.grid, self.told, self.folded = grid, list(told), folded
 
     def __repr__(self):
         return "\n".join([repr(self.grid), *self.told])
 
     def html(self) -> str:
         """Return the table and the sentences in HTML."""
-        return self.grid.html() + "".join(f"\n<p>{escape(text)}</p>" for text in self.told)
+        html = self.grid.html() + "".join(f"\n<p>{escape(text)}</p>" for text in self.told)
+        return f"<details><summary>{escape(self.folded)}</summary>\n{html}\n</details>" if self.folded else html

@@ -7,19 +7,23 @@ from reproduction import plots
 MEASURED = {"color": plots.COLOUR_OF["measured"], "lw": 1.0}
 
 
-def draw_fig1(one, skies, other):
-    """Draw Figure 1: the error of the rough position over the iteration, (steps + 1,); below it that of many skies.
+def draw_fig1(one, skies):
+    """Draw Figure 1: the error of the rough position over the iteration, from two starts; below it that of many skies.
 
-    skies and other are errors (steps + 1, M) from two starts: off by 300 km, and at x = 300 km.
+    one has for each start, by its name, the errors (steps + 1,), skies those under many skies (steps + 1, M).
     """
-    fig, ax = _panels([["one"], ["many"]], "Figure 1: the rough position by least squares (MMS)", 2.4)
-    ax["one"].plot(one / 1e3, "o-", ms=4, color=plots.COLOUR_OF["line"])
-    plots.finish(ax["one"], "step of the iteration", "error of the position (km)")
-    starts = {"start 300 km off": (skies, "-", "line"), "start at x = 300 km": (other, "--", "mean")}
-    for label, (errors, style, colour) in starts.items():
-        _band(ax["many"], errors, style, plots.COLOUR_OF[colour], label)
+    fig, ax = _panels([list(one), ["many", "many"]], "Figure 1: the rough position by least squares (MMS)", 2.4)
+    colour = plots.COLOUR_OF["line"]
+    for (name, error), style in zip(one.items(), ("-", "--"), strict=True):
+        ax[name].plot(error / 1e3, f"o{style}", ms=4, color=colour)
+        plots.finish(ax[name], "step of the iteration", f"error of the position (km),\n{name}")
+        errors = skies[name]
+        ax["many"].fill_between(
+            range(len(errors)), errors.min(axis=1), errors.max(axis=1), color=colour, alpha=0.2, lw=0
+        )
+        ax["many"].plot(np.median(errors, axis=1), style, color=colour, label=name)
     ax["many"].set_yscale("log")
-    plots.finish(ax["many"], "step of the iteration", f"ours: the same (m), {skies.shape[1]:,} skies")
+    plots.finish(ax["many"], "step of the iteration", f"ours: error (m), median and range of {errors.shape[1]:,} skies")
     return fig
 
 
@@ -34,15 +38,10 @@ def draw_fig2(one, skies, same):
     plots.finish(ax["one"], "step of the iteration", "error of the position (m)")
     for label, errors, style in (("new ranges at each step", skies, "-"), ("one set of ranges", same, "--")):
         rms = np.sqrt(np.mean(errors**2, axis=1))
-        ax["many"].plot(rms, style, color=plots.COLOUR_OF["line" if style == "-" else "mean"], label=label)
+        ax["many"].plot(rms, style, color=plots.COLOUR_OF["line"], label=label)
     ax["many"].set_ylim(0)
     plots.finish(ax["many"], "step of the iteration", f"ours: rms error (m), {skies.shape[1]:,} skies")
     return fig
-
-
-def _band(panel, errors, style, colour, label):
-    panel.fill_between(range(len(errors)), errors.min(axis=1), errors.max(axis=1), color=colour, alpha=0.25, lw=0)
-    panel.plot(np.median(errors, axis=1), style, color=colour, label=label)
 
 
 def draw_line(number, t, x, measured, estimates, sigma):
@@ -92,11 +91,10 @@ def _error(panel, t, error, sigma, colour):
     panel.fill_between(t, -2 * sigma, 2 * sigma, color="0.85", lw=0)
     panel.plot(t, error, "-", color=colour)
     panel.set_xlim(0, t[-1])
-    plots.finish(panel, "time (s)", "ours: error of x (m)")
+    plots.finish(panel, "time (s)", "ours: error of x (m), ± 2σ")
 
 
 def _panels(layout, title, height):
-    plots.use_style()
     fig, ax = plots.panels(layout, height=height)
-    fig.suptitle(title, x=0.02, ha="left", fontsize=12)
+    plots.head(fig, title)
     return fig, ax

@@ -61,7 +61,6 @@ def titled(fig, finding):
 
 def draw_waves(cases, names, hours=3.5):
     """Draw the errors of the height over some hours, as single fixes and without their noise: a panel for each name."""
-    plots.use_style()
     fig, ax = plots.panels([[name] for name in names], height=2.0)
     titled(fig, "An error of GPS is a slow wave with noise on it")
     for name in names:
@@ -87,7 +86,6 @@ def draw_means(cases):
     On the left there is a band from the least to the largest of all cases. On the right a curve of a case ends at its
     station's name; its style is that of its kind of range.
     """
-    plots.use_style()
     fig, ax = plots.panels([["parts", "whole"]], height=3.8)
     titled(fig, "Averaging takes the noise. Most of the lasting error stays")
     colours = {"noise": plots.COLOUR_OF["measured"], "lasting": plots.COLOURS[0]}
@@ -125,7 +123,6 @@ def in_space(judged, what):
 
 def draw_stated(filtered):
     """Draw what three filters make and what they state at the end of a window: a pair of dots for each case."""
-    plots.use_style()
     fig, ax = plots.panels([["metres"]], height=0.72 * len(filtered) + 1.2)
     titled(fig, "All three filters are about equally wrong. One says so")
     panel, ticks, right = ax["metres"], [], 0

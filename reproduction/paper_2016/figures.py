@@ -7,6 +7,7 @@ from . import table1
 
 STEPS = 30  # of a run; the paper does not print how many
 CAUGHT_UP = 13  # steps; those after them are drawn on a scale of their own
+NUMBERS = {("cv", 0): 1, ("cv", 1): 2, ("ca", 0): 3, ("ca", 1): 4}  # of the figures, by motion and steps ahead
 
 
 def draw_figure(key, N, seed):
@@ -35,14 +36,15 @@ def draw_figure(key, N, seed):
             ax[panel].fill_between(k[some], low[some], high[some], color=colour, alpha=0.12, lw=0, label=band)
             ax[panel].plot(k[some], e[some], style, color=colour, label=label)
 
-    plots.finish(ax["start"], "step k", f"error (m), steps 1 to {CAUGHT_UP}")
-    plots.finish(ax["later"], "step k", f"steps {CAUGHT_UP + 1} to {STEPS}")
+    plots.finish(ax["start"], "step k", f"ours: error (m), steps 1 to {CAUGHT_UP}")
+    plots.finish(ax["later"], "step k", f"ours: steps {CAUGHT_UP + 1} to {STEPS}")
     plots.legend_below(ax["start"], 3)
 
     ax["plane"].plot(*real, "o-", color=plots.COLOUR_OF["truth"], ms=6, mfc="white", label="real position")
     ax["plane"].plot(*found, "x--", color=colour, ms=5, label=name)
     ax["plane"].set_ylabel("y (m)")
-    plots.finish(ax["plane"], "x (m)", f"Position {what}, {table1.NAMES[key]}")
+    plots.finish(ax["plane"], "x (m)", "")
+    plots.head(fig, f"Figure {NUMBERS[key, N]}: position {what}, {table1.NAMES[key]}")
     return fig
 
 
@@ -64,4 +66,5 @@ def draw_table1():
         plots.finish(panel, "steps ahead N", table1.NAMES[key])
     ax["cv"].set_ylabel("average error (%)")
     plots.legend_below(ax["cv"], 2)
+    plots.head(fig, "Table 1 as a picture (ours)")
     return fig

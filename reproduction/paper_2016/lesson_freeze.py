@@ -40,16 +40,36 @@ def typical_errors(steps=25, after=8):
     return found
 
 
+def errors_from_two_measurements(r=R, steps=25):
+    """Return the rms position error (steps,) of the filter that is frozen at once, begun on the line through two fixes.
+
+    r is the variance of a measurement; the first step has the error of one measurement.
+
+    >>> print(errors_from_two_measurements()[:4].round(2), errors_from_two_measurements(100.0).max().round())
+    [0.32 0.32 0.36 0.34] 60.0
+    """
+    model = constant_velocity(1.0, Q, r)
+    K = SteadyStateFilter.from_kalman(model).B
+    left = np.eye(2) - K @ model.H
+    P = r * np.array([[1.0, 1.0], [1.0, 2.0]])  # of z(2), z(2) - z(1)
+    rms = [np.sqrt(r), np.sqrt(r)]
+    while len(rms) < steps:
+        P = left @ model.F @ P @ model.F.T @ left.T + r * K @ K.T
+        rms.append(np.sqrt(P[0, 0]))
+    return np.array(rms)
+
+
 def draw_start(steps=25):
-    """Return a figure of `typical_errors`, on a logarithmic axis."""
+    """Return a figure of `typical_errors` and `errors_from_two_measurements`, on a logarithmic axis."""
     at_once, later = typical_errors(steps)
     k = np.arange(1, steps + 1)
-    plots.use_style()
     fig, axes = plots.panels([["error"]], height=3.4)
     ax = axes["error"]
     measured = ax.axhline(np.sqrt(R), color=plots.COLOUR_OF["measured"], ls=":", label="one measurement")
     (frozen,) = ax.semilogy(k, at_once, color=plots.COLOUR_OF["steady"], label="frozen at once, as in the paper")
     (varying,) = ax.semilogy(k, later, color=plots.COLOUR_OF["kalman"], ls="--", label="the gain varies first")
+    two = errors_from_two_measurements(steps=steps)
+    ax.semilogy(k, two, color=frozen.get_color(), ls="-.", lw=1.2, label="begun on two measurements")
     ax.set_ylim(0.1, 20)
     ax.set_yticks([0.1, 0.3, 1, 3, 10], ["0.1", "0.3", "1", "3", "10"])
     ax.minorticks_off()
@@ -60,6 +80,9 @@ def draw_start(steps=25):
     plots.label_line(varying, f"the gain varies first: settles at {later[-1]:.2f} m", at=5, xytext=(0, -26))
     ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(R)), (0, 5), textcoords="offset points", ha="right",
                 color=measured.get_color())  # fmt: skip
+    ax.annotate(
+        "begun on two\nmeasurements", (3, two[2]), (-26, 12), textcoords="offset points", color=frozen.get_color()
+    )
     ax.set_ylabel("typical error at 20 m/s (m)")
     plots.label_line(frozen, f"frozen at once: up to {at_once.max():.0f} m off", at=3, xytext=(10, 4))
     plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {at_once.max():.0f} m off")
@@ -73,7 +96,6 @@ def draw_braking(misses, seconds=5):
     misses maps a brake in m/s² to {name of a filter: misses (m) of the predictions of seconds 0, 1, ...}.
     """
     styles = [(plots.COLOUR_OF["kalman"], "-"), (plots.COLOURS[2], "--"), (plots.COLOURS[2], "-")]
-    plots.use_style()
     names = [f"{brake:g} m/s²" for brake in misses]
     fig, ax = plots.panels([names], height=3.4)
     ax[names[1]].sharey(ax[names[0]])

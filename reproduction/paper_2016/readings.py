@@ -137,15 +137,6 @@ def compared(columns, seed):
     return log_p, header, rows
 
 
-def odds(log_p, **rule):
-    """Return how many times as probable the print is as percent of exact motion than as fractions of noisy motion.
-
-    log_p is that of `compared`, rule what `probability` takes.
-    """
-    p = [probability(log_p[reading], LENGTHS[reading.unit], **rule) for reading in (PERCENT, FRACTION)]
-    return p[0] / p[1]
-
-
 def rough(ratio):
     """Return a ratio as text with one digit, since another seed changes it by some 15 %; a large one as a power of ten.
 

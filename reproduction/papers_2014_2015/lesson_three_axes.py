@@ -29,7 +29,6 @@ def draw_covariance():
     """Return a figure of the entries of P, (6, 6): which are zero, and the numbers of the others."""
     P = covariance()
     names = [rf"${kind}_\mathrm{{{axis}}}$" for axis in ("east", "north", "height") for kind in "sv"]
-    plots.use_style()
     fig, ax = plots.panels([["P"]], height=3.6)
     ax["P"].imshow(P != 0, cmap=ListedColormap(["white", KALMAN]), alpha=0.25, aspect="auto")  # wide cells
     for i, j in np.ndindex(P.shape):
@@ -79,7 +78,6 @@ def draw_lost_axis(last=30):
     """
     errors, sigma = silent_phones(last=last)
     k = np.arange(1, len(errors) + 1)
-    plots.use_style()
     fig, ax = plots.panels([["east", "height"], ["far", "far"]], height=2.2)
     for name, axis, limit in (("east", 0, 1), ("height", 2, 1), ("far", 2, 36)):
         band = in_one_line(k, np.column_stack([2 * sigma[:, axis], -2 * sigma[:, axis]]))
@@ -239,7 +237,6 @@ def draw_swing(missed=30, shown=15):
     """Return a figure of one phone's estimated height after a silence: with the gain that varies, and frozen."""
     k = np.arange(shown + 1)
     errors = measured_again(missed, shown)
-    plots.use_style()
     fig, ax = plots.panels([["error"]], height=2.8)
     ax["error"].axhline(0, color="0.4", lw=1.0)
     varies, frozen = (

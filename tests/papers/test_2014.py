@@ -12,7 +12,8 @@ import mpt_helpers as mpt
 from reproduction import burden, published
 from reproduction.ledger import Item, stored_verdicts
 from reproduction.papers_2014_2015 import checks_2014 as checks
-from reproduction.papers_2014_2015 import table4
+from reproduction.papers_2014_2015 import figures, table4
+from reproduction.plots import COLOUR_OF
 
 NOTEBOOK = ROOT / "notebooks" / "2014_gsm_2d.ipynb"
 CELLS = {cell["id"]: cell for cell in cells_of(NOTEBOOK)}
@@ -175,23 +176,6 @@ def test_a_ratio_may_be_right_as_that_of_the_table_and_wrong_as_that_of_the_oper
 # Table 4
 
 
-def test_a_join_that_was_made_up_is_found():
-    counts = list(COUNTED.values())
-    behind = {2: counts[0] + counts[1] + 4 + 10, 8: counts[6] + counts[7] + 2 * (2 + 3)}  # a vector and a symmetric
-    rows = table4.joins_tried(behind | {5: 0, 11: 0}, counts)
-    assert "2 times 1 vectors, 1 symmetric, 0 full" in rows[0][-1]
-
-
-def test_the_text_says_which_joins_fit_table_4(words):
-    behind = {2: 1191, 5: 118, 8: 640, 11: 98}
-    rows = table4.joins_tried(behind, list(COUNTED.values()))
-    fitting = {name: sum(row[-1].count("times") for row in rows if row[0] == name) for name in ("JKLF", "JSSKLF")}
-    assert fitting == {"JKLF": 0, "JSSKLF": 2}
-    assert "Two of them give both counts of JSSKLF, none gives both counts of JKLF." in words
-    assert "up to eight vectors" in words
-    assert table4.MOST == 8
-
-
 def test_each_wrong_cell_follows_from_the_counts_of_its_cause(verdicts):
     """A new failure is not explained by a cause in silence: their cells are counted here."""
     cells = Counter(each.cause for each in verdicts.values() if each.cause)
@@ -244,6 +228,48 @@ def test_the_text_says_how_our_copy_of_table_4_was_read(words):
     assert f"{len(cells) - legible} of the {len(cells)} cells of Table 4 are lost" in words
 
 
+# The figures
+
+
+@pytest.mark.parametrize(
+    ("draw", "labels", "colours", "shown"),
+    [
+        (figures.draw_fig1, ["solid line: KF/LF/JKLF", "dashed line: SSKF/SSLF/JSSKLF"], ["kalman", "steady"], 15),
+        (figures.draw_fig2, ["solid line: SSKF/SSLF", "dashed line: FIR SSKF/SSLF"], ["steady", "fir"], 40),
+    ],
+)
+@pytest.mark.parametrize("axes", [2, 3])
+def test_a_figure_has_the_line_styles_of_its_caption_and_below_it_the_difference(draw, labels, colours, shown, axes):
+    """Of the papers of 2014 and 2015, on some track; the difference is in centimetres, and names its axes."""
+    first, second = np.random.default_rng(6).normal(size=(2, 40, 2 * axes))
+    sigma = np.array([0.2, 0.1])
+    fig = draw(first, second, sigma)
+    names = [
+        f"{what} {axis} ({unit})" for axis in "xyz"[:axes] for what, unit in (("position", "m"), ("velocity", "m/s"))
+    ]
+    *above, position, velocity = fig.axes
+    assert [panel.get_title(loc="left") for panel in above] == names
+    for i, panel in enumerate(above):
+        solid, dashed = panel.lines
+        assert [line.get_linestyle() for line in panel.lines] == ["-", "--"]
+        assert [line.get_color() for line in panel.lines] == [COLOUR_OF[each] for each in colours]
+        np.testing.assert_array_equal(solid.get_xydata(), np.column_stack([np.arange(1, 41), first[:, i]]))
+        np.testing.assert_array_equal(dashed.get_ydata(), second[:, i])
+    (legend,) = fig.legends
+    assert [text.get_text() for text in legend.get_texts()] == labels
+    for i, panel in enumerate((position, velocity)):
+        title = panel.get_title(loc="left")
+        assert (title[:26], title[-12:]) == ("ours: dashed minus solid,\n", "grey: ± σ/10")
+        assert [text.get_text() for text in panel.get_legend().get_texts()] == list("xyz"[:axes])
+        assert len({line.get_marker() for line in panel.lines}) == axes
+        for axis, line in enumerate(panel.lines):
+            np.testing.assert_allclose(line.get_ydata(), 100 * (second - first)[:shown, 2 * axis + i])
+        (band,) = panel.patches
+        low, high = band.get_extents().transformed(panel.transData.inverted()).intervaly
+        np.testing.assert_allclose([low, high], [-10 * sigma[i], 10 * sigma[i]])
+    assert fig.get_suptitle() == f"Figure {1 if draw is figures.draw_fig1 else 2}: position and velocity estimation"
+
+
 # What the words say
 
 
@@ -281,7 +307,8 @@ def test_z_is_the_position_at_the_end_of_the_step_save_the_push(verdicts):
     found = verdicts["measured"]
     assert found.verdict == "holds in part"
     assert (
-        f"save a push of {push:.0f} cm against {noise:.0f} cm of noise. Fails: the position at step k." in found.reason
+        f"save a push of {push:.0f} cm against {noise:.0f} cm of noise. Fails: s(k), the position when it begins."
+        in found.reason
     )
     assert found.reason.endswith(published("2014_gsm_2d").causes["measured"].sentence)
     assert published("2014_gsm_2d").causes["measured"].meaning.startswith("In the paper's own example nothing is late.")

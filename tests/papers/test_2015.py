@@ -13,8 +13,6 @@ import mpt_helpers as mpt
 from reproduction import burden, published
 from reproduction.ledger import stored_verdicts
 from reproduction.papers_2014_2015 import evidence_2015 as evidence
-from reproduction.papers_2014_2015 import figures_2015
-from reproduction.plots import COLOUR_OF
 
 KEY = "2015_mpt_3d"
 CELLS = {cell["id"]: cell for cell in cells_of(ROOT / "notebooks" / f"{KEY}.ipynb")}
@@ -286,50 +284,3 @@ def test_each_number_beyond_the_paper_is_printed_by_its_cell():
     inputs = {"0", "1", "100", "10", "0.7"}  # H, P0, σ/10; the measured time has a test of its own
     said = re.sub(r"\]\([^)]*\)", "]", BEYOND)
     assert set(re.findall(r"(?<![\w.])\d+(?:\.\d+)?", said)) - inputs <= printed
-
-
-# The figure
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    """The estimates of both groups on some track, and the figure of them."""
-    rng = np.random.default_rng(6)
-    kf, sskf = rng.normal(size=(40, 6)), rng.normal(size=(40, 6))
-    fig = figures_2015.draw_fig1(kf, sskf, np.array([0.2, 0.1]), shown=12)
-    return kf, sskf, fig
-
-
-def test_the_figure_draws_all_estimates_in_the_line_styles_of_the_caption(drawn):
-    kf, sskf, fig = drawn
-    panels = {ax.get_title(loc="left"): ax for ax in fig.axes}
-    names = [f"{what} {axis} ({unit})" for axis in "xyz" for what, unit in (("position", "m"), ("velocity", "m/s"))]
-    assert [*panels][:6] == names
-    for i, name in enumerate(names):
-        solid, dashed = panels[name].lines
-        assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
-        assert (solid.get_color(), dashed.get_color()) == (COLOUR_OF["kalman"], COLOUR_OF["steady"])
-        np.testing.assert_array_equal(solid.get_xydata(), np.column_stack([np.arange(1, 41), kf[:, i]]))
-        np.testing.assert_array_equal(dashed.get_ydata(), sskf[:, i])
-    (legend,) = fig.legends
-    assert [text.get_text() for text in legend.get_texts()] == [
-        "solid line: KF/LF/JKLF",
-        "dashed line: SSKF/SSLF/JSSKLF",
-    ]
-    assert [line.get_linestyle() for line in legend.get_lines()] == ["-", "--"]
-
-
-def test_the_panels_below_the_figure_have_the_difference_in_centimetres(drawn):
-    kf, sskf, fig = drawn
-    for i, (ax, sigma) in enumerate(zip(fig.axes[6:], (0.2, 0.1), strict=True)):
-        assert "dashed minus solid" in ax.get_title(loc="left")
-        assert "σ/10" in ax.get_title(loc="left")
-        for axis, line in enumerate(ax.lines):
-            np.testing.assert_allclose(line.get_ydata(), 100 * (sskf - kf)[:12, 2 * axis + i])
-        (band,) = ax.patches
-        low, high = band.get_extents().transformed(ax.transData.inverted()).intervaly
-        np.testing.assert_allclose([low, high], [-10 * sigma, 10 * sigma])  # σ/10 in cm
-
-
-def test_the_figure_is_titled_by_what_is_plotted(drawn):
-    assert drawn[2].get_suptitle() == "Figure 1: position and velocity estimates"

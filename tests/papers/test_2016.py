@@ -375,6 +375,8 @@ def test_a_figure_shows_real_position_and_estimate(number, key, N):
         band = start.collections[axis].get_paths()[0].vertices
         assert np.abs(band[:, 1].max() - (hand.mean[N] + 2 * hand.sigma[N])[: figures.CAUGHT_UP].max()) < 1e-9
     assert [line.get_label() for line in plane.lines] == ["real position", ["estimate", "one-step prediction"][N]]
+    assert plane.figure.get_suptitle().startswith(f"Figure {number}: position {['estimation', 'prediction'][N]}, ")
+    assert all(panel.get_title(loc="left").startswith("ours: ") for panel in (start, later))
     caption = text_of(f"figure-{number}-caption")
     assert f"Figure {number} of the paper: Position {['estimation', 'prediction'][N]} for constant" in caption
     largest = np.abs(real - found).max(axis=0)
@@ -454,6 +456,30 @@ def test_one_run_of_the_notebook_lies_in_the_bands():
             assert low < float(number) < high
 
 
+def test_no_printed_average_is_below_the_expected_one():
+    """To the printed digits; and by runs with another seed, how often that is so of both columns."""
+    often = 1.0
+    runs = readings.simulated(COLUMNS, 0, 2000, 7)
+    for key, column in COLUMNS.items():
+        assert (column.printed >= average(key).round(4)).all()
+        each = 100 * table1.averages(column, runs[key]["both"], [STEPS])[0]
+        assert np.corrcoef(each)[0, 1] > 0.9  # "rise and fall together"
+        often *= (each >= average(key)[:, None]).all(axis=0).mean()
+    told = text_of("table-1-seen")
+    assert "All twelve are printed at least as large as expected" in told
+    assert "In about one run of eight both columns are so" in told
+    assert often == pytest.approx(1 / 8, rel=0.1)
+
+
+def test_the_filter_is_better_on_exact_motion_than_it_states():
+    """σ of the settled estimate with and without the noise Q of the mobile."""
+    told = text_of("section-5-1-estimation")
+    stated = [np.sqrt(mpt.SteadyStateFilter.from_kalman(MODELS_2016[key]).P[0, 0]) for key in ("cv", "ca")]
+    made = [ByHand(key, steps=400).settled(0) for key in ("cv", "ca")]
+    assert "These {:.2f} m (and {:.2f} m in Section 5.2)".format(*made) in told
+    assert "the {:.2f} m ({:.2f} m) that $P_e$ says".format(*stated) in told
+
+
 @pytest.fixture(scope="module")
 def log_p():
     return readings.compared(COLUMNS, 7)  # another seed than that of the notebook: what is said must hold for both
@@ -470,14 +496,21 @@ def test_four_readings_fit(log_p):
     assert row.holds == "four readings fit"
 
 
+def odds(log_p, **rule):
+    """How many times as probable the print is as percent of exact motion than as fractions of noisy motion."""
+    two = (readings.PERCENT, readings.FRACTION)
+    percent, fraction = (readings.probability(log_p[each], readings.LENGTHS[each.unit], **rule) for each in two)
+    return percent / fraction
+
+
 def test_the_odds_that_are_told(log_p):
     log_p, _, rows = log_p
     told = text_of("four-readings-seen")
     assert "The odds are about 30 for percent if one axis and one length hold for both columns" in told
-    assert readings.odds(log_p) == pytest.approx(30, rel=0.3)
+    assert odds(log_p) == pytest.approx(30, rel=0.3)
     assert "neither column alone decides" in told
-    assert 0.5 < readings.odds(log_p, keys=["cv"]) < 1
-    assert 3 < readings.odds(log_p, keys=["ca"]) < 12
+    assert 0.5 < odds(log_p, keys=["cv"]) < 1
+    assert 3 < odds(log_p, keys=["ca"]) < 12
     assert rows[0][4] == "1"
     assert all(re.fullmatch(r"1 : 10\^\d+", row[4]) for row in rows[2:])
 
@@ -641,7 +674,12 @@ def test_what_filters_say_of_a_braking_car():
 def test_what_fails_is_what_the_front_names():
     fails = {each.cause for each in VERDICTS.values() if each.verdict in FAILS}
     assert fails == {"start", "time-step", "table2-operands", "velocity-for-acceleration"}
-    assert "It holds only in part for two claims" in text_of("front")
+    assert "It holds only in part (✓) for two claims" in text_of("front")
+    assert "It does not hold (✗) in two places" in text_of("front")
+    assert {id for id, each in VERDICTS.items() if each.verdict == ERRATUM} == {
+        "ca.text",
+        "table2.prediction.operation.2",
+    }
     findings = {each for each in fails if PAPER.causes[each].kind == "finding"}
     assert findings == {"start", "time-step"}
     equations = [each for id, each in VERDICTS.items() if re.match(r"eq\d", id)]

@@ -318,6 +318,15 @@ def test_a_stored_verdict_names_the_cell_that_shows_it_in_the_order_of_the_paper
     assert given.causes["test", "our-copy"].kind == "copy"
 
 
+def test_a_notebook_of_nbformat_4_4_whose_cells_have_no_ids_names_them_by_their_number(path, paper):
+    expected = stored(path, full(paper))
+    content = json.loads(path.read_text())
+    for cell in content["cells"]:
+        del cell["id"]
+    path.write_text(json.dumps(content))
+    assert list(stored_verdicts(path)) == [replace(each, cell="2") for each in expected]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -302,7 +302,7 @@ def test_what_the_filters_state_and_make_is_read(cases, taught):
 def test_what_the_table_of_filters_says_is_said():
     least, most = row("judged", "white")[2:4]
     assert (round(least), round(most)) == (2, 6)
-    says("Without it the filter was two to six times too sure after 50 min at rest")
+    says("Without it white was two to six times too sure after 50 min at rest")
     says("The longer white runs, the more it is too sure")
     least, most = np.reshape(row("judged", "white"), (-1, 2)).T
     assert (np.diff(least) > 0).all()

@@ -116,7 +116,11 @@ def test_the_numbers_of_the_scene_and_of_the_repair():
     moved = F @ P @ F.T
     says(f"The position then errs by {np.sqrt(made[0, 0]):.3f} m, as with the right filter")
     assert f"{np.sqrt(made[0, 0]):.3f}" == f"{right:.3f}"
-    says(f"and states a little more, {np.sqrt((moved + Q)[0, 0]):.3f}.")
+    says(f"It states a little more, {np.sqrt((moved + Q)[0, 0]):.3f}, and with larger pushes much more")
+    says("at 1 m/s twice its error.")
+    F, _, Q_1 = motion(1.0, 1.0)
+    stated, made_1 = F @ settled(NEXT, q=1.0)[2] @ F.T + Q_1, F @ makes(NEXT, q=1.0)[1] @ F.T
+    assert np.sqrt(stated[0, 0] / made_1[0, 0]) == pytest.approx(2, abs=0.15)
     says("(Without `Q` the velocity would state too little.)")
     assert np.sqrt(moved[1, 1]) < 0.85 * np.sqrt(made[1, 1]) < np.sqrt((moved + Q)[1, 1])
 
@@ -244,7 +248,7 @@ def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
     assert abs(hours[1] - 1) < 2 * hours[2]
     assert 2.7 < 10_000 / 3600 < 3
     assert minute[2] == pytest.approx(np.sqrt(2 / 60), abs=0.005)
-    says("For an honest filter it is 1, give or take \\sqrt{2/N} over N measurements")
+    says("For an honest filter and Gaussian errors it is 1, give or take \\sqrt{2/N} over N measurements")
 
 
 def test_nis_of_the_lesson_is_that_of_the_package(taught):
@@ -256,7 +260,7 @@ def test_nis_of_the_lesson_is_that_of_the_package(taught):
 
 
 def test_somebody_who_turns_back_alarms_both():
-    says("in the bends every filter lags, and NIS is large with either H")
+    says("there both filters lag, and NIS is large with either H")
     seconds = np.arange(200)
     positions = np.cumsum(1.5 * (1 - 2 * (seconds // 20 % 2)))
     z = positions[:, None] + np.random.default_rng(0).normal(0, np.sqrt(0.1), (200, 200))

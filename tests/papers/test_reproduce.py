@@ -372,21 +372,22 @@ def test_a_notebook_that_is_edited_while_it_runs_is_left_as_it_is(finished, monk
     ("stop", "code", "message"),
     [(OSError(errno.ENOSPC, "No space left on device"), 1, "No space left"), (KeyboardInterrupt(), 130, "interr")],
 )
-@pytest.mark.parametrize("call", [(Path, "write_bytes"), (os, "replace")], ids=["write", "move"])
+@pytest.mark.parametrize("call", [(Path, "open"), (os, "replace")], ids=["write", "move"])
 @pytest.mark.parametrize("at", [1, 2, 3])
 def test_a_full_disk_or_an_interrupt_leaves_every_file_whole(
     finished, monkeypatch, capsys, call, at, stop, code, message
 ):
     before, real, calls = files(finished), getattr(*call), []
 
-    def stops(path, *args):
+    def stops(path, *args, **kwargs):
         if Path(path).suffix == ".part":
             calls.append(path)
             if len(calls) == at:
-                if call[1] == "write_bytes":
-                    real(path, b"n")  # the part that still fits
+                if call[1] == "open":
+                    with real(path, *args, **kwargs) as file:
+                        file.write(b"n")  # the part that still fits
                 raise stop
-        return real(path, *args)
+        return real(path, *args, **kwargs)
 
     with monkeypatch.context() as patch:
         patch.setattr(*call, stops)
@@ -394,9 +395,9 @@ def test_a_full_disk_or_an_interrupt_leaves_every_file_whole(
     shown = capsys.readouterr().err
     assert shown.startswith("error: ")
     assert message in shown
-    if code == 1 and call[1] == "write_bytes":
+    if code == 1 and call[1] == "open":
         assert list(NEW)[at - 1] in shown
-    moved = 0 if call[1] == "write_bytes" else at - 1
+    moved = 0 if call[1] == "open" else at - 1
     assert files(finished) == before | dict(list(NEW.items())[:moved])
     assert not list(finished.glob(".reproduce-*"))
 

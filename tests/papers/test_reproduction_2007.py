@@ -143,9 +143,10 @@ def test_what_is_ours_stands_below(made):
 def test_figures_1_and_2_have_the_error_above_and_many_skies_below():
     one = np.array([3e5, 1e3, 2.0])
     many = np.array([[3e5, 3e5, 3e5], [900.0, 1e3, 2e3], [1.0, 2.0, 4.0]])
-    above, below = figures.draw_fig1(one, many, 2 * many).axes
-    np.testing.assert_allclose(curves(above)["-"], [range(3), one / 1e3])
-    assert (above.get_yscale(), below.get_yscale()) == ("linear", "log")
+    off, at, below = figures.draw_fig1({"off": one, "at": 2 * one}, {"off": many, "at": 2 * many}).axes
+    np.testing.assert_allclose(curves(off)["-"], [range(3), one / 1e3])
+    np.testing.assert_allclose(curves(at)["--"], [range(3), 2 * one / 1e3])
+    assert (off.get_yscale(), at.get_yscale(), below.get_yscale()) == ("linear", "linear", "log")
     np.testing.assert_allclose(curves(below)["-"][1], [3e5, 1e3, 2.0])
     np.testing.assert_allclose(curves(below)["--"][1], [6e5, 2e3, 4.0])
     band = below.collections[0].get_paths()[0].vertices[:, 1]
@@ -247,6 +248,31 @@ def test_the_filter_makes_less_than_a_tenth_of_the_error_of_the_line_after_a_cha
     assert share < 0.1
     assert change.row_3.shape == change.line.shape
     assert (change.row_3 < change.line).all()
+
+
+def test_against_the_adaptive_line_q_decides(cells, change):
+    """What the notebook says of the largest errors, with other simulated tracks; filters are exact."""
+    said = prose(cells)
+    largest = {family: np.max([change.kalman[family, q] for q in (0.01, 1.0)], axis=0) for family in checks.FAMILIES}
+    to_10 = checks.SPEEDS.index(10.2)
+    diagonal, acceleration = largest["diagonal"], largest["acceleration"]
+    assert change.window[to_10].max() == pytest.approx(1.07, abs=0.05)
+    told = diagonal[to_10].max(), acceleration[to_10].max(), acceleration[to_10, 1:].max()
+    assert (
+        "is {:.2f} m off with the diagonal $Q$, and {:.2f} m with that of an acceleration, or {:.2f} m".format(*told)
+        in said
+    )
+    assert (diagonal[to_10, 1:] > change.window[to_10, 1:]).all()
+    better = {family: each.max(axis=2) < change.window.max(axis=2) for family, each in largest.items()}
+    assert better["acceleration"][:to_10].all()
+    assert np.argwhere(~better["diagonal"][:to_10]).tolist() == [[checks.SPEEDS.index(2.2), 0]]
+
+
+def test_one_reading_of_the_third_row_leaves_more_than_half(cells):
+    made = {reading: checks.third_row(reading)[0] for reading in runs.READINGS}
+    (above,) = (reading for reading, error in made.items() if error > 0.5)
+    assert f"the Kalman filter leaves {made[above]:.2f} of the error" in prose(cells)
+    assert verdicts()["kalman.precise"].computed.endswith(f"above half by {above} only")
 
 
 def test_recordings_are_judged_by_line_and_filter(record):

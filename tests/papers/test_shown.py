@@ -51,6 +51,7 @@ lost = "our-copy"
 WITH_TABLES = PAPER.replace('id = "lost",', 'id = "lost", cause = "our-copy",').replace(
     'id = "wrong",', 'id = "wrong", cause = "one-missing",'
 )
+WITH_TABLES = WITH_TABLES.replace('sentence = "One is', 'short = "a sum"\nsentence = "One is')
 VALUES = {"count": 17, "wrong": 336, "ratio": (1.3, (1.28, 1.31)), "lost": 2.50004}
 
 
@@ -95,11 +96,28 @@ def test_a_cell_that_cannot_be_checked_says_why(paper):
     (given,) = (each for each in shown if each.id == "ratio")
     assert (given.verdict, given.reason) == ("cannot be checked", "the paper names no unit")
     assert "a ratio          1.290 ?\n" in repr(shown)
+    assert shown.told[-1] == "? 1 cell: the paper names no unit."
 
 
 def test_a_sentence_is_said_once_and_then_where_it_was_said(paper):
     paper.table("both", VALUES, basis="simulation")
-    assert paper.table("t", [[1, 3], [2, 1]]).told == ["✗ 1 cell: as in Table 9."]
+    assert paper.table("t", [[1, 3], [2, 1]]).told == ["✗ 1 cell: As in Table 9."]
+
+
+def test_the_reason_of_claims_is_said_once_too():
+    text = WITH_TABLES.replace('"A equals B"', '"A equals B", cause = "one-missing"')
+    paper = read_paper("test", text + TABLES)
+    paper.table("both", VALUES, basis="simulation")
+    shown = paper.claims({"equal": ({"in x": True, "in y": False}, "seen in x")}, basis="exact")
+    assert shown.told == ["(✓) Holds: in x. Fails: in y. As in Table 9."]
+    assert shown[0].reason.endswith("One is missing: 326 for 336.")
+
+
+def test_a_table_of_bands_says_so(paper):
+    text = TABLES.replace('["a count", "{count}"], ["a total", "{wrong}"], ', "")
+    text = text.replace(', ["no longer there", "{lost}"]', "")
+    shown = read_paper("test", WITH_TABLES + text).table("both", {"ratio": (1.3, (1.28, 1.31))}, basis="simulation")
+    assert repr(shown).splitlines()[0] == "Table 9: all of them. 1 of 1 within the band."
 
 
 def test_a_table_may_say_in_one_sentence_what_is_wrong():
@@ -166,6 +184,10 @@ def test_what_cannot_be_checked_is_shown_with_its_reason(paper):
     shown = paper.lacking({"lost": "a cell"})
     assert shown[0].verdict == "cannot be checked"
     assert repr(shown).splitlines()[-1] == "? Table 4  ?                       a cell"
+    assert shown.html().startswith("<table>")
+    folded = paper.lacking({"lost": "a cell"}, folded="what is lost")
+    assert folded.html() == f"<details><summary>what is lost</summary>\n{shown.html()}\n</details>"
+    assert repr(folded) == repr(shown)
 
 
 def test_the_cells_of_a_table_in_html_keep_their_signs():
@@ -185,7 +207,7 @@ def verdicts(paper):
 def test_the_contents_count_and_link_what_the_verdicts_say(paper, verdicts):
     assert contents(paper.rows, verdicts).splitlines() == [
         "**The paper prints 5 numbers, formulas, claims and figures as results. 4 of them can be checked: 3 hold, "
-        "1 does not, for 1 reason.**",
+        "1 does not, for 1 reason: a sum.**",
         "",
         "| in the paper | what it shows | does it hold? |",
         "|---|---|---|",
