@@ -239,7 +239,7 @@ class Filter(Immutable):
         """
         raise NotImplementedError
 
-    def on_columns(self, rows: Rows) -> Callable:
+    def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, as a RecursiveFilter does; raises TypeError for one that has no step."""
         raise self._not_recursive()
 
@@ -279,7 +279,7 @@ class Filter(Immutable):
             hint = "; step(x, P, z_k) takes one measurement" if name in ("predict", "update") else ""
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}")
 
-    def _not_recursive(self):
+    def _not_recursive(self) -> TypeError:
         return TypeError(f"needs a filter with P0, covariances and step, got a {type(self).__name__}")
 
 
@@ -296,7 +296,7 @@ class RecursiveFilter(Filter):
 
     optimal = True  # other than in Filter, where it is False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         checks.instance("model", self.model, LinearModel)
 
     @property
@@ -334,7 +334,7 @@ class RecursiveFilter(Filter):
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
 
-    def on_columns(self, rows: Rows) -> Callable:
+    def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, its `advance` (`_engine.columns`), for Rows that start at x0 and P0.
 
         It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations.
