@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
+from typing import Any
 
 import filterpy.kalman
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 from . import _checks as checks
 from ._base import RecursiveFilter
 from ._checks import Array, Seconds
-from ._engine.columns import Epochs, Rows, kalman_on_columns
+from ._engine.columns import Epochs, KalmanColumns, Rows
 from ._engine.shared import Step
 from .equations import neutralised, unit_measurements
 from .model import LinearModel, missed_by_halves
@@ -242,12 +243,12 @@ class KalmanFilter(RecursiveFilter):
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
 
-    def on_columns(self, rows: Rows) -> tuple[Callable, Array, Array]:
+    def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, as in RecursiveFilter."""
         model = self.model
         if not (self._units[0] @ model.P0 @ self._units[0].T).max() < LARGEST:
             checks.refuse("P0", f"variances of what is measured below {LARGEST:g} times R", "larger ones")
-        return kalman_on_columns(self.prediction, model.H, model.R, model.x0, model.P0, rows)
+        return KalmanColumns(self.prediction, model.H, model.R, model.P0, rows).advance
 
     @cached_property
     def _units(self):

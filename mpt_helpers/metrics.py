@@ -194,7 +194,8 @@ class Squares(NamedTuple):
 def squares_of(estimator: Filter, z: ArrayLike) -> Squares:
     """Return the terms of the log-likelihood of each epoch of z, for `nis`, `log_likelihood` and `fit`."""
     _, _, values, S = _of(estimator, z)
-    return Squares(*_squares(values, S), np.isfinite(values).sum(axis=1))
+    squares, log_det = _squares(values, S)
+    return Squares(squares, log_det, np.isfinite(values).sum(axis=1))
 
 
 def nis(estimator: Filter, z: ArrayLike) -> Array:

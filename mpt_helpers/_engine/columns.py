@@ -1,33 +1,24 @@
 """One epoch of many tracks: predict, then correct by each measurement that is there.
 
-Tracks that differ in their gaps, steps or variances differ in their covariances too. So each track is a column of
-arrays: x is (n, M) and P is (n, n, M). Tracks that share all of these share a column as well: x is (n, c, M), for c
-tracks in each of M columns.
+Tracks that differ in their gaps, steps or variances differ in their covariances. So each track is a column of arrays: x
+is (n, M) and P is (n, n, M). Tracks that share all of these share a column: x is (n, c, M), c vectors in each of M
+columns. A filter on columns is one function,
 
-Two ideas keep the Kalman filter free of branches and of loops over tracks:
+    x, P, innovations = advance(epoch, x, P)
 
-- A missing measurement gets a gain of zero, and leaves x and P alone.
-- Measurements are taken one after the other, each in coordinates where it is one component of the state: for H = [1 dt]
-  the state [s v] becomes [s + v dt, v]. There the update needs no matrix inverse, and the row of P that belongs to the
-  measured component is written without a difference of large numbers.
-
-A filter on columns is a function, one epoch of it:
-
-    x, P, innovations = advance(row, x, P)
-
-- x comes out linear in x and in the measurements, and P does not depend on them (so `pieces` may start anywhere).
-- x and P are left as they were, and a second call returns the same (so a gate may refuse the row, and call again).
-- innovations (m, c, M) are white and of unit variance, zero where nothing was measured: the sum of their squares is
-  the NIS of the row. A filter whose P is not that of the best estimate returns none, (0, c, M).
+- x comes out linear in x and in z, P depends on neither, and both are left as they were. So `pieces` may start
+  anywhere, a gate may call twice, and the gain B_k is what comes out from x = 0 and unit vectors for z.
+- innovations (m, c, M) are white and of unit variance, zero where nothing was measured: the sum of their squares is the
+  NIS. A filter whose P is not that of the best estimate returns none, (0, c, M).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -37,17 +28,41 @@ from .shared import epochs_at_a_time
 
 
 class Steps(NamedTuple):
-    """F and Q (n, n, ...) of the steps of columns, and where F has an entry that is not zero: [(i, j), ...]."""
+    """F and Q (n, n, ...) of the steps of columns.
+
+    `entries` lists the (i, j) where F has an entry that is not zero in all columns. Where `unit` is true, the diagonal
+    is all ones, and is not listed.
+    """
 
     F: np.ndarray
     Q: np.ndarray
-    entries: list
+    entries: list[list[int]]
+    unit: bool
+
+    @classmethod
+    def over(cls, transition: Callable[..., Any], dt: np.ndarray | None) -> Steps | None:
+        """Return the Steps (n, n, ...) of lengths dt (...), None where dt is None: the model's."""
+        if dt is None:
+            return None
+        F, Q = (np.moveaxis(each, (-2, -1), (0, 1)) for each in transition(dt))
+        unit = bool((F.diagonal() == 1).all())
+        listed = F.reshape(*F.shape[:2], -1).any(axis=2)
+        if unit:
+            np.fill_diagonal(listed, False)
+        return cls(F, Q, np.argwhere(listed).tolist(), unit)
+
+    def times(self, x: np.ndarray) -> np.ndarray:
+        """Return F x (n, ...) of x (n, ...)."""
+        moved = x.copy() if self.unit else np.zeros(x.shape)
+        for i, j in self.entries:
+            moved[i] += self.F[i, j] * x[j]
+        return moved
 
 
-class Row(NamedTuple):
-    """One epoch of all columns: z (m, c, M), seen (m, M), the Steps before it and the variances r (m, M).
+class Epoch(NamedTuple):
+    """One epoch of all columns: z (m, c, M), zero where missing, seen (m, M), the Steps before it, variances r (m, M).
 
-    The steps are None where they are the model's, and so are the variances.
+    Steps and variances are None where they are the model's.
     """
 
     z: np.ndarray
@@ -55,42 +70,30 @@ class Row(NamedTuple):
     steps: Steps | None
     r: np.ndarray | None
 
-    def without(self, refused):
-        """Return the Row with nothing measured in the columns that `refused` (M,) says."""
+    def without(self, refused: np.ndarray) -> Epoch:
+        """Return the Epoch with nothing measured in the columns that `refused` (M,) says."""
         return self._replace(z=np.where(refused, 0, self.z), seen=self.seen & ~np.asarray(refused))
 
 
 @dataclass(frozen=True)
 class Rows:
-    """The epochs of c tracks in each of M columns.
-
-    z (N, m, c, M) is zero where a measurement is missing, and seen (N, m, M) tells which are there. dt (N, M) and r
-    (N, m, M) are those of `Epochs`, and `over` too.
-    """
+    """The epochs of columns, to be iterated: z (N, m, c, M), seen (N, m, M); dt (N, M), r (N, m, M) as in `Epochs`."""
 
     z: np.ndarray
     seen: np.ndarray
     dt: np.ndarray | None = None
     r: np.ndarray | None = None
-    over: Callable | None = None
+    over: Callable[..., Any] | None = None
 
-    def __iter__(self):
-        """Yield one Row after the other."""
-        for part in epochs_at_a_time(len(self.z), self.seen[0].size) if self.dt is not None else [slice(len(self.z))]:
-            steps = steps_of(self.over, self.dt, part)
-            for k in range(part.start or 0, part.stop):
-                of_row = steps and Steps(steps.F[:, :, k - part.start], steps.Q[:, :, k - part.start], steps.entries)
-                yield Row(self.z[k], self.seen[k], of_row, None if self.r is None else self.r[k])
-
-    def mapped(self, function):
-        """Return the Rows of function(array) for each array."""
-        arrays = (None if each is None else function(each) for each in (self.z, self.seen, self.dt, self.r))
-        return Rows(*arrays, self.over)
-
-    def with_tracks_of_zeros(self, count):
-        """Return the Rows with `count` more tracks in each column, all of whose measurements are zero."""
-        N, m, _, M = self.z.shape
-        return replace(self, z=np.concatenate([self.z, np.zeros((N, m, count, M))], axis=2))
+    def __iter__(self) -> Iterator[Epoch]:
+        """Yield one Epoch after the other; the steps of many are made at once."""
+        N = len(self.z)
+        for part in [slice(0, N)] if self.dt is None else epochs_at_a_time(N, self.seen[0].size):
+            many = None if self.dt is None else Steps.over(self.over, self.dt[part])
+            for k in range(part.start, part.stop):
+                at = k - part.start
+                steps = many and many._replace(F=many.F[:, :, at], Q=many.Q[:, :, at])
+                yield Epoch(self.z[k], self.seen[k], steps, None if self.r is None else self.r[k])
 
 
 @dataclass(frozen=True)
@@ -104,34 +107,34 @@ class Epochs:
     z: np.ndarray
     dt: np.ndarray | None = None
     r: np.ndarray | None = None
-    over: Callable | None = None
+    over: Callable[..., Any] | None = None
 
     @cached_property
-    def missing(self):
+    def missing(self) -> np.ndarray:
         """The mask of the measurements that are missing, (N, m, M)."""
         return np.isnan(self.z)
 
     @property
-    def complete(self):
+    def complete(self) -> bool:
         """Say whether nothing is missing: a NaN makes the sum NaN, sooner seen than a mask (so do two infinities)."""
         return not math.isnan(self.z.sum())
 
     @cached_property
-    def alike(self):
+    def alike(self) -> bool:
         """Say whether all tracks have the same gaps, steps and variances: then they share their covariances."""
         widths = [array.shape[-1] for array in (self.dt, self.r) if array is not None]
         return all(width == 1 for width in widths) and bool((self.missing == self.missing[..., :1]).all())
 
-    def of(self, tracks):
+    def of(self, tracks: slice | np.ndarray) -> Epochs:
         """Return the Epochs of some tracks, a slice or a mask of them."""
         dt, r = (a if a is None or a.shape[-1] == 1 else a[..., tracks] for a in (self.dt, self.r))
         return Epochs(self.z[..., tracks], dt, r, self.over)
 
-    def steps(self, part):
+    def steps(self, part: slice) -> Steps | None:
         """Return the Steps (n, n, K, M or 1) before the epochs of a slice, None where all are the model's."""
-        return steps_of(self.over, self.dt, part)
+        return None if self.dt is None else Steps.over(self.over, self.dt[part])
 
-    def noise(self, R):
+    def noise(self, R: np.ndarray) -> np.ndarray:
         """Return the covariances of the measurements (N, m, m, M or 1), or (m, m, 1) where all are the model's R."""
         if self.r is None:
             return R[..., None]
@@ -139,7 +142,7 @@ class Epochs:
         known = np.where(np.isfinite(self.r) & (self.r > 0), self.r, np.diag(R)[:, None])
         return known[:, :, None] * np.eye(len(R))[..., None]
 
-    def rows(self, together):
+    def rows(self, together: bool) -> Rows:
         """Return the Rows: all tracks in one column if they are to lie together, else each in a column of its own."""
         seen = ~self.missing[..., :1] if together else ~self.missing
         z = as_columns(np.where(self.missing, 0, self.z), together)
@@ -153,19 +156,8 @@ def as_columns(array, together):
     return array[..., None] if together else array[..., None, :]
 
 
-def steps_of(over, dt, part):
-    """Return the Steps (n, n, K, M) of dt[part] (K, M), or None."""
-    if dt is None:
-        return None
-    F, Q = (np.moveaxis(each, (-2, -1), (0, 1)) for each in over(dt[part]))
-    return Steps(F, Q, np.argwhere(F.any(axis=(2, 3))).tolist())
-
-
 class Prediction:
-    """x <- F x and P <- F P Fᵀ + Q on columns: x is (n, ...), P is (n, n, ...).
-
-    F and Q (n, n) are those of the model's dt; the columns may have Steps of their own.
-    """
+    """x <- F x and P <- F P Fᵀ + Q on columns, with the F and Q (n, n) of the model or with Steps of their own."""
 
     def __init__(self, F, Q):
         self.F, self.Q = F, Q
@@ -177,68 +169,86 @@ class Prediction:
 
     def state(self, x, steps=None):
         """Return F x."""
-        return self._map.of_state(x) if steps is None else _times(steps, x)
+        return self._map.of_state(x) if steps is None else steps.times(x)
 
     def covariance(self, P, steps=None):
         """Return F P Fᵀ + Q, symmetric to the last bit where P is."""
         if steps is None:
             return self._map.of_covariance(P) + self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - 2))
-        P = _times(steps, transposed(_times(steps, P)))
+        P = steps.times(transposed(steps.times(P)))
         return (P + transposed(P)) / 2 + steps.Q
-
-
-def _times(steps, x):
-    """Return F x (n, ...) of x (n, ...): most entries of F are zero in all columns."""
-    moved = np.zeros(x.shape)
-    for i, j in steps.entries:
-        moved[i] += steps.F[i, j] * x[j]
-    return moved
 
 
 def corrected(x, P, z, seen, variance, i):
     """Return x (n, c, M), P (n, n, M) and the innovations at unit variance, after measurements z (c, M) of component i.
 
     seen (M,) tells where there is one, and its variance v is a number or (M,). It is the textbook's update with eᵢᵀ for
-    H. With row i of P as p and S = pᵢ + v, the gain K is p / S, and the new row i is p - pᵢ p / S = p v / S: that last
+    H: with row i of P as p and S = pᵢ + v, the gain K is p / S, and the new row i is p - pᵢ p / S = p v / S. That last
     form takes no difference of large numbers. P is overwritten, so it must be the caller's own.
-
-    The third result is the innovation (z - xᵢ) / √S (c, M) at unit variance, zero where nothing was measured.
     """
     p = P[i].copy()
     S = p[i] + variance
-    one_over_S = seen / S  # zero where nothing was measured: then the gain is zero too
-    K = p * one_over_S
+    weight = np.sqrt(seen / S)  # zero where nothing was measured: then the gain is zero too
+    K = p * weight**2
     P -= K[:, None] * p
     P[i] = P[:, i] = p * np.where(seen, variance / S, 1.0)
     innovation = z - x[i]
-    with np.errstate(invalid="ignore"):  # where rounding took S below zero: a NaN, and the track is not cut
-        one_over_root = np.sqrt(one_over_S)
-    return x + K[:, None] * innovation, P, innovation * one_over_root
+    return x + K[:, None] * innovation, P, innovation * weight
 
 
 class KalmanColumns:
-    """The Kalman filter on columns, for measurements H x (m, n) with noises of uncorrelated variances (m,).
+    """The Kalman filter on columns of Rows, for measurements H x (m, n) with noises of covariance R (m, m).
 
-    The variances are used where rows have none of their own. P0 (n, n), the covariance of the start, decides in which
-    coordinates the measurements are taken.
+    Each measurement is taken in coordinates where it is one component of the state: for H = [1 dt] the state [s v]
+    becomes [s + v dt, v]. Where the Rows have variances of their own, those stand for R. Correlated noises v, with
+    R = L diag(variances) Lᵀ, are made uncorrelated: L⁻¹ z = L⁻¹ H x + L⁻¹ v. Where rows are partly missing, they become
+    states behind those of x instead: z = [H I] [x; v], and what is measured has no other noise. P0 (n, n) is the
+    covariance of the start.
     """
 
-    def __init__(self, prediction, H, variances, P0):
-        self._predicted = prediction
+    def __init__(self, prediction, H, R, P0, rows):
+        self._predicted, self._R = prediction, R
+        F, Q, variances, m = prediction.F, prediction.Q, np.diag(R), len(R)
+        correlated = rows.r is None and not np.array_equal(R, np.diag(variances))
+        self._noises_are_states = correlated and bool((rows.seen.any(axis=1) != rows.seen.all(axis=1)).any())
+        self._L_inverse = None
+        if self._noises_are_states:
+            none = np.zeros((m, m))
+            F, Q, P0 = block_diag(F, none), block_diag(Q, R), block_diag(P0, none)
+            H, variances = np.hstack([H, np.eye(m)]), np.zeros(m)
+        elif correlated:
+            root = np.linalg.cholesky(R)
+            self._L_inverse = np.linalg.inv(root / np.diag(root))
+            H, variances = self._L_inverse @ H, np.diag(root) ** 2
         self._variances = variances[:, None]
-        self._changes, T = _coordinates(prediction.F, prediction.Q, H, variances, P0)
+        self._changes, T = _coordinates(F, Q, H, variances, P0)
         self._back = LinearMap(np.linalg.inv(T))
 
-    def advance(self, row, x, P):
+    def advance(self, epoch, x, P):
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations from x(k/k) and P(k/k)."""
-        x, P = self._predicted(x, P, row.steps)
-        variances = self._variances if row.r is None else row.r
-        innovations = np.zeros((len(row.z), *x.shape[1:]))
+        n = len(x)
+        x, P = self._predicted(x, P, epoch.steps)
+        known = P.diagonal().T == 0  # (n, M)
+        if self._noises_are_states:
+            x, P = self._with_noises(x, P)
+        z = epoch.z if self._L_inverse is None else np.tensordot(self._L_inverse, epoch.z, axes=1)
+        variances = self._variances if epoch.r is None else epoch.r
+        innovations = np.zeros((len(z), *x.shape[1:]))
         for change, j, i in self._changes:
             x, P = change(x, P)
-            x, P, innovations[j] = corrected(x, P, row.z[j], row.seen[j], variances[j], i)
+            x, P, innovations[j] = corrected(x, P, z[j], epoch.seen[j], variances[j], i)
         x, P = self._back(x, P)
+        x, P = x[:n], P[:n, :n]
+        if known.any():  # a state known exactly stays so: its variance would be the rounding of zero, of either sign
+            P = np.where(known[:, None] | known, 0.0, P)
         return x, P, innovations
+
+    def _with_noises(self, x, P):
+        """Return [x; 0] and the covariance of [x; v]: the noises v are new in each epoch."""
+        (n, c, M), m = x.shape, len(self._R)
+        both = np.zeros((n + m, n + m, M))
+        both[:n, :n], both[n:, n:] = P, self._R[..., None]
+        return np.concatenate([x, np.zeros((m, c, M))]), both
 
 
 def _coordinates(F, Q, H, variances, P0):
@@ -249,9 +259,8 @@ def _coordinates(F, Q, H, variances, P0):
 
     In exact numbers any choice gives the same estimates. Which component a measurement replaces decides the digits that
     are left: it is the one that contributes most to it, since one that contributes little would come back as a small
-    difference of large numbers. So it does no harm that the sizes are rough here: after n steps of one dt, within
-    which the noise has reached every state that it reaches, and with the variances of the model, also where epochs have
-    variances of their own.
+    difference of large numbers. So rough sizes will do: those after n steps of the model, within which the noise has
+    reached every state that it reaches.
     """
     n, P = len(F), P0
     for _ in range(n):
@@ -264,60 +273,12 @@ def _coordinates(F, Q, H, variances, P0):
             i = int(np.argmax(np.abs(weights) * sigma))
             change = np.eye(n)
             change[i] = weights
-            # The other coordinates stay what they were. The new one is h x. Before the measurement its sigma is at
-            # most the sum of what each coordinate gives; after it, at most that of the measurement's noise.
+            # The new coordinate is h x. Before the measurement its sigma is at most the sum of what each coordinate
+            # gives; after it, at most that of the measurement's noise.
             sigma[i] = min(np.sqrt(variances[j]), np.abs(weights) @ sigma)
             T = change @ T
             changes.append((LinearMap(change), j, i))
     return changes, T
-
-
-def kalman_on_columns(prediction, H, R, x0, P0, rows):
-    """Return the `advance` of the Kalman filter on Rows, x0 (d,) and P0 (d, d), where d > n if noises are states.
-
-    `KalmanColumns` takes measurements of uncorrelated noises. There are two ways to make them so, the second of which
-    takes rows that are partly missing, and costs m states more.
-    """
-    variances = np.diag(R)
-    if rows.r is not None or np.array_equal(R, np.diag(variances)):
-        return KalmanColumns(prediction, H, variances, P0).advance, x0, P0
-    if (rows.seen.all(axis=1) == rows.seen.any(axis=1)).all():
-        return _decorrelated(prediction, H, R, P0), x0, P0
-    m = len(R)
-    noise = np.zeros((m, m))
-    return _with_noises_as_states(prediction, H, R, P0), np.append(x0, np.zeros(m)), block_diag(P0, noise)
-
-
-def _decorrelated(prediction, H, R, P0):
-    """Return the `advance` for rows that are whole or missed.
-
-    With R = L diag(variances) Lᵀ, the measurements L⁻¹ z = L⁻¹ H x + L⁻¹ v have uncorrelated noises.
-    """
-    root = np.linalg.cholesky(R)
-    L_inverse = np.linalg.inv(root / np.diag(root))
-    kalman = KalmanColumns(prediction, L_inverse @ H, np.diag(root) ** 2, P0)
-    return lambda row, x, P: kalman.advance(row._replace(z=np.tensordot(L_inverse, row.z, axes=1)), x, P)
-
-
-def _with_noises_as_states(prediction, H, R, P0):
-    """Return the `advance` for any rows.
-
-    The noises v become states behind those of x: z = [H I] [x; v], and what is measured has no other noise. S is the
-    variance of H x + v, which is positive: v is new in each row, and R is definite.
-    """
-    m, n = H.shape
-    noise = np.zeros((m, m))
-    both = Prediction(block_diag(prediction.F, noise), block_diag(prediction.Q, R))
-    kalman = KalmanColumns(both, np.hstack([H, np.eye(m)]), np.zeros(m), block_diag(P0, noise))
-
-    def advance(row, x, P):
-        if row.steps is not None:
-            F, Q = np.zeros((2, n + m, n + m, P.shape[2]))
-            F[:n, :n], Q[:n, :n], Q[n:, n:] = row.steps.F, row.steps.Q, R[..., None]
-            row = row._replace(steps=Steps(F, Q, row.steps.entries))
-        return kalman.advance(row, x, P)
-
-    return advance
 
 
 class ConstantGainColumns:
@@ -327,22 +288,18 @@ class ConstantGainColumns:
     """
 
     def __init__(self, prediction, B, H, R):
-        self._predicted = prediction
-        self._B = B
+        self._predicted, self._B = prediction, B
         self._keep = LinearMap(np.eye(len(B)) - B @ H)
         self._noise = (B @ R @ B.T)[..., None]
 
-    def advance(self, row, x, P):
-        """Return x(k+1/k+1) and P(k+1/k+1), and no innovations: the gain being constant, none corrects the start."""
+    def advance(self, epoch, x, P):
+        """Return x(k+1/k+1) and P(k+1/k+1), and no innovations."""
         x, P = self._predicted(x, P)
-        seen = row.seen[0]
+        seen = epoch.seen[0]
         x_seen, P_seen = self._keep(x, P)
-        measured = (self._B @ row.z.reshape(len(row.z), -1)).reshape(x.shape)
-        return (
-            np.where(seen, x_seen + measured, x),
-            np.where(seen, P_seen + self._noise, P),
-            np.zeros((0, *x.shape[1:])),
-        )
+        x_seen = x_seen + np.tensordot(self._B, epoch.z, axes=1)
+        none = np.zeros((0, *x.shape[1:]))
+        return np.where(seen, x_seen, x), np.where(seen, P_seen + self._noise, P), none
 
 
 class SteppedColumns:
@@ -354,18 +311,18 @@ class SteppedColumns:
     def __init__(self, next_steps, optimal, prediction, H, R):
         self._next_steps, self._optimal, self._predicted, self._H, self._R = next_steps, optimal, prediction, H, R
 
-    def advance(self, row, x, P):
+    def advance(self, epoch, x, P):
         """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations."""
-        innovations = self._innovations(row, x, P) if self._optimal else np.zeros((0, *x.shape[1:]))
-        x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, row.z))  # stacks of matrices
-        for seen in np.unique(row.seen, axis=1).T:
-            columns = np.flatnonzero((seen == row.seen.T).all(axis=1))
+        innovations = self._innovations(epoch, x, P) if self._optimal else np.zeros((0, *x.shape[1:]))
+        x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, epoch.z))  # stacks of matrices
+        for seen in np.unique(epoch.seen, axis=1).T:
+            columns = np.flatnonzero((seen == epoch.seen.T).all(axis=1))
             A, B, P[columns] = self._next_steps(P[columns], seen)
             x[columns] = A @ x[columns] + B @ z[columns]
         return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
 
-    def _innovations(self, row, x, P):
+    def _innovations(self, epoch, x, P):
         x, P = self._predicted(x, P)
         S = product(product(self._H, P), self._H.T) + self._R[..., None]
         expected = np.tensordot(self._H, x, axes=1)
-        return whitened(np.where(row.seen[:, None], row.z - expected, np.nan), S[:, :, None])[0]
+        return whitened(np.where(epoch.seen[:, None], epoch.z - expected, np.nan), S[:, :, None])[0]

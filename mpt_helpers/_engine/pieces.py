@@ -8,13 +8,12 @@ for many rows as well as for one. So a long track is cut into pieces that run si
 2. the starts, one after the other: each takes one Lainiotis step over a whole piece;
 3. every piece again, from its own start. It must end where the next one starts.
 
-Instead of N rows one after the other there are two runs of K rows, side by side, and N / K starts.
-
-run_rows(rows, x, P) yields x(k/k), P(k/k) and the innovations at unit covariance of one row after the other, from
-x(0/0) and P(0/0): it is `run.in_sequence` with the `advance` of a filter (`columns`), or one step of the smoother.
+Instead of N rows one after the other there are two runs of K rows, side by side, and N / K starts. It works for any
+`advance` (`columns`): of a filter, or of the smoother's way back.
 """
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -33,41 +32,61 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # Where pieces do not fit together, all of them run again from where the ones before ended, so many times in all. Then
 # the track is not cut.
 MOST_PASSES = 3
+# A start is vague, and its first rows are taken in another way, where it makes a first measurement so many times as
+# uncertain as the noises do: rounding would leave some three digits in P. After so many rows it is vague no more.
+VAGUE = 1e12
+MOST_OF_A_START = 32
 # The floor of the eigenvalues of a correlation matrix, whose squares are some 1e-14: below it differences are rounding,
 # and no disagreement.
 NARROWEST = 1e-7
 
 
-def through(run_rows, rows, x0, P0, x, P):
+def through(advance, rows, x0, P0, x, P, vague=False):
     """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
 
-    rows can be cut by `mapped`, and given more tracks by `with_tracks_of_zeros`, as `epochs.Rows`. They are cut into
-    pieces where that is sooner done, and costs no digits. Returns the last P, of each piece where there are several, in
-    which an overflow shows, and the least variance of all.
+    They start from x0 (n, c, M) and P0 (n, n, M), which may be vague. Rows are cut into pieces where that is sooner
+    done, and costs no digits. Returns the last P, of each piece where there are several, in which an overflow shows,
+    and the least variance of all.
     """
+    if vague:
+        k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
+        rows, x, P = _mapped(rows, lambda array: array[k:]), x[k:], P if P is None else P[k:]
     N, _, c, M = x.shape
+    if N == 0:
+        return P0, P0.diagonal().min()
     K = rows_per_piece(N, c * M)
-    if K < N:
-        found = _in_pieces(run_rows, rows, K, x0, P0, x, P)
-        if found is not None:
-            return found
-    _, P_last, least_variance = _written(run_rows, rows, x0, P0, x, P)
-    return P_last, least_variance
+    with np.errstate(invalid="ignore"):  # the root of an S that rounding took below zero: NaN, which is refused
+        found = _in_pieces(advance, rows, K, x0, P0, x, P) if K < N else None
+        return found or _in_sequence(advance, rows, x0, P0, x, P)[1:]
 
 
-def _in_pieces(run_rows, rows, K, x0, P0, x, P):
+def _in_sequence(advance, rows, x_k, P_k, x, P):
+    """Write x and P as `through` does, one row after the other; return the last of both and the least variance."""
+    least_variance = np.inf
+    for k, epoch in enumerate(rows):
+        x_k, P_k, _ = advance(epoch, x_k, P_k)
+        x[k] = x_k
+        least_variance = min(least_variance, P_k.diagonal().min())
+        if P is not None:
+            P[k] = P_k
+    return x_k, P_k, least_variance
+
+
+def _in_pieces(advance, rows, K, x0, P0, x, P):
     """Do what `through` does, in pieces of K rows. Returns None where the pieces do not fit together."""
-    N, n, _, M = x.shape
-    pieces = rows.mapped(partial(cut, K=K))
+    N, M = len(x), x.shape[-1]
+    pieces = _mapped(rows, partial(cut, K=K))
     try:
-        x_start, P_start = starts(run_rows, pieces, count_of_pieces(N, K), x0, P0)
+        x_start, P_start = starts(advance, pieces, x0, P0)
     except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
         return None
-    x_pieces = np.empty((K, n, *x_start.shape[1:]))
-    P_pieces = None if P is None else np.empty((K, n, n, P_start.shape[2]))
+    x_pieces = np.empty((K, *x_start.shape))
+    P_pieces = None if P is None else np.empty((K, *P_start.shape))
     for _ in range(MOST_PASSES):
-        x_last, P_last, least_variance = _written(run_rows, pieces, x_start, P_start, x_pieces, P_pieces)
-        x_next, P_next = next_starts(x0, x_last), next_starts(P0, P_last)
+        x_last, P_last, least_variance = _in_sequence(advance, pieces, x_start, P_start, x_pieces, P_pieces)
+        # Each piece starts where the one before it ends, the first one at x0 and P0.
+        x_next = np.concatenate([x0, x_last[..., :-M]], axis=-1)
+        P_next = np.concatenate([P0, P_last[..., :-M]], axis=-1)
         if least_variance >= 0 and agree(x_start, P_start, x_next, P_next):
             x[...] = uncut(x_pieces, N, M)
             if P is not None:
@@ -77,19 +96,10 @@ def _in_pieces(run_rows, rows, K, x0, P0, x, P):
     return None
 
 
-def _written(run_rows, rows, x0, P0, x, P):
-    """Write the states to x and the covariances to P unless it is None.
-
-    Returns the last of both, of all d states, and the least variance of all.
-    """
-    n = x.shape[1]
-    least_variance = np.inf
-    for k, (x_k, P_k, _) in enumerate(run_rows(rows, x0, P0)):
-        x[k] = x_k[:n]
-        least_variance = min(least_variance, np.einsum("jj...->j...", P_k[:n, :n]).min())
-        if P is not None:
-            P[k] = P_k[:n, :n]
-    return x_k, P_k, least_variance
+def _mapped(rows, function):
+    """Return rows with function(array) in the place of each of their arrays."""
+    arrays = {name: value for name, value in vars(rows).items() if isinstance(value, np.ndarray)}
+    return replace(rows, **{name: function(array) for name, array in arrays.items()})
 
 
 def rows_per_piece(N, tracks):
@@ -103,15 +113,6 @@ def rows_per_piece(N, tracks):
     return max(8, math.ceil(math.sqrt(N * tracks) / 2))
 
 
-def count_of_pieces(N, K):
-    """Return C, the number of pieces of K rows that hold N rows; the last one may have room for more.
-
-    >>> count_of_pieces(5, K=2)
-    3
-    """
-    return -(-N // K)
-
-
 def cut(array, K):
     """Return an array (N, ..., M) as (K, ..., C M): C pieces side by side. The last one is filled up with its last row.
 
@@ -120,7 +121,7 @@ def cut(array, K):
            [1, 3, 4]])
     """
     N, M = len(array), array.shape[-1]
-    C = count_of_pieces(N, K)
+    C = -(-N // K)
     filled = np.concatenate([array, np.repeat(array[-1:], C * K - N, axis=0)])
     pieces = np.moveaxis(filled.reshape(C, K, *array.shape[1:]), 0, -2)
     return np.ascontiguousarray(pieces).reshape(*pieces.shape[:-2], C * M)
@@ -136,19 +137,8 @@ def uncut(array, N, M):
     return pieces.reshape(-1, *pieces.shape[2:])[:N]
 
 
-def next_starts(start, last):
-    """Return the starts of pieces side by side, (..., C M), if each starts where the one before ends; last (..., C M).
-
-    The first one starts at start (..., M).
-    """
-    M = start.shape[-1]
-    return np.concatenate([start, last[..., :-M]], axis=-1)
-
-
-def starts(run_rows, pieces, count, x0, P0):
+def starts(advance, pieces, x0, P0):
     """Return the start of each piece: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
-
-    pieces are rows that were cut into `count` pieces, C.
 
     Started from x instead of zero, a piece ends at x_piece + T x: a filter is linear in x. Then it has the innovations
     e - L x, and these are white and of unit variance, so that e = L x + noise measures x. Each start takes one
@@ -160,20 +150,14 @@ def starts(run_rows, pieces, count, x0, P0):
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, M = x0.shape
-    # All pieces run from a start of zero that is known exactly. Beside the c tracks of a column run n more, which have
-    # no measurements and start at one of the unit vectors each: they end at T, and have the innovations -L.
-    exact = np.zeros((n, c + n, count * M)), np.zeros((n, n, count * M))
-    exact[0][:, c:] = np.eye(n)[..., None]
-    innovations = []
-    for x_P_and_innovations in run_rows(pieces.with_tracks_of_zeros(n), *exact):
-        innovations.append(x_P_and_innovations[2])
-    x_last, P_last, _ = x_P_and_innovations
-    x, P_piece, e = (_as_matrices(each, M) for each in (x_last, P_last, np.concatenate(innovations)))
-    x_piece, T = x[..., :c], x[..., c:]
+    rows = list(_exactly_started(advance, pieces, n, c))
+    x, P, _ = rows[-1]
+    e = np.concatenate([innovations for _, _, innovations in rows])
+    x, P, e = (_as_matrices(each, M) for each in (x, P, e))
     L, y = _compressed(-e[..., c:], e[..., :c])
     x_k, P_k = _as_matrices(x0, M)[0], _as_matrices(P0, M)[0]
     found = [(x_k, P_k)]
-    pieces = [T, x_piece, P_piece, L, y]
+    pieces = [x[..., c:], x[..., :c], P, L, y]
     if M == 1:  # products of single matrices are much faster than those of stacks
         x_k, P_k, pieces = x_k[0], P_k[0], [each[:, 0] for each in pieces]
     for piece in zip(*(each[:-1] for each in pieces), strict=True):
@@ -182,12 +166,49 @@ def starts(run_rows, pieces, count, x0, P0):
     return tuple(_as_columns([each.reshape(M, n, -1) for each in every]) for every in zip(*found, strict=True))
 
 
+def _exactly_started(advance, rows, n, c):
+    """Yield x, P and the innovations of rows from a start of zero that is known exactly.
+
+    Beside the c tracks of a column run n more, which have no measurements and start at one of the unit vectors each:
+    they are at T, and have the innovations -L.
+    """
+    _, m, _, width = rows.z.shape
+    x, P, z = np.zeros((n, c + n, width)), np.zeros((n, n, width)), np.zeros((m, c + n, width))
+    x[:, c:] = np.eye(n)[..., None]
+    for epoch in rows:
+        z[:, :c] = epoch.z
+        x, P, innovations = advance(epoch._replace(z=z), x, P)
+        yield x, P, innovations
+
+
+def _from_a_vague_start(advance, rows, x0, P0, x, P):
+    """Write the first rows as `through` does, and return how many, x and P after the last.
+
+    In the first updates of a vague start all digits of P0 / R are lost, and without process noise for good. So each of
+    these rows takes one Lainiotis step over all rows up to it, which keeps them. Then the start no longer matters.
+    """
+    n, c, M = x0.shape
+    x_0, P_0 = (_as_matrices(each, M)[0] for each in (x0, P0))
+    L, y = np.zeros((M, 0, n)), np.zeros((M, 0, c))
+    seen = np.zeros(M, int)
+    for k, (x_k, P_k, e) in enumerate(_exactly_started(advance, rows, n, c)):
+        x_k, P_k, e = (_as_matrices(each, M)[0] for each in (x_k, P_k, e))
+        L, y = _compressed(np.concatenate([L, -e[..., c:]], axis=1), np.concatenate([y, e[..., :c]], axis=1))
+        after = _next_start(x_0, P_0, x_k[..., c:], x_k[..., :c], P_k, L, y)
+        x_k, P_k = (_as_columns([each]) for each in after)
+        x[k] = x_k
+        if P is not None:
+            P[k] = P_k
+        seen += rows.seen[k].any(axis=0)
+        if seen.min() == 2 * n or k == MOST_OF_A_START - 1:
+            break
+    return k + 1, x_k, P_k
+
+
 def _next_start(x, P, T, x_piece, P_piece, L, y):
     """Return the start of the next piece by one Lainiotis step over this one, from its start x (n, c), P (n, n).
 
-    They may be stacks.
-
-    First it is corrected by what the piece measures of it, y = L x + noise of unit variance, in Joseph's form.
+    They may be stacks. First it is corrected by y = L x + noise of unit variance, in Joseph's form.
     """
     G = gain_on_the_start(P, L.swapaxes(-1, -2))
     keep, TG = T @ (np.eye(P.shape[-1]) - G @ L), T @ G
@@ -198,9 +219,9 @@ def _next_start(x, P, T, x_piece, P_piece, L, y):
 def _compressed(L, y):
     """Return L (..., p, n) and y (..., p, c) of p <= n rows that tell as much of x: y = L x + noise of unit variance.
 
-    Those given have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise. Q has orthonormal
-    columns, so that the noise stays white. What Qᵀ drops of y is orthogonal to L x: it is noise alone, and independent
-    of the noise that is kept. Lᵀ L and Lᵀ y would tell the same, but sums of squares lose digits that R keeps.
+    Those given have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays white,
+    and what Qᵀ drops of y is noise alone, independent of what is kept. Lᵀ L and Lᵀ y would tell the same, but sums of
+    squares lose digits that R keeps.
     """
     Q, R = np.linalg.qr(L)
     return R, Q.swapaxes(-1, -2) @ y
@@ -215,12 +236,11 @@ def agree(x, P, x_next, P_next):
 
         d^-½ Uᵀ (x - x_next),   d^-½ Uᵀ (P - P_next) U d^-½
 
-    of which the first has the squared norm (x - x_next)ᵀ P_next⁻¹ (x - x_next). Here each state is taken in its own
-    sigma first, so that states of any units may stand side by side. x is rounded in proportion to its largest state.
+    Each state is taken in its own sigma first, so that states of any units may stand side by side.
     """
     if not (np.isfinite(x_next).all() and np.isfinite(P_next).all()):
         return False
-    sigma = np.sqrt(np.maximum(np.einsum("jj...->j...", P_next), 0))
+    sigma = np.sqrt(np.maximum(P_next.diagonal().T, 0))
     unit = np.where(sigma > 0, sigma, 1)
     units = unit * unit[:, None]
     variances, axes = np.linalg.eigh(np.moveaxis(P_next / units, 2, 0))

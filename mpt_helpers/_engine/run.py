@@ -4,21 +4,15 @@ A track goes one of two ways:
 
 1. *Tracks without gaps, at steps and with variances of the model.* They share A_k, B_k and P, which are made once, and
    all of them go through several steps in one product (`shared`).
-2. *All others* are columns (`columns`): one row is taken after the other (`in_sequence`), or, where a few long tracks
-   would leave the processor idle, pieces of them run side by side (`pieces`).
+2. *All others* are columns (`columns`): one row is taken after the other, or, where a few long tracks would leave the
+   processor idle, pieces of them run side by side (`pieces`).
 """
-
-from __future__ import annotations
-
-from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from .. import _checks as checks
 from .algebra import product_for_covariances
-from .columns import Rows, as_columns
+from .columns import as_columns
 from .pieces import through
 from .shared import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
@@ -29,41 +23,24 @@ def estimates(estimator, epochs, x, covariances):
     P is (N, n, n, 1) where all tracks share it.
     """
     N, _, M = x.shape
-    equal_steps = epochs.dt is None and epochs.r is None
-    if not equal_steps or _columns_will_do_all(epochs, covariances):
-        return _by_columns(estimator, epochs, x, covariances)
-    shared = estimator.shared_steps(N, M)
+    shared = None
+    # Many tracks are not searched for gaps where no covariance is wanted: they go the first way, and a gap is NaN,
+    # which spreads to all that follows. Tracks whose last state is NaN run again as columns.
+    unsearched = M > FEW_TRACKS and not covariances
+    equal = epochs.dt is None and epochs.r is None and not estimator.vague
+    if equal and (unsearched or epochs.complete):
+        shared = estimator.shared_steps(N, M)
     if shared is None:
         return _by_columns(estimator, epochs, x, covariances)
     run_shared(shared.products, estimator.model.x0[:, None], epochs.z, x)
-    if covariances:  # no track has a gap here: those with gaps were sent to columns above
-        return _finite(np.array([step.P for step in shared.steps])[..., None])
-    # Without covariances some may. A gap is NaN, which spreads to all that follows: tracks whose last state is NaN had
-    # one, and run again as columns.
-    gaps = np.isnan(x[-1]).any(axis=0)
-    if not gaps.any():
-        return None
-    if gaps.all():
-        return _by_columns(estimator, epochs, x, covariances)
-    of_gaps = np.empty((*x.shape[:2], gaps.sum()))
-    _by_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
-    x[..., gaps] = of_gaps
-    return None
-
-
-def _columns_will_do_all(epochs, covariances):
-    """Tell whether no track can be taken by the shared steps: then they are not made.
-
-    With covariances it is so as soon as one track has a gap: P is one array for all, and then each needs its own.
-
-    Without covariances it is so if all tracks have a gap. Few tracks are searched for that. A search of many costs more
-    than it saves: `estimates` runs them by the shared steps first, and sees which have gaps in their last states.
-    """
     if covariances:
-        return bool(epochs.missing.any())
-    if epochs.z.shape[2] > FEW_TRACKS or epochs.complete:
-        return False
-    return bool(epochs.missing.any(axis=(0, 1)).all())
+        return _held(np.array([step.P for step in shared.steps])[..., None])
+    gaps = np.isnan(x[-1]).any(axis=0)
+    if gaps.any():
+        of_gaps = np.empty((*x.shape[:2], gaps.sum()))
+        _by_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
+        x[..., gaps] = of_gaps
+    return None
 
 
 def _by_columns(estimator, epochs, x, covariances):
@@ -71,81 +48,51 @@ def _by_columns(estimator, epochs, x, covariances):
     (N, n, M), together = x.shape, epochs.alike
     P = np.empty((N, n, n, 1 if together else M)) if covariances else None
     for part in tiles(M, TILE if together else TILE_OF_COVARIANCES):
-        advance, rows, x0, P0 = start_on_columns(estimator, epochs.of(part).rows(together))
+        rows = epochs.of(part).rows(together)
         # Views of x and P, which `through` writes to.
         P_part = P if P is None or together else P[..., part]
         written = as_columns(x[..., part], together), P_part
-        P_last, least_variance = through(partial(in_sequence, advance), rows, x0, P0, *written)
-        if least_variance < 0:
-            # The variance of a state that is known exactly comes out as the rounding of zero, on either side of it.
-            keeping_zeros = partial(_keeping_what_is_known, estimator.prediction, advance)
-            P_last, least_variance = through(partial(in_sequence, keeping_zeros), rows, x0, P0, *written)
-        if least_variance < 0:
-            need = "measurements that are not far more precise than P0 or than what is known after a gap"
-            checks.refuse("z", need, "a variance below zero, by rounding")
-        _finite(P_last)
+        _held(*through(estimator.on_columns(rows), rows, *_start(estimator, rows), *written, estimator.vague))
     return P
 
 
-def _finite(P):
-    if not np.isfinite(P).all():
-        checks.refuse("z", "gaps over which the covariances stay within the range of doubles", "an overflow")
-    return P
-
-
-class OnColumns(NamedTuple):
-    """A filter before its first row: its `advance`, the rows, and x(0/0) (d, c, M) and P(0/0) (d, d, M).
-
-    The first n of the d states are those of the model. The others, if there are any, are noises of the measurements.
-    """
-
-    advance: Callable
-    rows: Rows
-    x: np.ndarray
-    P: np.ndarray
-
-
-def start_on_columns(estimator, rows):
-    """Return OnColumns of Rows."""
-    advance, x0, P0 = estimator.on_columns(rows)
+def _start(estimator, rows):
+    """Return x(0/0) (n, c, M) and P(0/0) (n, n, M) of the columns of Rows."""
     _, _, c, M = rows.z.shape
-    x = np.broadcast_to(x0[:, None, None], (len(x0), c, M))
-    return OnColumns(advance, rows, x, np.repeat(P0[..., None], M, axis=2))
+    x0 = estimator.model.x0
+    return np.broadcast_to(x0[:, None, None], (len(x0), c, M)), np.repeat(estimator.P0[..., None], M, axis=2)
+
+
+def _held(P, least_variance=0.0):
+    """Return the covariances P, or raise where doubles do not hold them."""
+    if not np.isfinite(P).all() or least_variance < 0:
+        need = "gaps over which the covariances stay within the range of doubles, and no far more precise measurements"
+        checks.refuse("z", need, "an overflow, or a variance below zero by rounding")
+    return P
 
 
 def on_own_columns(estimator, z):
-    """Return OnColumns of the measurements z (N, m, M), with a column for each track, as a gate needs it.
+    """Return the first arguments of `in_sequence` for measurements z (N, m, M), with a column for each track.
 
-    Tracks that share a column share a covariance, so that a row could only be refused in all of them. `as_tracks` of
-    the filter makes such a z of one track too.
+    `as_tracks` of the filter makes such a z of one track too.
     """
-    return start_on_columns(estimator, estimator.epochs_of(z).rows(together=False))
+    rows = estimator.epochs_of(z).rows(together=False)
+    return estimator.on_columns(rows), rows, *_start(estimator, rows)
 
 
-def _keeping_what_is_known(prediction, advance, row, x, P):
-    """Advance, and let a state that is predicted exactly, by a variance of zero, be known exactly afterwards."""
-    x, P_next, innovations = advance(row, x, P)
-    n = len(prediction.F)
-    known = np.zeros(P_next.shape[1:], bool)  # (d, M)
-    known[:n] = np.einsum("jjm->jm", prediction.covariance(P[:n, :n], row.steps)) == 0
-    row_or_column_is_known = known[:, None] | known  # (d, 1, M) and (d, M) make (d, d, M)
-    return x, np.where(row_or_column_is_known, 0.0, P_next), innovations
+def in_sequence(advance, rows, x, P, takes):
+    """Yield x(k/k), P(k/k) and the innovations of one row after the other, from x(0/0) (n, c, M) and P(0/0) (n, n, M).
 
-
-def in_sequence(advance, rows, x, P, takes=None):
-    """Yield x(k/k), P(k/k) and the innovations of one row after the other, from x(0/0) (d, c, M) and P(0/0) (d, d, M).
-
-    The innovations (m, c, M) are at unit covariance. takes(row, innovations) is a gate, called once for each Row, in
-    order: it says in which columns the Row is taken, (M,) or one truth value for all. A Row that is not taken in a
+    The innovations (m, c, M) are at unit covariance. takes(epoch, innovations) is a gate, called once for each row, in
+    order: it says in which columns the row is taken, (M,) or one truth value for all. A row that is not taken in a
     column counts as missing there: x and P are those without it, and the innovations are still those that were seen.
-    Without a gate all are taken.
 
     Here is one, which refuses what lies further off than 25 variances; only the second track has such a row:
 
     >>> import mpt_helpers as mpt
     >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
     >>> z = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 9.0], [4.0, 4.0]])[:, None]  # (N, m, M): one axis of two tracks
-    >>> def near(row, innovations):
+    >>> def near(epoch, innovations):
     ...     return (innovations**2).sum(axis=(0, 1)) < 25
     >>> for x, P, innovations in in_sequence(*on_own_columns(kf, z), takes=near):
     ...     print(x[0, 0].round(1), innovations[0, 0].round(1))
@@ -154,24 +101,23 @@ def in_sequence(advance, rows, x, P, takes=None):
     [3. 3.] [ 0.  14.5]
     [4. 4.] [0. 0.]
 
-    Raises ValueError for a gate where tracks share a column, and for one that says something of another shape;
-    TypeError where there are no innovations.
+    Raises ValueError for tracks that share a column, as a row could only be refused in all of them, and for a gate that
+    says something of another shape; TypeError where there are no innovations.
     """
-    if takes is not None and rows.z.shape[2] > 1:
+    if rows.z.shape[2] > 1:
         checks.refuse("takes", "a column for each track (on_own_columns)", f"{rows.z.shape[2]} tracks in one")
-    for row in rows:
-        x_next, P_next, innovations = advance(row, x, P)
-        if takes is not None:
-            if not len(innovations):
-                got = "one whose P is not that of the best estimate (optimal = False)"
-                checks.refuse("takes", "a filter with innovations", got, TypeError)
-            taken = np.asarray(takes(row, innovations))
-            if taken.dtype == object or taken.shape not in ((), P.shape[2:]):
-                need = f"a gate that returns one truth value, or one for each of the {P.shape[2]} columns"
-                checks.refuse("takes", need, f"{taken.dtype} of shape {taken.shape}")
-            refused = np.logical_not(taken)
-            if refused.any():
-                x_next, P_next, _ = advance(row.without(refused), x, P)
+    for epoch in rows:
+        x_next, P_next, innovations = advance(epoch, x, P)
+        if not len(innovations):
+            got = "one whose P is not that of the best estimate (optimal = False)"
+            checks.refuse("takes", "a filter with innovations", got, TypeError)
+        taken = np.asarray(takes(epoch, innovations))
+        if taken.dtype == object or taken.shape not in ((), P.shape[2:]):
+            need = f"a gate that returns one truth value, or one for each of the {P.shape[2]} columns"
+            checks.refuse("takes", need, f"{taken.dtype} of shape {taken.shape}")
+        refused = np.logical_not(taken)
+        if refused.any():
+            x_next, P_next, _ = advance(epoch.without(refused), x, P)
         x, P = x_next, P_next
         yield x, P, innovations
 
@@ -179,8 +125,7 @@ def in_sequence(advance, rows, x, P, takes=None):
 def innovations(estimator, epochs):
     """Return the innovations z(k) - H x(k/k-1) (N, m, M), NaN where z has NaN, and their covariances S (N, m, m, M).
 
-    S is (N, m, m, 1) where all tracks share it. These innovations are in the units of z. An `advance` returns them at
-    unit covariance.
+    S is (N, m, m, 1) where all tracks share it. They are in the units of z, unlike those of an `advance`.
     """
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
     x = np.empty((N, n, M))

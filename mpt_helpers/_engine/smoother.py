@@ -7,12 +7,12 @@ A step back is x <- C x + d, P <- C P Cᵀ + D, with d = (I - C F) x(k/k) and D 
 C, d and D depend on the filter's results alone: they are computed first, of many epochs in each call. Then the steps
 are taken one after the other, and a long track is cut into pieces, as by the filter.
 
-N is the number of epochs, n that of states. c tracks that share their covariances are a column, and there are M columns
-(`engine`). In x (N, n, M) and P (N, n, n, M or 1) of the filter, M is the number of all tracks.
+So the way back is a filter on columns, too (`columns`): one `advance` for each epoch, the last one first.
 """
 
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eig
@@ -21,7 +21,6 @@ from .. import _checks as checks
 from .algebra import product, solved, transposed
 from .columns import as_columns
 from .pieces import through
-from .run import in_sequence
 from .shared import epochs_at_a_time
 
 # A mode is damped if its eigenvalue is smaller than DAMPED, and undriven if the variance that Q adds to it in a step is
@@ -30,33 +29,29 @@ DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
 
 
-@dataclass(frozen=True)
-class Backwards:
-    """The coefficients of N steps back over N + 1 epochs, last epoch first: x <- C x + d, P <- C P Cᵀ + D.
+class StepBack(NamedTuple):
+    """One step back of all columns: d as z (n, c, M), C and D (n, n, M)."""
 
-    They are those of columns: C and D are (N, n, n, M), d is (N, n, c, M). `partition.through` takes them in the
-    place of rows of measurements, and cuts them.
-    """
-
+    z: np.ndarray
     C: np.ndarray
-    d: np.ndarray
+    D: np.ndarray
+
+    def advance(self, x, P):
+        """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts."""
+        return product(self.C, x) + self.z, product(product(self.C, P), transposed(self.C)) + self.D, x[:0]
+
+
+@dataclass(frozen=True)
+class RowsBack:
+    """The steps back, to be iterated, the last epoch first: d as z (N, n, c, M), C and D (N, n, n, M)."""
+
+    z: np.ndarray
+    C: np.ndarray
     D: np.ndarray
 
     def __iter__(self):
-        """Yield C, d and D of one step after the other."""
-        return zip(self.C, self.d, self.D, strict=True)
-
-    def mapped(self, function):
-        """Return the steps of function(array) for each array."""
-        return Backwards(function(self.C), function(self.d), function(self.D))
-
-    def with_tracks_of_zeros(self, count):
-        """Return the steps with `count` more tracks in each column, whose d is zero.
-
-        `partition` sees by them where a piece ends that starts at a unit vector: at the product of its C.
-        """
-        N, n, _, M = self.d.shape
-        return Backwards(self.C, np.concatenate([self.d, np.zeros((N, n, count, M))], axis=2), self.D)
+        """Yield one StepBack after the other."""
+        return map(StepBack, self.z, self.C, self.D)
 
 
 def smoothed(prediction, epochs, x, P):
@@ -77,9 +72,9 @@ def smoothed(prediction, epochs, x, P):
     x, P = x.copy(), P.copy()
     if N > 1:
         in_columns = partial(as_columns, together=epochs.alike)
-        back = Backwards(C[::-1], in_columns(d[::-1]), D[::-1])
+        back = RowsBack(in_columns(d[::-1]), C[::-1], D[::-1])
         # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
-        through(partial(in_sequence, _advance), back, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+        through(StepBack.advance, back, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
     return x, P
 
 
@@ -111,13 +106,3 @@ def _coefficients(prediction, steps, x, P):
     left = transposed(prediction.state(transposed(kept), steps)) - product(C, Q)
     D = kept - product(left, transposed(C))
     return np.moveaxis(C, 2, 0), np.moveaxis(d, 1, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
-
-
-def _advance(step, x, P):
-    """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts.
-
-    It is an `advance` of `engine`: x comes out linear in x and d, P does not depend on them, and both are left as they
-    were. So the way back may be cut into pieces.
-    """
-    C, d, D = step
-    return product(C, x) + d, product(product(C, P), transposed(C)) + D, np.zeros((0, *x.shape[1:]))

@@ -257,8 +257,7 @@ def test_an_advance_keeps_its_promises(make):
     t, z = np.cumsum(rng.uniform(0.1, 2.0, 30)), rng.standard_normal((30, model.m, 5))
     z[rng.random(z.shape) < 0.2] = np.nan
     kf = mpt.KalmanFilter(model, t=t)
-    epochs = kf.epochs_of(z)
-    advance, rows, x, P = engine.start_on_columns(kf, epochs.rows(epochs.alike))
+    advance, rows, x, P = engine.on_own_columns(kf, z)
     nis = metrics.nis(kf, z)
     for k, row in enumerate(rows):
         before = x.copy(), P.copy()

@@ -7,7 +7,7 @@ import pytest
 from conftest import AXIS, ROOT
 
 import mpt_helpers as mpt
-from mpt_helpers._engine.run import in_sequence, on_own_columns, start_on_columns
+from mpt_helpers._engine.run import in_sequence, on_own_columns
 
 (TEXT,) = re.findall(r"```python gate\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL)
 LIMIT, PATIENCE = 9.0, 2
@@ -60,14 +60,13 @@ def test_clean_tracks_that_share_their_conditions_are_not_refused_for_each_other
 
 def test_a_gate_is_refused_where_it_would_be_wrong():
     z, kf = np.zeros((5, 1, 3)), mpt.KalmanFilter(AXIS)
-    epochs = kf.epochs_of(z)
-    in_one = start_on_columns(kf, epochs.rows(epochs.alike))
-    with pytest.raises(
-        ValueError, match=r"takes: needs a column for each track \(on_own_columns\), got 3 tracks in one"
-    ):
-        next(in_sequence(*in_one, takes=lambda row, e: True))
+    advance, _, x, P = on_own_columns(kf, z)
+    in_one = kf.epochs_of(z).rows(together=True)
+    words = r"takes: needs a column for each track \(on_own_columns\), got 3 tracks in one"
+    with pytest.raises(ValueError, match=words):
+        next(in_sequence(advance, in_one, x, P, takes=lambda epoch, e: True))
     with pytest.raises(TypeError, match="takes: needs a filter with innovations, got one whose P"):
-        next(in_sequence(*on_own_columns(mpt.SteadyStateFilter.from_kalman(AXIS), z), takes=lambda row, e: True))
+        next(in_sequence(*on_own_columns(mpt.SteadyStateFilter.from_kalman(AXIS), z), takes=lambda epoch, e: True))
     with pytest.raises(TypeError, match="needs a filter with P0, covariances and step, got a JoinFilter"):
         on_own_columns(mpt.JoinFilter(kf, kf), z)
 
@@ -75,14 +74,14 @@ def test_a_gate_is_refused_where_it_would_be_wrong():
 @pytest.mark.parametrize(("yes", "no"), [(True, False), (1, 0), (np.True_, np.False_)])
 def test_a_gate_may_say_yes_and_no_in_any_way(yes, no):
     kf = mpt.KalmanFilter(AXIS)
-    run = list(in_sequence(*on_own_columns(kf, np.ones((3, 1, 1))), takes=lambda row, e: no))
+    run = list(in_sequence(*on_own_columns(kf, np.ones((3, 1, 1))), takes=lambda epoch, e: no))
     np.testing.assert_allclose(run[-1][0].ravel(), kf.filter(np.full((3, 1), np.nan))[-1], rtol=1e-12)
-    run = list(in_sequence(*on_own_columns(kf, np.ones((3, 1, 1))), takes=lambda row, e: yes))
+    run = list(in_sequence(*on_own_columns(kf, np.ones((3, 1, 1))), takes=lambda epoch, e: yes))
     np.testing.assert_allclose(run[-1][0].ravel(), kf.filter(np.ones((3, 1)))[-1], rtol=1e-12)
 
 
 @pytest.mark.parametrize("says", [None, [True, False], np.ones((1, 1, 3), bool)], ids=["nothing", "two", "a matrix"])
 def test_a_gate_that_says_something_else_is_refused_by_name(says):
-    run = in_sequence(*on_own_columns(mpt.KalmanFilter(AXIS), np.ones((3, 1, 3))), takes=lambda row, e: says)
+    run = in_sequence(*on_own_columns(mpt.KalmanFilter(AXIS), np.ones((3, 1, 3))), takes=lambda epoch, e: says)
     with pytest.raises(ValueError, match="takes: needs a gate that returns one truth value, or one for each of the 3"):
         next(run)

@@ -6,7 +6,7 @@ missing, all of it shared by the tracks or each track's own. The loops (`oracles
 
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from types import SimpleNamespace
 from unittest.mock import patch
 
@@ -228,35 +228,24 @@ def test_one_step_after_the_other_is_the_plain_loop(case):
             np.testing.assert_allclose(P, loop.P[k], **SAME)
 
 
-def in_sequence(kf, rows, limit):
-    """x (N, n, c M), P (N, n, n, M), the NIS (N, c M) and which rows were taken (N, M), of a gate that has a limit."""
-    n, found = kf.model.n, []
-
-    def takes(row, innovations):
-        return (innovations**2).sum(axis=(0, 1)) <= limit
-
-    on_columns = engine.start_on_columns(kf, rows)
-    for x, P, e in engine.in_sequence(*on_columns, takes=None if limit is None else takes):
-        found.append((x[:n].reshape(n, -1), P[:n, :n], (e**2).sum(axis=0).ravel(), limit is None or takes(None, e)))
-    return [np.array(each) for each in zip(*found, strict=True)]
-
-
 @settings(max_examples=40)
 @given(cases(), st.floats(0.5, 9.0))
 def test_a_gate_in_sequence_is_the_plain_loop_that_refuses_the_same_rows(case, limit):
-    """Each track in a column; where they share their conditions and none is refused, all of them in one column too."""
-    epochs = case.kf.epochs_of(case.z)
-    ways = [(False, limit), (False, None)]
-    if epochs.alike:
-        ways.append((True, None))
-    for together, most in ways:
-        loops = [case.loop(i, limit=most or np.inf) for i in range(case.z.shape[2])]
-        x, P, nis, taken = in_sequence(case.kf, epochs.rows(together), most)
-        agree(x, P, loops)
-        for i, loop in enumerate(loops):
-            np.testing.assert_allclose(nis[:, i], np.nan_to_num(loop.nis), **SAME)
-            if most is not None:
-                np.testing.assert_array_equal(taken[:, i], loop.taken)
+    loops = [case.loop(i, limit=limit) for i in range(case.z.shape[2])]
+    x, P, nis, taken = [], [], [], []
+
+    def takes(epoch, innovations):
+        nis.append((innovations**2).sum(axis=(0, 1)))
+        taken.append(nis[-1] <= limit)
+        return taken[-1]
+
+    for x_k, P_k, _ in engine.in_sequence(*engine.on_own_columns(case.kf, case.z), takes=takes):
+        x.append(x_k[:, 0])
+        P.append(P_k)
+    agree(np.array(x), np.array(P), loops)
+    for i, loop in enumerate(loops):
+        np.testing.assert_allclose(np.array(nis)[:, i], np.nan_to_num(loop.nis), **SAME)
+        np.testing.assert_array_equal(np.array(taken)[:, i], loop.taken)
 
 
 @settings(max_examples=12)
@@ -442,18 +431,17 @@ def test_pieces_with_a_variance_below_zero_are_not_taken():
     kf = mpt.KalmanFilter(model)
     z = np.random.default_rng(0).standard_normal((60, 1, 1))
     z[7] = np.nan
-    epochs = kf.epochs_of(z)
-    advance, rows, x0, P0 = engine.start_on_columns(kf, epochs.rows(together=True))
+    advance, rows, x0, P0 = engine.on_own_columns(kf, z)
 
-    def rounding(row, x, P):
-        x, P, e = advance(row, x, P)
+    def rounding(epoch, x, P):
+        x, P, e = advance(epoch, x, P)
         if P.shape[2] > 1:
             P[1, 1] -= 1e-20
         return x, P, e
 
     x, P = np.empty((60, 2, 1, 1)), np.empty((60, 2, 2, 1))
     with patch.object(partition, "rows_per_piece", lambda N, tracks: 20):
-        _, least = partition.through(partial(engine.in_sequence, rounding), rows, x0, P0, x, P)
+        _, least = partition.through(rounding, rows, x0, P0, x, P)
     assert least == 0
     assert not P[:, 1].any()
     np.testing.assert_allclose(x[..., 0, 0], kf.filter(z[..., 0]), **SAME)

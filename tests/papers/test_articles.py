@@ -12,6 +12,7 @@ from reproduction.ledger.verdicts import DIFFERS, ERRATUM, MIME
 
 DRAWS = re.compile(r"\b(plt|ax|axes|panel)\s*[.\[]|\bplots\.(panels|finish|legend_below)\b|\bmatplotlib\b")
 LINK = re.compile(r"\]\(#([^)]*)\)")
+FOUR = ["2007_mms_kalman", "2014_gsm_2d", "2015_mpt_3d", "2016_prediction"]
 FOLDED = {"jupyter": {"source_hidden": True}, "tags": ["hide-input"]}
 
 
@@ -71,15 +72,17 @@ def test_the_contents_are_those_of_the_verdicts(paper):
     assert contents(paper.rows, verdicts) in found[0]
 
 
-def test_each_reason_for_what_is_wrong_has_a_short_form(paper):
-    paper, _ = paper
-    verdicts = stored_verdicts(ROOT / "notebooks" / f"{paper.key}.ipynb")
+@pytest.mark.parametrize("key", FOUR)
+def test_each_reason_for_what_is_wrong_has_a_short_form(key):
+    paper = published(key)
+    verdicts = stored_verdicts(ROOT / "notebooks" / f"{key}.ipynb")
     wrong = {each.cause for each in verdicts if each.verdict in (DIFFERS, ERRATUM)}
     assert [id for id in wrong if not paper.causes[id].short] == []
 
 
-def test_the_first_cell_says_what_to_install_where_the_project_is_missing(paper, monkeypatch):
-    _, cells = paper
+@pytest.mark.parametrize("key", FOUR)
+def test_the_first_cell_says_what_to_install_where_the_project_is_missing(key, monkeypatch):
+    cells = cells_of(ROOT / "notebooks" / f"{key}.ipynb")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(SystemExit, match=r"needs the project around it: .* pip install -r environment\.txt -e \.$"):
         exec(code(cells)[0], {})

@@ -119,9 +119,7 @@ def test_what_is_left_of_a_measurement_is_r_times_the_gain(settled):
 
 def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
     """By errors of simulated tracks too: 20,000 know a standard deviation to 0.5 %."""
-    says(
-        "The frozen filter's σ is up to 16 times the other's, and it takes ten seconds until the two agree to 3 % for good."
-    )
+    says("The frozen filter's σ is up to 16 times the other's, and it takes ten seconds until the two agree to 3 %")
     best, frozen = lesson.after_silence(30, steps=15)
     ratio = frozen / best
     assert round(ratio.max()) == 16

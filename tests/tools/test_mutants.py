@@ -79,8 +79,8 @@ def unit_inputs(B):
     return inputs[:n], inputs[n:].reshape(L, m, -1)
 
 
-def starts_at_zero(run_rows, rows, count, x0, P0, starts=pieces.starts):
-    x, P = starts(run_rows, rows, count, x0, P0)
+def starts_at_zero(advance, rows, x0, P0, starts=pieces.starts):
+    x, P = starts(advance, rows, x0, P0)
     return np.zeros_like(x), P
 
 
