@@ -14,14 +14,14 @@ from .._checks import Array
 GPSBABEL = "gpsbabel -t -i {} -f FILE -o gpx -F track.gpx"
 # How other files begin, what they are, and how a GPX or CSV file is made of them.
 KINDS = (
-    (rb"PK\x03\x04", "a zip archive", "unpack it; a workbook: pandas.read_excel(FILE).to_csv('track.csv')"),
+    (rb"PK\x03\x04", "a zip archive", "unpack it; a workbook: pandas.read_excel('FILE').to_csv('track.csv')"),
     (rb"BZh|\xfd7zXZ|\x28\xb5\x2f\xfd|7z\xbc\xaf|Rar!", "a packed file", "unpack it"),
     (rb"(?s)[\x0c\x0e].{7}\.FIT", "a FIT file", f"{GPSBABEL.format('garmin_fit')}, or the package fitdecode"),
     (rb"\s*[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
     (rb"A[A-Z]{3}.*[\r\n]+H", "an IGC file", GPSBABEL.format("igc")),
     (rb".{60}(C?RINEX) VERS", "a RINEX file", "it holds ranges: make fixes of them first"),
-    (rb"\s*[{[]", "a JSON file", "pandas.read_json(FILE).to_csv('track.csv')"),
-    (rb"PAR1", "a Parquet file", "pandas.read_parquet(FILE).to_csv('track.csv')"),
+    (rb"\s*[{[]", "a JSON file", "pandas.read_json('FILE').to_csv('track.csv')"),
+    (rb"PAR1", "a Parquet file", "pandas.read_parquet('FILE').to_csv('track.csv')"),
     (rb"(?s).*\0", "a binary file, or UTF-16 without its mark", "export it as GPX or CSV"),
 )
 XML_KINDS = {

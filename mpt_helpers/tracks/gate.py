@@ -80,6 +80,11 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
     ValueError
         For many tracks, a limit of 1 or below, and a patience below 1.
 
+    Warns
+    -----
+    UserWarning
+        Where the first fix is refused: x0 and P0 do not say where the track begins.
+
     Examples
     --------
     >>> from mpt_helpers.model import constant_velocity
@@ -100,7 +105,9 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
     checks.no_infinity(z)
     need = "a squared distance in variances, above 1, as 100"
     limit = checks.number("limit", limit, need, lambda value: value > 1)
-    return segments_of(kf, z[..., None], [], limit, checks.count("patience", patience))
+    patience = checks.count("patience", patience)
+    _warn_of_a_far_start(_Sequence(kf, z[..., None]), limit)
+    return segments_of(kf, z[..., None], [], limit, patience)
 
 
 def segments_of(kf, z, begins, limit, patience):
@@ -118,6 +125,19 @@ def segments_of(kf, z, begins, limit, patience):
         for k, rows in enumerate(_cheapest_chain(_without_stuck_ones(_without_excursions(found, way), way), way)):
             number[rows] = k
     return number
+
+
+def _warn_of_a_far_start(sequence, limit):
+    """Warn where x0 and P0 do not expect the first fixes, so that good ones are refused until they begin anew."""
+    state, nis = sequence.first(), 0.0
+    for k, fix in enumerate(sequence.fixes):
+        look = sequence.look(state, k)
+        state, nis = look.refused, look.nis
+        if fix:
+            break
+    if nis > limit:
+        where = "say where the track begins: x0 at the first fix, and a P0 that holds its position and velocity"
+        checks.warn(f"gated: the first fix is {math.sqrt(nis):.0f} standard deviations from x0: {where}")
 
 
 class _Sequence:

@@ -33,7 +33,7 @@ LEAP = re.compile(r"(:\d\d):60(?!\d)")  # a leap second is the one before it, an
 COLUMNS = ("time", "lat", "lon", "x", "y", "ele", "hdop", "accuracy")
 MISSING = frozenset(["", "nan", "nat", "none", "null", "na", "n/a", "<na>", "-"])
 MANY = 0.1  # of the cells: so many that are no numbers are another way of writing them
-LATEST = 1e11  # Unix seconds of the year 5138: a larger number counts something else
+LATEST = 1e10  # Unix seconds of the year 2286: a larger number counts something else, and such a date is a fault
 FEW = 10  # lines, of which the last one cannot be told to be cut
 CUT = [expat.errors.codes[text] for text in (expat.errors.XML_ERROR_NO_ELEMENTS, expat.errors.XML_ERROR_UNCLOSED_TOKEN)]
 
@@ -229,11 +229,14 @@ def _number(text):
 def _time_or_none(text, row, unread):
     """Return a time in microseconds, or NO_TIME; a text that is none is kept in `unread`."""
     try:
-        return microseconds(text)
+        time = microseconds(text)
+        if abs(time) < LATEST * 1e6:
+            return time
     except (ValueError, OverflowError):
-        if text.strip().lower() not in MISSING:
-            unread[row] = text
-        return NO_TIME
+        pass
+    if text.strip().lower() not in MISSING:
+        unread[row] = text
+    return NO_TIME
 
 
 def _of_csv(path, text, columns, said):

@@ -18,6 +18,7 @@ from .writers import degrees_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
+DOUBTFUL = 0.05  # of the rows, whose speed is not told from that: a glider that is parked for a minute is no such track
 REST, REST_STEP = 60.0, 2.0  # s: a rest lasts a minute, which is looked at in steps
 KM_H = 3.6
 COLUMNS = 100  # of a terminal
@@ -222,7 +223,7 @@ def numbers_of_the_way(c: Cleaned) -> tuple[float, float | None, float, float, f
 
     Of a track with charts the way is that on the Earth; of a rest it is the straight line from its start to its end. In
     motion is a row that is faster than MOVING and does not lie
-    in a minute at rest (`_at_rest`); it is not known where the error of the speed is as large as MOVING.
+    in a minute at rest (`_at_rest`). The time in motion is not known where many speeds are within their error of MOVING.
     """
     rows = c.line.rows
     position, velocity = c.x[rows][:, :4:2], c.x[rows][:, 1:4:2]
@@ -241,10 +242,11 @@ def numbers_of_the_way(c: Cleaned) -> tuple[float, float | None, float, float, f
     seconds = np.diff(c.t[rows])
     moving = (speed > MOVING) & ~rest
     error = math.sqrt(float(np.median(c.P[rows, 1, 1])))
+    doubtful = (speed > 0) & (speed < MOVING + 2 * error) & ~rest
     median = float(np.median(speed[moving])) if moving.any() else 0.0
     return (
         float(steps[np.diff(c.line.number[kept]) == 0].sum()) / 1000,
-        float(seconds[moving[1:] & same].sum()) if error < MOVING else None,
+        float(seconds[moving[1:] & same].sum()) if error < MOVING or np.mean(doubtful) < DOUBTFUL else None,
         median * KM_H,
         float(np.quantile(speed, 0.999)) * KM_H,
         error * KM_H,
