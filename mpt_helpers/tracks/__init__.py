@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike
 from .. import _checks as checks
 from .._checks import Array, Seconds
 from . import geodesy
-from .cleaning import FEWEST, Cleaned, Source, clean, grid_of
+from .cleaning import Cleaned, Source, clean
+from .fixes import FEWEST, grid_of
 from .readers import NO_TIME, Recording, moment_of, read, read_frame, read_gpx
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]

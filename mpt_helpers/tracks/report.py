@@ -222,8 +222,8 @@ def numbers_of_the_way(c: Cleaned) -> tuple[float, float | None, float, float, f
     """Return km, seconds in motion or None, the median speed in motion, the fastest but 0.1 %, and their error (km/h).
 
     Of a track with charts the way is that on the Earth; of a rest it is the straight line from its start to its end. In
-    motion is a row that is faster than MOVING and does not lie
-    in a minute at rest (`_at_rest`). The time in motion is not known where many speeds are within their error of MOVING.
+    motion is a row that is faster than MOVING and does not lie in a minute at rest (`_at_rest`). How long that was is
+    not known where many speeds are within their error of MOVING.
     """
     rows = c.line.rows
     position, velocity = c.x[rows][:, :4:2], c.x[rows][:, 1:4:2]

@@ -20,6 +20,7 @@ from mpt_helpers import tracks
 from mpt_helpers.__main__ import main
 from mpt_helpers.tracks import __main__ as track_command
 from mpt_helpers.tracks import cleaning, readers, report, writers
+from mpt_helpers.tracks import line as lines
 
 RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<gpx version="1.1" creator="test" xmlns="http://www.topografix.com/GPX/1/1">'
@@ -573,8 +574,8 @@ def test_errors_of_q_and_r_hold_on_simulated_tracks():
         assert 0.7 < mpt.metrics.rms(each) < 1.5, name
 
 
-def track_of(t, z, relative=None):
-    return cleaning.Track(t, z, relative, np.zeros(len(t), bool))
+def line_of(t, z, segment, noise, scale, relative=None):
+    return cleaning.on_one_line(t, z, relative, np.zeros(len(t), bool), segment, noise, scale)
 
 
 def fitted_by_turns(seed):
@@ -586,7 +587,7 @@ def fitted_by_turns(seed):
     t = np.arange(float(N))
     scale = cleaning.scale_of(t, z, 0.0)
     guess = cleaning.first_guess(t, z, scale)
-    line = cleaning.on_one_line(track_of(t, z), np.zeros(N, dtype=int), guess, scale)
+    line = line_of(t, z, np.zeros(N, dtype=int), guess, scale)
     found = cleaning.fitted(line, guess, scale)
     return found.q, cleaning.log_errors(line, found, scale)["q"]
 
@@ -615,7 +616,7 @@ def test_stretches_on_one_line_begin_where_the_one_before_has_ended_an_hour_late
     t, z, pieces = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 2)).cumsum(axis=0), pieces_of(rng, N)
     relative = rng.uniform(0.5, 2.0, (N, 2)) if seed % 2 else None
     noise, scale = cleaning.Noise(1.0, 1.0, False), cleaning.Scale(1.0, 2.0, 1e-6)
-    line = cleaning.on_one_line(track_of(t, z, relative), pieces, noise, scale)
+    line = line_of(t, z, pieces, noise, scale, relative)
     before = None
     for k in range(pieces.max() + 1):
         own = np.flatnonzero(pieces == k)
@@ -656,20 +657,20 @@ def test_the_way_and_the_time_in_motion_are_those_within_stretches(seed):
     speed = np.hypot(x[inside, 1], x[inside, 3])
     x[~inside] = np.nan
     noise, scale = cleaning.Noise(1.0, 1.0, False), cleaning.Scale(1.0, 2.0, 1e-6)
-    line = cleaning.on_one_line(track_of(t, x[:, ::2]), pieces, noise, scale)
+    line = line_of(t, x[:, ::2], pieces, noise, scale)
     c = SimpleNamespace(t=t, x=x, P=P, line=line, source=None)
     expected = [metres / 1000, seconds, 3.6 * np.median(speed[speed > 0.5]), 3.6 * np.quantile(speed, 0.999)]
     expected.append(3.6 * np.sqrt(np.median(P[inside, 1, 1])))
     np.testing.assert_allclose(report.numbers_of_the_way(c), expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixes(seed, monkeypatch):
     """As many stretches as fit, from the first fix to the last; the first two fixes of each tell where it begins."""
     rng = np.random.default_rng(seed)
     most, each, N = 60, 12, int(rng.integers(61, 300))
-    monkeypatch.setattr(cleaning, "MOST_FITTED", most)
-    monkeypatch.setattr(cleaning, "FITTED_AT_A_TIME", each)
+    monkeypatch.setattr(lines, "MOST_FITTED", most)
+    monkeypatch.setattr(lines, "FITTED_AT_A_TIME", each)
     z = rng.standard_normal((N, 2)).cumsum(axis=0)
     z[rng.random(N) < 0.2] = np.nan
     z[[0, -1]] = 0.0
@@ -677,7 +678,7 @@ def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixe
     first[[0, 1, N // 2, N // 2 + 1]] = True
     number = np.arange(N) // (N // 2)
     line = cleaning.Line(np.arange(N), np.arange(N) * 1.0, z, 0 * z, first, number, None)
-    part = cleaning._sample(line)
+    part = lines._sample(line)
     starts = np.linspace(0, N - each, most // each).astype(int)
     rows = sorted({row for start in starts for row in range(start, start + each)})
     np.testing.assert_array_equal(part.rows, rows)
@@ -689,7 +690,7 @@ def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixe
             if left and not np.isnan(z[row]).all():
                 due[row], left = True, left - 1
     np.testing.assert_array_equal(part.first, due[rows])
-    assert cleaning._sample(line.part(slice(most))).first.sum() == first[:most].sum()
+    assert lines._sample(line.part(slice(most))).first.sum() == first[:most].sum()
 
 
 def test_an_r_below_the_rounding_of_the_file_is_that_rounding():

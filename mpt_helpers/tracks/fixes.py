@@ -1,0 +1,197 @@
+"""Which rows of a recorded track are fixes, where a recording begins, and the grid that the numbers lie on."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks as checks
+from .._checks import Array
+
+FEWEST = 10  # fixes
+LEAST_TOLD = 3  # fixes after the first two of their recordings
+# Without fixes for so long, or for so many usual steps, the motion before says nothing of the motion after.
+PAUSE, PAUSE_IN_STEPS = 60.0, 10
+# So few fixes, and no larger part of all, whose times are so far (s) from all others are faults of time: a receiver
+# that does not know the date yet says 1980, or is off by 1024 weeks.
+STRAY, STRAY_SHARE, FAR_IN_TIME = 10, 0.05, 100 * 86400.0
+# Rows are written faster than fixes where so large a part of the positions is repeated while the mobile moves at half
+# its usual speed or more, and steps are longer than so many steps of the numbers' grid. (Recorded tracks: 0 to 2 %.)
+REPEATED, STEPS_OF_GRID, NEARLY_ALL = 0.1, 3.0, 0.95
+# A step is one of a grid if it is a multiple of it, but for this part of it. Of two numbers that lie on no grid the
+# difference is at most this part of a usual step, if it is to be their rounding.
+ON_GRID, HUNDREDTH = 0.05, 0.01
+
+
+class Fixes(NamedTuple):
+    """The rows (K,) that are fixes, which of them begin another recording (K,), and what was found, in words.
+
+    repeats (N,) are the rows of the track that have a position and are no fixes of their own.
+    """
+
+    rows: NDArray[np.intp]
+    begin: NDArray[np.bool_]
+    repeats: NDArray[np.bool_]
+    said: list[str]
+
+
+def checked_track(t, z, r, segment):
+    """Return times (N,), positions (N, m), relative variances (N, m) or None, and where another segment begins."""
+    need = "positions (N, m) in metres, NaN where one is missing"
+    z = checks.real_numbers("z", z, need).astype(float)
+    if z.ndim != 2 or 0 in z.shape or np.shape(t) != (len(z),):
+        checks.refuse("t, z", f"times (N,) and {need}", f"shapes {np.shape(t)} and {z.shape}")
+    checks.no_infinity(z)
+    another = np.zeros(len(z), dtype=bool)
+    order = np.arange(len(z))
+    if segment is not None:
+        segment = np.asarray(segment)
+        if segment.shape != (len(z),):
+            checks.refuse("segment", f"a number or a name for each of {len(z)} rows", f"shape {segment.shape}")
+        another[1:] = segment[1:] != segment[:-1]
+    if another.any():  # segments may be out of order
+        t = np.asarray(t)
+        order = np.argsort(t, kind="stable")
+        t = t[order]
+    times = np.empty(len(z))
+    times[order] = checks.times("t", t)
+    back = (np.diff(times) < 0) & ~another[1:]
+    if back.any():
+        checks.refuse("t", "times that do not decrease within a segment", f"less in row {np.argmax(back) + 1}")
+    whole = np.isfinite(z).all(axis=1).sum()
+    if whole < FEWEST:
+        checks.refuse("z", f"at least {FEWEST} fixes with all axes", int(whole))
+    if (np.nanmax(z, axis=0) == np.nanmin(z, axis=0)).all():
+        checks.refuse("z", "a track that moves", f"one position {whole} times")
+    if r is not None:
+        r = checks.real_numbers("r", r, "variances").astype(float)
+        r = np.repeat(r[:, None], z.shape[1], axis=1) if r.ndim == 1 else r
+        if r.shape != z.shape:
+            checks.refuse("r", f"a variance of each fix, shape {times.shape} or {z.shape}", f"shape {r.shape}")
+        there = r[np.isfinite(z)]
+        checks.used_variances("r", there, of="fix")
+        r = np.where(np.isfinite(z), r / np.median(there), 1.0)
+    return times, z, r, another
+
+
+def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pause: float | None) -> Fixes:
+    """Return the Fixes of a track; `another` (N,) says where a segment begins, rounding is the variance of digits."""
+    at_one_time = _at_one_time(t, z, another)
+    repeats = at_one_time | _repeated(t, z, another, rounding, at_one_time)
+    count = repeats.sum() - at_one_time.sum()
+    said = []
+    if at_one_time.any():
+        said.append(f"{at_one_time.sum()} fixes have the time of the next one: only the last of each time counts")
+    if count:
+        said.append(f"{count} rows repeat a position while the mobile moves on: they are no fixes")
+    rows = np.flatnonzero(np.isfinite(z).any(axis=1) & ~repeats)
+    begin = _begins(t[rows], another[rows], pause)
+    stray = _strays(t[rows], begin)
+    if stray.any():
+        said.append(f"refused: {stray.sum()} fixes whose time is months or years from all others")
+        rows, begin = rows[~stray], begin[~stray]
+        begin[0] = True
+    if len(rows) < FEWEST:
+        checks.refuse("t", f"at least {FEWEST} fixes at different times", len(rows))
+    counts = np.bincount(np.cumsum(begin) - 1)
+    if np.maximum(counts - 2, 0).sum() < LEAST_TOLD:
+        got = f"{len(counts)} recordings of {len(rows)} fixes, of which the first two each tell nothing of q and r"
+        checks.refuse("t" if pause is None else "pause", "recordings of three fixes and more", got)
+    return Fixes(rows, begin, repeats, said)
+
+
+def _at_one_time(t, z, another):
+    """Return the rows (N,) that have the time of the next one, which has all that they have.
+
+    A receiver that catches up writes all its fixes with the time of the newest: so the last of them counts.
+    """
+    again = np.zeros(len(t), dtype=bool)
+    rows = np.flatnonzero(np.isfinite(z).any(axis=1))
+    has_all = (np.isfinite(z[rows[1:]]) | np.isnan(z[rows[:-1]])).all(axis=1)
+    again[rows[:-1]] = (np.diff(t[rows]) == 0) & ~another[rows[1:]] & has_all
+    return again
+
+
+def _repeated(t, z, another, rounding, left_out):
+    """Return the rows (N,) that repeat the position before them where rows are written faster than fixes.
+
+    A mobile at rest repeats its position too: so repeats count only if they are usual while it moves, and in a longer
+    rest than such a repeat one row for each of its length is kept. Rows that are `left_out` do not count.
+    """
+    again = np.zeros(len(t), dtype=bool)
+    rows = np.flatnonzero(np.isfinite(z).any(axis=1) & ~left_out)
+    new = np.append(True, (np.diff(z[rows], axis=0) != 0).any(axis=1) | another[rows[1:]])
+    first = rows[new]
+    if len(first) < FEWEST:
+        return again
+    seconds, moved = np.diff(t[first]), np.linalg.norm(np.diff(z[first], axis=0), axis=1)
+    later = seconds > 0
+    speed = moved[later] / seconds[later]
+    moving = speed > np.nanmedian(speed) / 2
+    held = (np.diff(np.flatnonzero(new)) > 1)[later]
+    grid = max(math.sqrt(12 * rounding), _coarse_grid(z[first]))
+    if held[moving].mean() < REPEATED or np.nanmedian(moved) < STEPS_OF_GRID * grid:
+        return again
+    longest = float(np.quantile(seconds[later][moving & held], NEARLY_ALL))
+    since = np.floor((t[rows] - t[first][np.cumsum(new) - 1]) / longest)
+    again[rows] = ~new & (since == np.append(0, since[:-1]))
+    return again
+
+
+def _begins(t, another, pause):
+    """Return which fixes, at times t, begin another recording: the first, in another segment, and after a pause (s)."""
+    steps = np.diff(t)
+    inside = steps[steps > 0]
+    if pause is None:
+        pause = max(PAUSE, PAUSE_IN_STEPS * float(np.median(inside))) if len(inside) else PAUSE
+    return np.append(True, (steps > pause) | (steps < 0) | another[1:])
+
+
+def _strays(t, begin):
+    """Return which fixes have a time that cannot be: few of them, and months from all others."""
+    number = np.cumsum(begin) - 1
+    few = np.bincount(number) < min(STRAY, STRAY_SHARE * len(t))
+    if few.all() or not few.any():
+        return np.zeros(len(t), dtype=bool)
+    sound = np.sort(t[~few[number]])
+    after = np.searchsorted(sound, t)
+    low, high = sound[np.maximum(after - 1, 0)], sound[np.minimum(after, len(sound) - 1)]
+    return few[number] & (np.minimum(np.abs(t - low), np.abs(t - high)) > FAR_IN_TIME)
+
+
+def grid_of(values: Array, grids: tuple[float, ...] = ()) -> float:
+    """Return the grid that numbers of few digits lie on: the coarsest of some that three quarters of their steps fit.
+
+    The steps count, and not the values: a track that was moved has left the grid as a whole, and a fault for two steps.
+    Of numbers that lie on none it is the shortest step, as far as that can be one of their digits.
+    """
+    steps = _steps(values)
+    for grid in sorted(grids, reverse=True):
+        long = steps[steps > ON_GRID * grid]  # shorter ones are none, but for the last digit
+        if len(long) > 0.1 * len(steps) and _on_grid(long, grid) > 0.75:
+            return grid
+    return float(min(steps.min(), HUNDREDTH * np.median(steps))) if len(steps) else 0.0
+
+
+def _coarse_grid(z):
+    """Return the step that nearly all changes of one of the axes of positions (N, m) are multiples of, or zero."""
+    found = [0.0]
+    for steps in map(_steps, z.T):
+        if len(steps):
+            steps = steps[steps > 1e-3 * steps.max()]
+            short = float(np.quantile(steps, 1 - NEARLY_ALL))
+            found += [short] if _on_grid(steps, short) > NEARLY_ALL else []
+    return max(found)
+
+
+def _steps(values):
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    return steps[steps > 0]
+
+
+def _on_grid(steps, grid):
+    """Return the share of steps that are multiples of a grid."""
+    return np.mean(np.abs(steps / grid - np.round(steps / grid)) < ON_GRID)

@@ -1,0 +1,233 @@
+"""All segments of a track on one line of time, as one track for a filter, with its noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks as checks
+from .. import fitting
+from .._checks import Array
+from ..kalman import KalmanFilter
+from ..model import constant_velocity, stack
+from ..search import AROUND, along_a_line
+
+# Segments are this long apart at least: so long that nothing of one is known in the next. In T seconds without a fix
+# the variance of a velocity grows by q T: it has to grow by the square of so many usual speeds. But that of the
+# position, q T³ / 3, stays below so many times r, which doubles hold.
+HOUR_BETWEEN, FORGOTTEN, HELD = 3600.0, 8, 1e20
+# q and r are those of at most so many fixes: more, in parts spread over the track, tell them to 1 % already.
+MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
+# r / q, in units of the usual step cubed (s³), is searched between these: near the last one, or else all over.
+RATIOS = math.log(1e-8), math.log(1e6)
+ALL_OVER = math.log(100) * np.arange(-3.5, 4)
+RATIO_FOUND = 0.02
+# A first guess takes the squares that a tenth of all exceed: 2.71 of a normal distribution's variance.
+TENTH, OF_TENTH = 0.9, 2.7055
+
+
+class Noise(NamedTuple):
+    """q (m²/s³) and r (m²) of all axes, and whether r is the least that is possible: the rounding of the numbers."""
+
+    q: float
+    r: float
+    rounding: bool
+
+
+class Scale(NamedTuple):
+    """The size of a track's numbers: its usual step (s), the speed that a tenth of the steps exceed (m/s), and the
+    least variance that a fix can have (m²), that of the rounding of the numbers.
+    """
+
+    step: float
+    speed: float
+    rounding: float
+
+
+def scale_of(t: Array, z: Array, rounding: float, begin: NDArray[np.bool_] | None = None) -> Scale:
+    """Return the Scale of a track, faults and all; steps to another recording do not count."""
+    rows, recording = _whole_fixes(z, begin)
+    seconds, moved = np.diff(t[rows]), np.linalg.norm(np.diff(z[rows], axis=0), axis=1)
+    inside = (seconds > 0) & (np.diff(recording) == 0)
+    speeds = moved[inside] / seconds[inside]
+    if not (speeds > 0).any():
+        checks.refuse("z", "a track that moves", "one that stands still within each recording")
+    speed = float(np.quantile(speeds, TENTH)) or float(speeds[speeds > 0].mean())  # it may rest nine tenths of the time
+    return Scale(float(np.median(seconds[inside])), speed, max(rounding, (1e-9 * speed) ** 2))
+
+
+def first_guess(t: Array, z: Array, scale: Scale, begin: NDArray[np.bool_] | None = None) -> Noise:
+    """Return q and r that give the changes of velocity between fixes the size that a tenth of them exceeds.
+
+    Over two steps of h seconds the velocity changes by a variance of 2 q h / 3 + 6 r / h². Steps of one fix and of four
+    tell both; a tenth of faults changes neither by much.
+    """
+    rows, recording = _whole_fixes(z, begin)
+    equations, sizes = [], []
+    for lag in (1, 4):
+        of = recording[::lag]
+        h = np.diff(t[rows[::lag]])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            changes = np.diff(np.diff(z[rows[::lag]], axis=0) / h[:, None], axis=0) ** 2
+        changes = changes[of[2:] == of[:-2]]
+        changes = changes[np.isfinite(changes)]
+        if len(changes):
+            step = float(np.median(h))
+            equations.append([2 * step / 3, 6 / step**2])
+            sizes.append(float(np.quantile(changes, TENTH)) / OF_TENTH)
+    q, r = np.linalg.lstsq(np.array(equations), np.array(sizes), rcond=None)[0] if sizes else (0.0, 0.0)
+    return Noise(max(float(q), 1e-6 * scale.speed**2 / scale.step), max(float(r), scale.rounding), False)
+
+
+def _whole_fixes(z, begin):
+    """Return the rows that have all axes, and the number of the recording of each."""
+    rows = np.flatnonzero(np.isfinite(z).all(axis=1))
+    return rows, np.zeros(len(rows)) if begin is None else np.cumsum(begin)[rows]
+
+
+@dataclass(frozen=True)
+class Line:
+    """The K rows of a track that lie in segments, on one line of time, which a filter takes for one track of m axes.
+
+    rows (K,): which rows of the track they are
+    t (K,): their times, an hour or more from one segment to the next
+    z (K, m): the positions, NaN where refused, each segment beginning where the one before it ended
+    moved (K, m): how far they were moved for that
+    first (K,): the first two fixes of each segment: they only tell where it begins, and its velocity
+    number (K,): the segment that each row lies in, 0, 1, ...
+    relative (K, m): the variances of the fixes, relative to each other, or None where all are alike
+    """
+
+    rows: NDArray[np.intp]
+    t: Array
+    z: Array
+    moved: Array
+    first: NDArray[np.bool_]
+    number: NDArray[np.intp]
+    relative: Array | None
+
+    def part(self, rows: NDArray[np.intp] | slice) -> Line:
+        """Return some of the rows."""
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Line(**{name: None if each is None else each[rows] for name, each in own.items()})
+
+    def stands_still(self, scale: Scale) -> bool:
+        """Tell whether all fixes are one, but for their rounding: no q and r can be fitted to such a line."""
+        there = self.z[np.isfinite(self.z).any(axis=1)]
+        width = np.nanmax(there, axis=0) - np.nanmin(there, axis=0)
+        return bool((width < math.sqrt(scale.rounding)).all())
+
+
+def on_one_line(
+    t: Array,
+    z: Array,
+    relative: Array | None,
+    repeats: NDArray[np.bool_],
+    segment: NDArray[np.intp],
+    noise: Noise,
+    scale: Scale,
+) -> Line:
+    """Return the Line of a track: the rows from the first to the last fix of each segment.
+
+    They are so long apart that the velocity at the start of one is not known from the one before it. Rows that are no
+    fixes of their own, `repeats` (N,), belong to the segment (N,) of the fix that they repeat.
+    """
+    held = float(np.cbrt(3 * HELD * noise.r / noise.q))
+    apart = max(HOUR_BETWEEN, min((FORGOTTEN * scale.speed) ** 2 / noise.q, held))
+    rows, times, moved, first = [], [], [], []
+    end, last = 0.0, np.zeros(z.shape[1])  # of the segment before, on the line
+    for k in range(segment.max() + 1):
+        own = np.flatnonzero(segment == k)
+        begin, stop = own[0], own[-1] + 1
+        while begin > 0 and repeats[begin - 1] and t[begin - 1] == t[own[0]]:
+            begin -= 1
+        while stop < len(t) and repeats[stop] and (z[stop] == z[stop - 1]).all():
+            stop += 1
+        span = np.arange(begin, stop)
+        times.append(t[span] - t[own[0]] + end)
+        moved.append(np.broadcast_to(last - z[own[0]], (len(span), z.shape[1])))
+        first.append(np.isin(span, own[:2]))
+        rows.append(span)
+        end = times[-1][-1] + apart
+        last = z[own[-1]] + moved[-1][0]
+    number = np.repeat(np.arange(len(rows)), [len(span) for span in rows])
+    rows, moved = np.concatenate(rows), np.concatenate(moved)
+    z_line = np.where((segment[rows] >= 0)[:, None], z[rows] + moved, np.nan)
+    relative = None if relative is None else relative[rows]
+    return Line(rows, np.concatenate(times), z_line, moved, np.concatenate(first), number, relative)
+
+
+def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
+    """Return the filter of a track of some axes, which starts from its first fix, known to some steps."""
+    sigma = 10 * (math.sqrt(noise.r) + scale.speed * scale.step)
+    return _filter(noise.q, noise.r, scale, t, relative, axes, P0=[sigma**2, (2 * scale.speed) ** 2])
+
+
+def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> KalmanFilter:
+    """Return the filter of one axis of a line, from the variances of a hundred usual steps and of ten usual speeds."""
+    P0 = [(100 * scale.speed * scale.step) ** 2, (10 * scale.speed) ** 2]
+    # (K, 1, m): each axis is a track for this filter.
+    return _filter(q, r, scale, line.t, None if line.relative is None else line.relative[:, None], 1, P0)
+
+
+def _filter(q, r, scale, t, relative, axes, P0):
+    axis = constant_velocity(dt=scale.step, q=q, r=r, P0=np.diag(P0))
+    return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else r * relative)
+
+
+def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:
+    """Return -log L of the log of q and r, of the fixes of a line given the first two of each segment."""
+    make = lambda q, r: from_an_unknown_start(line, q, r, scale)  # noqa: E731
+    return fitting.NegativeLogLikelihood(make, ["q", "r"], line.z[:, None], ~line.first)
+
+
+def fitted(line: Line, guess: Noise, scale: Scale) -> Noise:
+    """Return maximum-likelihood q and r of the fixes of a line, searched along r / q, near a guess or else all over.
+
+    Where r comes out below the rounding of the numbers it is set to that.
+    """
+    likelihood = likelihood_of(_sample(line), scale)
+    low, high = (each + math.log(scale.step**3) for each in RATIOS)
+
+    def rated(point):
+        within = low <= point[1] - point[0] <= high
+        return likelihood.with_best_scale(point) if within else (0.0, math.inf)
+
+    at, ratio = np.log([guess.q, guess.r]), np.array([-0.5, 0.5])
+    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0)
+    if abs(np.diff(found - at)[0]) > AROUND[-2]:  # it was looked for in the wrong place
+        middle = at[0] + np.array([0.0, (low + high) / 2])
+        found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
+    q, r = np.exp(found)
+    if r > scale.rounding:
+        return Noise(float(q), float(r), False)
+    for _ in range(3):  # r is known, and the best scale for r / q changes q, and so r / q
+        q *= math.exp(likelihood.with_best_scale(np.log([q, scale.rounding]))[0])
+        q = max(q, scale.rounding / math.exp(high))  # of fixes that rest nothing tells q
+    return Noise(float(q), scale.rounding, True)
+
+
+def log_errors(line: Line, noise: Noise, scale: Scale) -> dict[str, float]:
+    """Return standard errors of log q and log r, as `fit` does; that of an r that is the rounding is infinite."""
+    known = np.arange(1 if noise.rounding else 2)
+    blocks = fitting.blocks_of(from_an_unknown_start(line, *noise[:2], scale), line.z[:, :1])
+    blocks = blocks._replace(of_rows=np.repeat(blocks.of_rows, line.z.shape[1], axis=1))  # one for all axes of a fix
+    errors = fitting.log_errors(likelihood_of(line, scale), np.log([noise.q, noise.r]), known, blocks)
+    return dict(zip("qr", errors.tolist(), strict=True))
+
+
+def _sample(line):
+    """Return a line, or parts spread over it where it has many fixes, each of which begins as a segment does."""
+    if len(line.rows) <= MOST_FITTED:
+        return line
+    starts = np.linspace(0, len(line.rows) - FITTED_AT_A_TIME, MOST_FITTED // FITTED_AT_A_TIME).astype(int)
+    rows = np.unique(starts[:, None] + np.arange(FITTED_AT_A_TIME))
+    first = line.first.copy()
+    fixes = np.flatnonzero(np.isfinite(line.z).any(axis=1))
+    for start in starts:
+        first[fixes[np.searchsorted(fixes, start) :][:2]] = True
+    return replace(line.part(rows), first=first[rows])
