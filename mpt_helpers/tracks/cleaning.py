@@ -363,7 +363,7 @@ def clean(
             still = f"{(segment >= 0).sum()} of {len(own)} fixes standing still"
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
         show("fitting")
-        noise = fitted(line, noise, scale)
+        noise = fitted(line, noise, scale, near=before is not None)
     line = on_one_line(t, z, relative, fixes.repeats, segment, noise, scale)
     show("smoothing")
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])

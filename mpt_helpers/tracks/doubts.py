@@ -71,7 +71,7 @@ def refuse_signs(name: str, others: dict[str, list[str]], numbers: dict[str, Arr
             letters = np.array([cell.strip().upper()[:1] for cell in cells])
             of_this = {cell.strip().upper() for cell in cells} <= {plus, minus, "NORTH", "SOUTH", "EAST", "WEST", ""}
             if of_this and np.any(numbers[what][letters == minus] > 0):
-                way = f"frame[{what!r}] *= frame[{column!r}].map({{{plus!r}: 1, {minus!r}: -1}})"
+                way = f"frame[{what!r}] *= frame[{column!r}].str.upper().str[0].map({{{plus!r}: 1, {minus!r}: -1}})"
                 raise ValueError(f"{name}: needs signed degrees, got the sign of {what} in column {column!r}: {way}")
 
 

@@ -83,7 +83,7 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
     Warns
     -----
     UserWarning
-        Where the first fix is refused: x0 and P0 do not say where the track begins.
+        Where the first fixes are all refused: x0 and P0 do not say where the track begins.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
     need = "a squared distance in variances, above 1, as 100"
     limit = checks.number("limit", limit, need, lambda value: value > 1)
     patience = checks.count("patience", patience)
-    _warn_of_a_far_start(_Sequence(kf, z[..., None]), limit)
+    _warn_of_a_far_start(_Sequence(kf, z[..., None]), limit, patience)
     return segments_of(kf, z[..., None], [], limit, patience)
 
 
@@ -127,17 +127,18 @@ def segments_of(kf, z, begins, limit, patience):
     return number
 
 
-def _warn_of_a_far_start(sequence, limit):
-    """Warn where x0 and P0 do not expect the first fixes, so that good ones are refused until they begin anew."""
-    state, nis = sequence.first(), 0.0
+def _warn_of_a_far_start(sequence, limit, patience):
+    """Warn where x0 and P0 expect none of the first fixes: good ones are refused then until some of them agree."""
+    state, off = sequence.first(), []
     for k, fix in enumerate(sequence.fixes):
         look = sequence.look(state, k)
-        state, nis = look.refused, look.nis
-        if fix:
+        state = look.refused
+        off += [look.nis] if fix else []
+        if len(off) == patience:
             break
-    if nis > limit:
+    if min(off, default=0.0) > limit:
         where = "say where the track begins: x0 at the first fix, and a P0 that holds its position and velocity"
-        checks.warn(f"gated: the first fix is {math.sqrt(nis):.0f} standard deviations from x0: {where}")
+        checks.warn(f"gated: the first fixes are {math.sqrt(min(off)):.0f} standard deviations from x0: {where}")
 
 
 class _Sequence:

@@ -22,7 +22,7 @@ from ..search import AROUND, along_a_line
 HOUR_BETWEEN, FORGOTTEN, HELD = 3600.0, 8, 1e20
 # q and r are those of at most so many fixes: more, in parts spread over the track, tell them to 1 % already.
 MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
-# r / q, in units of the usual step cubed (s³), is searched between these: near the last one, or else all over.
+# r / q, in units of the usual step cubed (s³), is searched between these: first all over, later near the last one.
 RATIOS = math.log(1e-8), math.log(1e6)
 ALL_OVER = math.log(100) * np.arange(-3.5, 4)
 RATIO_FOUND = 0.02
@@ -185,9 +185,10 @@ def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:
     return fitting.NegativeLogLikelihood(make, ["q", "r"], line.z[:, None], ~line.first)
 
 
-def fitted(line: Line, guess: Noise, scale: Scale) -> Noise:
-    """Return maximum-likelihood q and r of the fixes of a line, searched along r / q, near a guess or else all over.
+def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
+    """Return maximum-likelihood q and r of the fixes of a line, searched along r / q, near a guess or all over.
 
+    A first guess may be near a lesser maximum: a recording with many short gaps has several.
     Where r comes out below the rounding of the numbers it is set to that.
     """
     likelihood = likelihood_of(_sample(line), scale)
@@ -198,8 +199,8 @@ def fitted(line: Line, guess: Noise, scale: Scale) -> Noise:
         return likelihood.with_best_scale(point) if within else (0.0, math.inf)
 
     at, ratio = np.log([guess.q, guess.r]), np.array([-0.5, 0.5])
-    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0)
-    if abs(np.diff(found - at)[0]) > AROUND[-2]:  # it was looked for in the wrong place
+    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0) if near else at
+    if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # it was looked for in the wrong place
         middle = at[0] + np.array([0.0, (low + high) / 2])
         found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
     q, r = np.exp(found)

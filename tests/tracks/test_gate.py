@@ -338,3 +338,10 @@ def test_limits_follow_the_fixes_around(count):
     assert (cleaning._limits_of_calm(np.full(count, 100.0)) == cleaning.FROM_BOTH_SIDES).all()
     assert (cleaning._limits_of_calm(np.full(count, 0.1)) == cleaning.CALM).all()
     np.testing.assert_allclose(cleaning._limits_of_calm(np.full(count, 1.0)), 60 / 1.39)
+
+
+def test_a_start_far_from_the_first_fixes_is_told(track):
+    kf, z = track
+    with pytest.warns(UserWarning, match=r"gated: the first fixes are \d+ standard deviations from x0: say where"):
+        number = mpt.gated(kf, z + 5000.0)
+    assert (number >= 0).sum() > 390

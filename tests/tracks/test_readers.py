@@ -272,7 +272,7 @@ def zipped():
         (b"$GPGGA,091500.00,5217.99,N,00454.00,E,1,08,0.9,0.1,M,,M,,*47\r\n", "a log of NMEA .*-i nmea"),
         (b"!AIVDM,1,1,,A,13HOI:0P0000VOHLCnHQKwvL05Ip,0*23\n", "a log of NMEA sentences"),
         (b"AXCSAAA\r\nHFDTE030522\r\nB0915005217990N00454000EA0000100010\r\n", "an IGC file: gpsbabel"),
-        (b'{"type": "FeatureCollection"}', r"a JSON file: pandas.read_json\(a.b\)"),
+        (b'{"type": "FeatureCollection"}', r"a JSON file: pandas.read_json\('a.b'\)"),
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "a binary file"),
         (b"     3.05           OBSERVATION DATA    G (GPS)             RINEX VERSION / TYPE\n", "a RINEX file"),
     ],
