@@ -40,9 +40,11 @@ from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, Prediction, Rows, SteppedColumns
+from ._engine.pieces import VAGUE
 from ._engine.shared import SharedSteps, Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
+from .equations import unit_measurements
 from .model import LinearModel
 
 # Numbers in the covariances of a tile of tracks whose innovations, or way back, are computed together: 32 MB.
@@ -355,6 +357,16 @@ class RecursiveFilter(Filter):
     def prediction(self) -> Prediction:
         """The prediction by the model on columns, x <- F x and P <- F P Fᵀ + Q."""
         return Prediction(self.model.F, self.model.Q)
+
+    @cached_property
+    def vague(self) -> bool:
+        """Whether P0 is so large beside Q and R that the first updates leave few digits in P (`_engine.pieces`)."""
+        F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
+        if self.r is not None:
+            given = np.where(self.r > 0, self.r, np.inf).reshape(*self.r.shape[:2], -1)
+            R = np.diag(np.minimum(np.diag(R), given.min(axis=(0, 2))))
+        H_1, _ = unit_measurements(H, H @ Q @ H.T + R)
+        return self.optimal and bool((H_1 @ F @ self.P0 @ F.T @ H_1.T).max() > VAGUE)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.
