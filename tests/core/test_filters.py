@@ -353,9 +353,9 @@ def test_side_by_side_any_number_of_filters_keeps_its_coefficients():
 @pytest.mark.parametrize("tracks", [(), (3,)], ids=["one track", "one of three"])
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of the covariance that overflows
 def test_a_gap_in_which_the_covariance_overflows_is_refused(make, tracks):
-    growing = mpt.LinearModel(F=[[2.0]], H=[[1.0]], Q=[[1.0]], R=[[1.0]])
-    z = np.ones((700, 1, *tracks))
-    z[(slice(600), 0, *[1] * len(tracks))] = np.nan
+    growing = mpt.LinearModel(F=[[16.0]], H=[[1.0]], Q=[[1.0]], R=[[1.0]])
+    z = np.ones((200, 1, *tracks))
+    z[(slice(150), 0, *[1] * len(tracks))] = np.nan
     for function in (make(growing).filter, make(growing).covariances, make(growing).smooth):
         with pytest.raises(ValueError, match=r"z: needs gaps over which the covariances .* got an overflow"):
             function(z)
