@@ -83,7 +83,7 @@ def test_sharing_needs_that_each_axis_is_measured_and_the_split_does_not(taught)
         X, P = taught["step_with_gaps"](X, P, [0.0, 0.0, np.nan])
         assert (P[2] > before[2])[[0, 1], [0, 1]].all()
     np.testing.assert_allclose(P[0], before[0], rtol=1e-9)
-    says("(In `step` a single NaN would spoil its column for ever.)")
+    says("(In `step` a single NaN would spoil its column for ever.")
     X, P = taught["step"](np.zeros((2, 3)), np.eye(2), np.array([1.0, np.nan, 1.0]))
     X, _ = taught["step"](X, P, np.ones(3))
     np.testing.assert_array_equal(np.isnan(X), [[False, True, False]] * 2)
@@ -119,9 +119,8 @@ def test_what_is_left_of_a_measurement_is_r_times_the_gain(settled):
 
 def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
     """By errors of simulated tracks too: 20,000 know a standard deviation to 0.5 %."""
-    says(
-        "The frozen filter's σ is up to 16 times the other's, and it takes ten seconds until the two agree to 4 % for good."
-    )
+    says("The frozen filter's σ is up to 16 times the other's")
+    says("and it takes ten seconds until the two agree to 4 % for good.")
     best, frozen = lesson.after_silence(30, steps=15)
     ratio = frozen / best
     assert round(ratio.max()) == 16
