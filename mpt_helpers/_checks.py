@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from numbers import Real
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +120,7 @@ def array(name: str, value: object, shape: tuple[int, ...]) -> Array:
     return copy
 
 
-def real_numbers(name: str, value: object, need: str) -> np.ndarray:
+def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
     """Return `value` as an array if it holds real numbers: dates, texts and masks would turn into numbers silently."""
     if isinstance(value, np.ma.MaskedArray):
         refuse(name, need, "a masked array (its filled(np.nan) has NaN where one is missing)", TypeError)
@@ -182,7 +182,7 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
     return matrix
 
 
-def measurements(z: object, m: int) -> Array:
+def measurements(z: Any, m: int) -> Array:
     """Return measurements as a float array of shape (N, m) or (N, m, M). NaN stands for a missing one.
 
     Infinity is not looked for here: `no_infinity` does that where a result is not finite.
@@ -248,7 +248,7 @@ def used_variances(name: str, values: np.ndarray, of: str = "measurement that is
         refuse(name, f"a positive variance of every {of}", "another")
 
 
-def state(x: object, P: object, n: int) -> tuple[np.ndarray, np.ndarray]:
+def state(x: Any, P: Any, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return x (n,) and P (n, n), a covariance, as arrays of finite floats."""
     as_they_are = type(x) is type(P) is np.ndarray and x.dtype == P.dtype == float
     if not as_they_are or x.shape != (n,) or P.shape != (n, n) or not (np.isfinite(x).all() and np.isfinite(P).all()):
