@@ -73,7 +73,7 @@ DRAWN = [line, band, scatter, bars, steps, stairs, image, heat_map, contours, in
 
 @pytest.mark.parametrize("draw", DRAWN)
 def test_a_change_of_one_percent_in_any_point_is_described(draw):
-    y = np.random.default_rng(0).uniform(1, 100, 20)
+    y = np.random.default_rng(0).uniform(1, 100, 8)
     described = set()
     for i in range(-1, len(y)):
         moved = y.copy()
@@ -315,23 +315,23 @@ def test_the_colours_differ_for_colour_blind_readers_and_the_first_four_in_grey(
     assert np.diff(lightness).min() > 6
 
 
-@pytest.mark.parametrize("scale", ["linear", "log"])
-def test_the_last_bits_of_what_is_drawn_are_not_seen(tmp_path, scale):
+def test_the_last_bits_of_what_is_drawn_are_not_seen(tmp_path):
     """They differ between processors: flat ends and straight parts are where a picture would show it."""
     drawn = []
-    for seed in (None, 1, 2):
+    for seed in (None, 1):
         x = np.linspace(1, 60, 400)
         y = 1 - 0.5 * np.exp(-x)
         if seed:
             y = y * (1 + 1e-15 * np.random.default_rng(seed).standard_normal(400))
-        fig, ax = panels([["a", "b"], ["c", "d"]], height=2.5)
-        ax["a"].plot(x, y), ax["a"].fill_between(x, y - 0.1, y + 0.1)
-        ax["b"].plot(y, x, "o")
+        fig, ax = panels([["a", "log a"], ["b", "log b"], ["c", "d"]], height=2.5)
+        for scale in ("", "log "):
+            ax[f"{scale}a"].plot(x, y), ax[f"{scale}a"].fill_between(x, y - 0.1, y + 0.1)
+            ax[f"{scale}b"].plot(y, x, "o")
+        ax["log a"].set_yscale("log"), ax["log b"].set_xscale("log")
         ax["c"].pcolormesh(y.reshape(20, 20)), ax["d"].bar(x[:20], y[:20])
-        ax["a"].set_yscale(scale), ax["b"].set_xscale(scale)
         save_figure(fig, "bits", folder=tmp_path)
         drawn.append([(tmp_path / f"bits.{kind}").read_bytes() for kind in ("png", "svg")])
-    assert drawn[0] == drawn[1] == drawn[2]
+    assert drawn[0] == drawn[1]
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
