@@ -11,6 +11,7 @@ from reproduction import plots
 from reproduction.lasting import memory
 
 from . import recorded
+from .checks import spread
 from .positioning import line_sigma
 
 LENGTHS = np.array([2, 3, 5, 10, 20, 35, 50, 75, 100])
@@ -278,15 +279,6 @@ def three(values, form="{:.2f}"):
     '1.00 2.50 3.00'
     """
     return " ".join(form.format(value) for value in values)
-
-
-def spread(values, form="{:.2f}"):
-    """Return the least and the largest of some numbers as a text.
-
-    >>> spread([[1, 2.5], [3, 2]])
-    '1.00 to 3.00'
-    """
-    return f"{form.format(np.min(values))} to {form.format(np.max(values))}"
 
 
 def changed(filtered, word, other):

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from reproduction import figures, plots
-from reproduction.figures import alt_text, describe, save_figure, visible_gap
+from reproduction.figures import alt_text, describe, save_figure
 from reproduction.plots import finish, panels
 
 
@@ -205,20 +205,6 @@ def test_rounding_is_not_described():
     before = describe(fig)
     ax["a"].lines[0].set_ydata(y * (1 + 4e-16) + 3e-14)
     assert describe(fig) == before
-
-
-def test_a_gap_that_leaves_the_level_of_rounding_is_described():
-    described = []
-    for gap in (1e-16, 2e-12, 9e-10):
-        fig, ax = panels([["gap"]])
-        ax["gap"].semilogy(visible_gap(np.full(9, gap)))
-        described.append(describe(fig))
-    assert len(set(described)) == 3
-
-
-def test_gaps_are_clipped_where_rounding_begins():
-    np.testing.assert_array_equal(visible_gap([0, 1e-17, 5e-13]), 1e-12)
-    np.testing.assert_allclose(visible_gap([3.33333e-11, 0.123456]), [3e-11, 0.123], rtol=1e-14)
 
 
 def test_a_figure_is_the_same_bytes_every_time(tmp_path):
