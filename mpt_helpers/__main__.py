@@ -1,12 +1,13 @@
 """`python -m mpt_helpers track FILE` cleans a recorded track; the papers' commands are `python -m reproduction`."""
 
 import sys
+from collections.abc import Sequence
 
 MOVED = ("reproduce", "verdicts", "readme", "tidy")
 USAGE = "python -m mpt_helpers track FILE.gpx cleans and smooths a recorded track; track --help says more"
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code, 2 as of any command line that is not understood."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     if given and given[0] == "track":

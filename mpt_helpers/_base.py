@@ -40,9 +40,11 @@ from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, Prediction, Rows, SteppedColumns
+from ._engine.pieces import VAGUE
 from ._engine.shared import SharedSteps, Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
+from .equations import unit_measurements
 from .model import LinearModel
 
 # Numbers in the covariances of a tile of tracks whose innovations, or way back, are computed together: 32 MB.
@@ -50,10 +52,22 @@ MOST_NUMBERS = 4_000_000
 
 
 class Estimates(NamedTuple):
-    """States x, (N, n) or (N, n, M), and their covariances P, (N, n, n) or (N, n, n, M)."""
+    """The states of all epochs and their covariances; printed, the shapes of both.
+
+    Attributes
+    ----------
+    x : ndarray (N, n) or (N, n, M)
+        The states.
+    P : ndarray (N, n, n) or (N, n, n, M)
+        Their covariances.
+
+    """
 
     x: Array
     P: Array
+
+    def __repr__(self) -> str:
+        return f"Estimates(x {self.x.shape}, P {self.P.shape})"
 
 
 def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, Array]:
@@ -237,7 +251,7 @@ class Filter(Immutable):
         """
         raise NotImplementedError
 
-    def on_columns(self, rows: Rows) -> Callable:
+    def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, as a RecursiveFilter does; raises TypeError for one that has no step."""
         raise self._not_recursive()
 
@@ -277,7 +291,7 @@ class Filter(Immutable):
             hint = "; step(x, P, z_k) takes one measurement" if name in ("predict", "update") else ""
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}")
 
-    def _not_recursive(self):
+    def _not_recursive(self) -> TypeError:
         return TypeError(f"needs a filter with P0, covariances and step, got a {type(self).__name__}")
 
 
@@ -294,7 +308,7 @@ class RecursiveFilter(Filter):
 
     optimal = True  # other than in Filter, where it is False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         checks.instance("model", self.model, LinearModel)
 
     @property
@@ -332,7 +346,7 @@ class RecursiveFilter(Filter):
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
 
-    def on_columns(self, rows: Rows) -> Callable:
+    def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, its `advance` (`_engine.columns`), for Rows that start at x0 and P0.
 
         It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations.
@@ -343,6 +357,16 @@ class RecursiveFilter(Filter):
     def prediction(self) -> Prediction:
         """The prediction by the model on columns, x <- F x and P <- F P Fᵀ + Q."""
         return Prediction(self.model.F, self.model.Q)
+
+    @cached_property
+    def vague(self) -> bool:
+        """Whether P0 is so large beside Q and R that the first updates leave few digits in P (`_engine.pieces`)."""
+        F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
+        if self.r is not None:
+            given = np.where(self.r > 0, self.r, np.inf).reshape(*self.r.shape[:2], -1)
+            R = np.diag(np.minimum(np.diag(R), given.min(axis=(0, 2))))
+        H_1, _ = unit_measurements(H, H @ Q @ H.T + R)
+        return self.optimal and bool((H_1 @ F @ self.P0 @ F.T @ H_1.T).max() > VAGUE)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.

@@ -1,6 +1,7 @@
-"""Checks of models, measurements and counts: bad input is refused by name, before anything is computed.
+"""Checks of models, measurements and counts, where a user passes something in. All behind that trusts what it gets.
 
-The checks run where a user passes something in. Everything behind that point trusts what it gets.
+A check stands here where without it a wrong number would come out silently, or where the error would not name the
+argument.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from numbers import Real
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,23 +22,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]  # what a model holds and what a filter returns
 Seconds = float | timedelta | np.timedelta64  # a length of time; a number is one of seconds
 
-# A covariance scaled to unit variances has entries of order one and comes out of a few products of doubles: asymmetry
-# or negative eigenvalues below this are rounding, above it they are a mistake. A positive definite matrix must have all
-# its eigenvalues above it.
+# A covariance at unit variances has entries of order one: asymmetry or negative eigenvalues below this are rounding.
 ROUNDING = 1e-12
-# The same for a covariance that a solver has made, for a model at the edge of double precision.
+# The same of a covariance that a solver has made, for a model at the edge of double precision.
 SOLVED = 1e-6
-# Seconds beyond this, 3,000 years, are no seconds. Unix times are 1.7e9 s today; of which units they are, where they
-# are too large, shows by what makes them less.
-LATEST_TIME = 1e11
-UNIX_UNITS = {"Unix milliseconds": 1e3, "Unix microseconds": 1e6, "Unix nanoseconds": 1e9}
+LATEST_TIME = 1e11  # s, 3,000 years: larger numbers are Unix milli-, micro- or nanoseconds
+LONGEST_STEP = 1e60  # s: its fifth power, in the Q of constant acceleration, is a double
 
 
 def refuse(name: str, need: str, got: object, error: type[Exception] = ValueError) -> NoReturn:
-    """Raise `error` with a message that names the argument, what it needs and what it got.
-
-    The error that led here, if there is one, is not shown: the message says all that a user can do.
-    """
+    """Raise an error that names the argument, what it needs and what it got, and hides the error that led here."""
     raise error(f"{name}: needs {need}, got {got}") from None
 
 
@@ -56,20 +50,14 @@ def instance(name: str, value: object, kind: type) -> None:
 
 
 def number(name: str, value: object, need: str, accept: Callable[[float], bool]) -> float:
-    """Return a finite real scalar as a float, or raise.
-
-    `accept` says whether the argument can take a finite value, and `need` says the same in words.
+    """Return a finite real number that `accept` takes, as `need` says in words.
 
     >>> number("dt", 0, "a positive number", lambda value: value > 0)
     Traceback (most recent call last):
     ...
     ValueError: dt: needs a positive number, got 0
     """
-    if isinstance(value, timedelta):
-        refuse(name, need, f"{value!r} (its total_seconds() is a number)", TypeError)
-    if isinstance(value, np.timedelta64):  # which counts as Real
-        refuse(name, need, f"{value!r} (divided by np.timedelta64(1, 's') it is a number)", TypeError)
-    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+    if not isinstance(value, Real) or isinstance(value, np.timedelta64):  # which counts as a Real
         refuse(name, need, f"{value!r:.60}", TypeError)
     try:
         as_float = float(value)
@@ -81,35 +69,35 @@ def number(name: str, value: object, need: str, accept: Callable[[float], bool])
 
 
 def positive(name: str, value: object) -> float:
-    """Return a positive number as a float, or raise."""
+    """Return a positive number."""
     return number(name, value, "a positive number", lambda value: value > 0)
 
 
 def not_negative(name: str, value: object) -> float:
-    """Return a number that is not negative as a float, or raise."""
+    """Return a number that is not negative."""
     return number(name, value, "a number that is not negative", lambda value: value >= 0)
 
 
 def level(value: object) -> float:
-    """Return the share that a band is to hold, between 0 and 1, as a float, or raise."""
+    """Return the share that a band is to hold, between 0 and 1."""
     return number("level", value, "a number in (0, 1)", lambda value: 0 < value < 1)
 
 
 def duration(name: str, value: object) -> float:
-    """Return a positive length of time, a number of seconds or a timedelta, in seconds, or raise.
+    """Return a positive length of time, a number of seconds or a timedelta, in seconds.
 
     >>> duration("seconds", timedelta(minutes=1))
     60.0
     """
-    need = "a positive number of seconds below 1e60"  # its fifth power, in the Q of constant acceleration, is a double
-    return number(name, as_seconds(value), need, lambda dt: 0 < dt < 1e60)
+    seconds = positive(name, as_seconds(value))
+    if seconds > LONGEST_STEP:
+        refuse(name, f"at most {LONGEST_STEP:g} s", f"{seconds:g} s")
+    return seconds
 
 
 def count(name: str, value: object, least: int = 1) -> int:
-    """Return an integer of at least `least`, or raise."""
+    """Return an integer of at least `least`."""
     need = f"an integer of at least {least}"
-    if isinstance(value, bool | np.bool_):
-        refuse(name, need, value, TypeError)
     try:
         whole = operator.index(value)
     except TypeError:
@@ -120,7 +108,7 @@ def count(name: str, value: object, least: int = 1) -> int:
 
 
 def array(name: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Return a read-only copy of an array of finite real numbers of this shape, or raise."""
+    """Return a read-only copy of an array of finite real numbers of this shape."""
     need = f"a {shape} array of finite numbers"
     # In C order, since the rounding of a product depends on the memory layout.
     copy = real_numbers(name, value, need).astype(float, order="C")
@@ -132,10 +120,8 @@ def array(name: str, value: object, shape: tuple[int, ...]) -> Array:
     return copy
 
 
-def real_numbers(name: str, value: object, need: str) -> np.ndarray:
-    """Return `value` as an array if it holds real numbers, or raise; the numbers are not looked at."""
-    if value is None:
-        refuse(name, need, "None", TypeError)
+def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
+    """Return `value` as an array if it holds real numbers: dates, texts and masks would turn into numbers silently."""
     if isinstance(value, np.ma.MaskedArray):
         refuse(name, need, "a masked array (its filled(np.nan) has NaN where one is missing)", TypeError)
     try:
@@ -145,41 +131,21 @@ def real_numbers(name: str, value: object, need: str) -> np.ndarray:
     if values.dtype == object and hasattr(value, "to_numpy"):
         with suppress(TypeError, ValueError):  # of a column of anything else
             numbers = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
-            others = np.reshape([not _is_number(each) for each in values.ravel()], values.shape)
+            others = np.reshape([not isinstance(each, Real) for each in values.flat], values.shape)
             if np.isnan(numbers[others]).all():  # and not texts, or times with a zone, which have a number too
                 values = numbers
+    if values.dtype == object:
+        kinds = ", ".join(sorted({type(each).__name__ for each in values.flat}))
+        refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
     if values.dtype.kind not in "iuf":
-        refuse(name, need, _other_data(values), TypeError)
+        refuse(name, need, f"an array of {values.dtype} data", TypeError)
     if values.dtype == np.float16:
         refuse(name, need, "float16, which rounds 5000 to a multiple of 4", TypeError)
     return values
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _other_data(values: np.ndarray) -> str:
-    """Say what an array holds that has no real numbers, and what makes numbers of it."""
-    kinds = {"m": timedelta, "M": datetime}
-    others = [kinds[values.dtype.kind]] if values.dtype.kind in kinds else []
-    if values.dtype == object:
-        others = [type(each) for each in values.ravel() if not _is_number(each)]
-        if not others:
-            return "numbers as objects (.astype(float) makes an array of numbers)"
-        if type(None) in others:
-            return "None among its values"
-    if timedelta in others:
-        return "lengths of time (divided by np.timedelta64(1, 's'), or their total_seconds(), they are numbers)"
-    if any(issubclass(each, datetime) for each in others):
-        return "dates (their differences in seconds are numbers)"
-    if others:
-        return f"an array of objects of type {others[0].__name__}"
-    return f"an array of {values.dtype} data"
-
-
 def rows(name: str, matrix: object) -> int:
-    """Return how many rows a matrix has, or raise."""
+    """Return how many rows a matrix has."""
     values = real_numbers(name, matrix, "a matrix")
     if values.ndim != 2 or values.size == 0:
         refuse(name, "a matrix", f"shape {values.shape}")
@@ -187,9 +153,9 @@ def rows(name: str, matrix: object) -> int:
 
 
 def covariance(name: str, value: object, size: int, definite: bool = False, rounding: float = ROUNDING) -> Array:
-    """Return a symmetric positive semidefinite (or definite) matrix of this size, or raise.
+    """Return a symmetric positive semidefinite (or definite) matrix of this size.
 
-    The eigenvalues examined are those of the correlation matrix, so that variances of very different size pass.
+    Its eigenvalues are looked at where its variances are one, so that variances of very different size pass.
 
     >>> covariance("R", [[0.0]], 1, definite=True)
     Traceback (most recent call last):
@@ -205,11 +171,10 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
     sigma = np.sqrt(np.maximum(variance, 0))
     # Beside a variance of zero there is no covariance but rounding: up to `rounding` of the largest one possible.
     unit = np.where(sigma > 0, sigma, np.sqrt(rounding) * sigma.max() or np.finfo(float).tiny)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         scaled = matrix / unit[:, None] / unit
-    if not np.isfinite(scaled).all():
-        refuse(name, need, "a covariance far larger than the variances allow")
-    if np.abs(scaled - scaled.T).max() > rounding:
+        symmetric = np.abs(scaled - scaled.T).max() <= rounding  # not where one overflows
+    if not symmetric:
         refuse(name, need, "a matrix that is not symmetric")
     lowest = np.linalg.eigvalsh(scaled)[0]
     if lowest < -rounding or (definite and lowest <= rounding):
@@ -217,21 +182,32 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
     return matrix
 
 
-def measurements(z: object, m: int) -> Array:
-    """Return measurements as a float array of shape (N, m) or (N, m, M), or raise. NaN stands for a missing one.
+def measurements(z: Any, m: int) -> Array:
+    """Return measurements as a float array of shape (N, m) or (N, m, M). NaN stands for a missing one.
 
     Infinity is not looked for here: `no_infinity` does that where a result is not finite.
     """
-    need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
-    z = real_numbers("z", z, need)
-    if m == 1 and z.ndim == 1:  # a series of one sensor
-        z = z[:, None]
-    if z.ndim not in (2, 3) or z.shape[1] != m or 0 in z.shape:
-        refuse("z", need, f"shape {z.shape}")
-    if z.dtype == float:
-        return z
+    z = _rows_of(m, "z", z, "numbers, NaN where one is missing")
     with np.errstate(over="ignore"):  # a long double beyond the range of doubles becomes infinite
-        return z.astype(float)
+        return z if z.dtype == float else z.astype(float)
+
+
+def variances(name: str, value: object, m: int) -> Array:
+    """Return variances (N, m) or (N, m, M) as a read-only float array; the numbers are not looked at."""
+    values = _rows_of(m, name, value, "variances").astype(float, order="C")
+    values.flags.writeable = False
+    return values
+
+
+def _rows_of(m, name, value, what):
+    """Return an array (N, m) or (N, m, M), or (N, 1) of a series (N,) of one sensor."""
+    need = f"an (N, {m}) or (N, {m}, M) array of {what}"
+    values = real_numbers(name, value, need)
+    if m == 1 and values.ndim == 1:
+        values = values[:, None]
+    if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
+        refuse(name, need, f"shape {values.shape}")
+    return values
 
 
 def no_infinity(z: np.ndarray, name: str = "z") -> None:
@@ -241,132 +217,17 @@ def no_infinity(z: np.ndarray, name: str = "z") -> None:
 
 
 def one_measurement(z_k: object, m: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return z_k as a vector of floats of length m, and which of them are there, or raise."""
+    """Return z_k as a vector of floats of length m, and which of them are there."""
     need = f"a vector of length {m}"
     z_k = real_numbers("z_k", z_k, need).astype(float)
     if z_k.shape != (m,):
         refuse("z_k", need, f"shape {z_k.shape}")
-    seen = np.isfinite(z_k)
-    if not seen.all():
-        no_infinity(z_k, "z_k")
-    return z_k, seen
-
-
-def state(x: object, P: object, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return x (n,) and P (n, n), a covariance, as arrays of finite floats, or raise."""
-    if not (type(x) is type(P) is np.ndarray and x.dtype == P.dtype == float):
-        x, P = array("x", x, (n,)), array("P", P, (n, n))
-    if x.shape != (n,) or P.shape != (n, n) or not (np.isfinite(x).all() and np.isfinite(P).all()):
-        x, P = array("x", x, (n,)), array("P", P, (n, n))  # which say what is wrong
-    sigma = np.sqrt(np.abs(P.diagonal()))
-    sigma += SOLVED * math.sqrt(SOLVED) * sigma.max() + np.finfo(float).tiny
-    unit = P / sigma / sigma[:, None]
-    try:
-        np.linalg.cholesky(unit + SOLVED * np.eye(n))  # fails where an eigenvalue is below -SOLVED
-        symmetric = np.abs(unit - unit.T).max() <= SOLVED
-    except np.linalg.LinAlgError:
-        symmetric = False
-    if not symmetric:
-        refuse("P", "a symmetric positive semidefinite matrix", f"{P.tolist()!s:.80}")
-    return x, P
-
-
-def times(name: str, value: object) -> Array:
-    """Return times (N,) or (N, M) that do not decrease as a read-only float array in seconds, or raise.
-
-    Numbers are seconds already. Dates are taken for what they are, in seconds from the first: datetime64, datetimes and
-    pandas Timestamps, with or without a zone, in arrays, lists, a pandas index or Series. So are lengths of time.
-
-    >>> times("t", np.array(["2024-05-03T10:00", "2024-05-03T10:01"], "datetime64[m]"))
-    array([ 0., 60.])
-    """
-    need = "an (N,) or (N, M) array of finite times that do not decrease"
-    values = real_numbers(name, _seconds_of_all(name, value), need)
-    if values.ndim not in (1, 2) or 0 in values.shape:
-        refuse(name, need, f"shape {values.shape}")
-    kind = values.dtype
-    values = array(name, values, values.shape)
-    with np.errstate(over="ignore"):  # such times are refused below
-        steps = np.diff(values, axis=0)
-    if (steps < 0).any():
-        k = np.argwhere(steps < 0)[0][0]
-        refuse(name, need, f"{values[k + 1].max():.15g} after {values[k].max():.15g}, in row {k + 1}")
-    _require_seconds(name, values, steps, kind)
-    return values
-
-
-def as_seconds(value: object) -> object:
-    """Return a length of time, a timedelta of Python, numpy or pandas, in seconds; anything else as it is.
-
-    >>> as_seconds(timedelta(minutes=1)), as_seconds(np.timedelta64(5, "m")), as_seconds(1.5)
-    (60.0, 300.0, 1.5)
-    """
-    if isinstance(value, timedelta):
-        return value.total_seconds()
-    if isinstance(value, np.timedelta64):
-        with suppress(TypeError):  # years and months have no length
-            return float(value / np.timedelta64(1, "s"))
-    return value
-
-
-def moment(name: str, value: object) -> float:
-    """Return a time in seconds, since 1970 where it is a date (datetime, Timestamp, datetime64), or raise.
-
-    >>> moment("t", np.datetime64("1970-01-02")), moment("t", 1.5)
-    (86400.0, 1.5)
-    """
-    if isinstance(value, datetime):
-        value = (value - datetime(1970, 1, 1, tzinfo=value.tzinfo and UTC)).total_seconds()
-    elif isinstance(value, np.datetime64):
-        value = as_seconds(value - np.datetime64("1970-01-01", "s"))
-    return number(name, value, "a time in seconds, or a date", lambda _: True)
-
-
-def _seconds_of_all(name, value):
-    """Return dates and lengths of time as arrays of seconds, dates from the first; anything else as it is."""
-    if value is None or isinstance(value, np.ma.MaskedArray):
-        return value
-    try:
-        values = np.asarray(value)
-    except ValueError:  # rows of different lengths: refused behind this
-        return value
-    if values.dtype.kind == "M" and values.size:
-        if np.datetime_data(values.dtype)[0] in ("Y", "M"):  # which have no length
-            values = values.astype("datetime64[s]")
-        return (values - values.flat[0]) / np.timedelta64(1, "s")
-    if values.dtype.kind == "m" and values.size:
-        return values / np.timedelta64(1, "s")
-    if values.dtype != object or not values.size:
-        return value
-    each = values.ravel().tolist()
-    if all(isinstance(one, datetime) for one in each):
-        if len({one.tzinfo is None for one in each}) == 2:
-            refuse(name, "dates with a zone, or dates without", "both")
-        each = [one - each[0] for one in each]
-    if all(isinstance(one, timedelta) for one in each):
-        return np.reshape([one.total_seconds() for one in each], values.shape)
-    return value
-
-
-def _require_seconds(name, values, steps, kind):
-    """Raise a ValueError where times cannot be seconds: too large, all equal, or rounded away by their type."""
-    largest = np.abs(values).max()
-    if largest > LATEST_TIME:
-        unit = next((unit for unit, size in UNIX_UNITS.items() if largest / size < LATEST_TIME), None)
-        got = f"{largest:.15g}" if unit is None else f"{largest:.15g}, which looks like {unit} (/ {UNIX_UNITS[unit]:g})"
-        refuse(name, "times in seconds", got)
-    if len(values) > 2 and not steps.any():
-        refuse(name, "times of which some differ", f"{values.flat[0]:.15g} in all {len(values)} rows")
-    if kind.kind == "f" and kind.itemsize < 8 and (steps > 0).any():
-        rounding = float(np.spacing(kind.type(largest)))
-        if steps[steps > 0].min() < 2 * rounding:
-            refuse(
-                name, "times as float64, or from the first", f"{kind}, which rounds {largest:.10g} to {rounding:g} s"
-            )
+    no_infinity(z_k, "z_k")
+    return z_k, np.isfinite(z_k)
 
 
 def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
-    """Return the variances (m,) of one measurement, positive where it is there, as seen (m,) says, or raise."""
+    """Return the variances (m,) of one measurement, positive where it is there, as seen (m,) says."""
     need = f"a vector of {len(seen)} positive variances"
     values = real_numbers(name, value, need).astype(float)
     if values.shape != seen.shape:
@@ -387,14 +248,103 @@ def used_variances(name: str, values: np.ndarray, of: str = "measurement that is
         refuse(name, f"a positive variance of every {of}", "another")
 
 
-def variances(name: str, value: object, m: int) -> Array:
-    """Return variances (N, m) or (N, m, M) as a read-only float array, or raise; the numbers are not looked at."""
-    need = f"an (N, {m}) or (N, {m}, M) array of variances"
-    values = real_numbers(name, value, need)
-    if m == 1 and values.ndim == 1:
-        values = values[:, None]
-    if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
+def state(x: Any, P: Any, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return x (n,) and P (n, n), a covariance, as arrays of finite floats."""
+    as_they_are = type(x) is type(P) is np.ndarray and x.dtype == P.dtype == float
+    if not as_they_are or x.shape != (n,) or P.shape != (n, n) or not (np.isfinite(x).all() and np.isfinite(P).all()):
+        x, P = array("x", x, (n,)), array("P", P, (n, n))
+    sigma = np.sqrt(np.abs(P.diagonal()))
+    sigma += SOLVED * math.sqrt(SOLVED) * sigma.max() + np.finfo(float).tiny
+    unit = P / sigma / sigma[:, None]
+    try:
+        np.linalg.cholesky(unit + SOLVED * np.eye(n))  # fails where an eigenvalue is below -SOLVED
+        symmetric = np.abs(unit - unit.T).max() <= SOLVED
+    except np.linalg.LinAlgError:
+        symmetric = False
+    if not symmetric:
+        refuse("P", "a symmetric positive semidefinite matrix", f"{P.tolist()!s:.80}")
+    return x, P
+
+
+def as_seconds(value: object) -> object:
+    """Return a length of time, a timedelta of Python, numpy or pandas, in seconds; anything else as it is.
+
+    >>> as_seconds(timedelta(minutes=1)), as_seconds(np.timedelta64(5, "m")), as_seconds(1.5)
+    (60.0, 300.0, 1.5)
+    """
+    if isinstance(value, timedelta):
+        return value.total_seconds()
+    if isinstance(value, np.timedelta64):
+        with suppress(TypeError):  # years and months have no length
+            return float(value / np.timedelta64(1, "s"))
+    return value
+
+
+def moment(name: str, value: object) -> float:
+    """Return a time in seconds, since 1970 where it is a date (datetime, Timestamp, datetime64).
+
+    >>> moment("t", np.datetime64("1970-01-02")), moment("t", 1.5)
+    (86400.0, 1.5)
+    """
+    if isinstance(value, datetime):
+        value = value - datetime(1970, 1, 1, tzinfo=value.tzinfo and UTC)
+    elif isinstance(value, np.datetime64):
+        value = value - np.datetime64("1970-01-01", "s")
+    return number(name, as_seconds(value), "a time in seconds, or a date", lambda _: True)
+
+
+def times(name: str, value: object) -> Array:
+    """Return times (N,) or (N, M) that do not decrease as a read-only float array in seconds.
+
+    Numbers are seconds already. Dates are taken for what they are, in seconds from the first: datetime64, datetimes and
+    pandas Timestamps, with or without a zone, in arrays, lists, a pandas index or Series. So are lengths of time.
+
+    >>> times("t", np.array(["2024-05-03T10:00", "2024-05-03T10:01"], "datetime64[m]"))
+    array([ 0., 60.])
+    """
+    need = "an (N,) or (N, M) array of finite times that do not decrease"
+    values = real_numbers(name, _seconds_of_all(name, value), need)
+    if values.ndim not in (1, 2) or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
-    values = values.astype(float, order="C")
-    values.flags.writeable = False
+    kind = values.dtype
+    values = array(name, values, values.shape)
+    with np.errstate(over="ignore"):  # such times are refused below
+        steps, largest = np.diff(values, axis=0), np.abs(values).max()
+    if (steps < 0).any():
+        k = np.argwhere(steps < 0)[0][0]
+        refuse(name, need, f"{values[k + 1].max():.15g} after {values[k].max():.15g}, in row {k + 1}")
+    if largest > LATEST_TIME:
+        refuse(name, "times in seconds", f"{largest:.15g}, as of Unix milli-, micro- or nanoseconds")
+    if len(values) > 2 and not steps.any():
+        refuse(name, "times of which some differ", f"{values.flat[0]:.15g} in all {len(values)} rows")
+    # Times of 1.7e9 s in single precision are multiples of 128 s.
+    if (
+        kind.kind == "f"
+        and kind.itemsize < 8
+        and 0 < min(steps[steps > 0], default=0) < 2 * np.spacing(kind.type(largest))
+    ):
+        refuse(name, "times as float64, or from the first", f"{kind}, which rounds {largest:.10g}")
     return values
+
+
+def _seconds_of_all(name, value):
+    """Return dates and lengths of time as arrays of seconds, dates from the first; anything else as it is."""
+    try:
+        values = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+    except ValueError:  # rows of different lengths
+        return value
+    if values.size and values.dtype.kind == "M":
+        if np.datetime_data(values.dtype)[0] in ("Y", "M"):  # which have no length
+            values = values.astype("datetime64[s]")
+        return (values - values.flat[0]) / np.timedelta64(1, "s")
+    if values.size and values.dtype.kind == "m":
+        return values / np.timedelta64(1, "s")
+    if values.dtype != object or not isinstance(next(values.flat, None), datetime | timedelta):
+        return value
+    each = list(values.flat)
+    try:
+        if isinstance(each[0], datetime):
+            each = [one - each[0] for one in each]
+        return np.reshape([one.total_seconds() for one in each], values.shape)
+    except (TypeError, AttributeError):
+        refuse(name, "dates of one kind, with a zone or without, or times in seconds", "several kinds")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +26,10 @@ class Immutable:
         held = [(each + 0.0).tobytes() if isinstance(each, np.ndarray) else each for each in self._held()]
         return hash((type(self), *held))
 
-    def _held(self):
+    def _held(self) -> list[Any]:
         return [getattr(self, field.name) for field in fields(self)]
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()
 
 

@@ -31,7 +31,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from datetime import date, datetime
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,7 @@ from scipy.special import ndtri
 from . import _checks as checks
 from ._base import Filter
 from ._checks import Array, Seconds
+from .model import LinearModel
 
 __all__ = [
     "Coverage",
@@ -208,7 +209,7 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
         got = f"{seconds:g} with steps of {np.median(steps):g} s" if len(steps) else "fewer than two fixes"
         checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
     arrays = [np.concatenate(column) for column in zip(*[part[:-1] for part in parts], strict=True)]
-    return ForecastErrors(*arrays, left_out=sum(part[-1] for part in parts), seconds=seconds)
+    return ForecastErrors._make([*arrays, sum(part[-1] for part in parts), seconds])
 
 
 def following(a: ForecastErrors, before: ForecastErrors | None = None, level: float = 0.95) -> Array:
@@ -425,18 +426,21 @@ class LiveBand:
     """
 
     def __init__(self, estimator: Filter, seconds: Seconds, before: ForecastErrors | None = None, level: float = 0.95):
-        self.model = _model_of_any_step(estimator)
-        self.seconds = checks.duration("seconds", seconds)
-        self.level = checks.level(level)
+        self.model: LinearModel = _model_of_any_step(estimator)
+        self.seconds: float = checks.duration("seconds", seconds)
+        self.level: float = checks.level(level)
         self._factor = _Factor(_start(self.seconds, self.model.m, before, self.level), self.level)
-        self.average = 1.0  # a: the recent average of NIS / m
-        self.last = None  # the estimate of the last call: time, x, P
-        self.kind = None  # of its time: a number, a date or a date with a zone
-        self.first = self.model.x0, estimator.P0
-        self.times = deque()  # of the fixes within the last horizon
-        self.fixes = 0
-        self.unchecked = 0 if before is None else None  # how many fixes came too late, None once one did not
-        self.pending = deque()  # predictions that wait for their fix: time, x, P, f c, the number of their fix, its z
+        self.average: float = 1.0  # a: the recent average of NIS / m
+        self.last: tuple[float, Array, Array] | None = None  # the estimate of the last call: time, x, P
+        self.kind: str | None = None  # of its time: a number, a date or a date with a zone
+        self.first: tuple[Array, Array] = (self.model.x0, estimator.P0)
+        self.times: deque[float] = deque()  # of the fixes within the last horizon
+        self.fixes: int = 0
+        self.unchecked: int | None = (
+            0 if before is None else None
+        )  # how many fixes came too late; None once one did not
+        # Predictions that wait for their fix: time, x, P, f c, the number of their fix, its z.
+        self.pending: deque[tuple[Any, ...]] = deque()
 
     @property
     def factor(self) -> Array:

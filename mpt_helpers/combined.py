@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,7 +60,7 @@ class JoinFilter(Filter):
     first: Filter
     second: Filter
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         checks.instance("first", self.first, Filter)
         checks.instance("second", self.second, Filter)
         if self.first.model != self.second.model:
@@ -172,7 +173,7 @@ class Separate(Filter):
         object.__setattr__(self, "filters", filters)
         object.__setattr__(self, "model", stack(*(each.model for each in filters)))  # refuses models of different dt
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self.filters
 
     @property

@@ -302,7 +302,7 @@ def blocks_of(estimator: Filter, z: Array) -> Blocks:
         return Blocks(np.zeros((N, M), int), 1, "curvature")
     wanted = np.clip(fixes * _usual_step(estimator, seen) / SECONDS_OF_A_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS)
     parts = math.ceil(wanted / M)
-    before = np.cumsum(seen, axis=0) - seen  # the fixes of a track before each row, (N, M)
+    before: np.ndarray = np.cumsum(seen, axis=0) - seen  # the fixes of a track before each row, (N, M)
     part = before * parts // np.maximum(seen.sum(axis=0), 1)
     block = np.minimum(part, parts - 1) + parts * np.arange(M)  # numbered along the first track, then the second, ...
     _, of_rows = np.unique(np.where(seen, block, block[seen][0]), return_inverse=True)  # only those with a fix

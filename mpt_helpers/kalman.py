@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
+from typing import Any
 
 import filterpy.kalman
 import numpy as np
@@ -242,7 +243,7 @@ class KalmanFilter(RecursiveFilter):
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
 
-    def on_columns(self, rows: Rows) -> Callable:
+    def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, as in RecursiveFilter."""
         model = self.model
         if not (self._units[0] @ model.P0 @ self._units[0].T).max() < LARGEST:

@@ -123,6 +123,9 @@ class Innovations(NamedTuple):
     values: Array
     S: Array
 
+    def __repr__(self) -> str:
+        return f"Innovations(values {self.values.shape}, S {self.S.shape})"
+
 
 def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
     """Return the innovations z(k) - H x(k/k-1) and their covariance S(k) = H P(k/k-1) Hᵀ + R.
@@ -194,7 +197,8 @@ class Squares(NamedTuple):
 def squares_of(estimator: Filter, z: ArrayLike) -> Squares:
     """Return the terms of the log-likelihood of each epoch of z, for `nis`, `log_likelihood` and `fit`."""
     _, _, values, S = _of(estimator, z)
-    return Squares(*_squares(values, S), np.isfinite(values).sum(axis=1))
+    squares, log_det = _squares(values, S)
+    return Squares(squares, log_det, np.isfinite(values).sum(axis=1))
 
 
 def nis(estimator: Filter, z: ArrayLike) -> Array:

@@ -18,6 +18,9 @@ from .steady import SteadyStateFilter
 class _Ahead(Filter):
     """The state of an `estimator` some `steps` ahead: what both predictors share."""
 
+    estimator: Filter
+    steps: int
+
     @property
     def model(self) -> LinearModel:
         """The model of the filter."""
@@ -83,7 +86,7 @@ class Predictor(_Ahead):
     estimator: Filter
     steps: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         checks.instance("estimator", self.estimator, Filter)
         checks.count("steps", self.steps, least=0)
 
@@ -121,7 +124,7 @@ class SteadyStatePredictor(_Ahead):
     steady: SteadyStateFilter
     steps: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         checks.instance("steady", self.steady, SteadyStateFilter)
         checks.count("steps", self.steps, least=0)
 

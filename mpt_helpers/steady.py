@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -156,7 +156,7 @@ class SteadyStateFilter(RecursiveFilter):
         _require_whole_rows(seen)
         return self.A, self.B, corrected_covariance(P_predicted, self.B, self.model.H, self.model.R)
 
-    def on_columns(self, rows: Rows) -> Callable:
+    def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, as in RecursiveFilter."""
         _require_whole_rows(rows.seen)
         return ConstantGainColumns(self.prediction, self.B, self.model.H, self.model.R).advance
@@ -307,7 +307,7 @@ class FIRFilter(Filter):
         seen = ~np.isnan(z)
         _require_whole_rows(seen)
         self._convolve(x, np.where(seen, z, 0))
-        missed = ~seen.any(axis=1)
+        missed: np.ndarray = ~seen.any(axis=1)
         F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]
         for k in np.flatnonzero(missed.any(axis=1)):
             predicted = F @ (x[k - 1] if k > 0 else x0)

@@ -15,10 +15,10 @@ columns. A filter on columns is one function,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -36,11 +36,11 @@ class Steps(NamedTuple):
 
     F: np.ndarray
     Q: np.ndarray
-    entries: list
+    entries: list[list[int]]
     unit: bool
 
     @classmethod
-    def over(cls, transition, dt):
+    def over(cls, transition: Callable[..., Any], dt: np.ndarray | None) -> Steps | None:
         """Return the Steps (n, n, ...) of lengths dt (...), None where dt is None: the model's."""
         if dt is None:
             return None
@@ -51,7 +51,7 @@ class Steps(NamedTuple):
             np.fill_diagonal(listed, False)
         return cls(F, Q, np.argwhere(listed).tolist(), unit)
 
-    def times(self, x):
+    def times(self, x: np.ndarray) -> np.ndarray:
         """Return F x (n, ...) of x (n, ...)."""
         moved = x.copy() if self.unit else np.zeros(x.shape)
         for i, j in self.entries:
@@ -70,7 +70,7 @@ class Epoch(NamedTuple):
     steps: Steps | None
     r: np.ndarray | None
 
-    def without(self, refused):
+    def without(self, refused: np.ndarray) -> Epoch:
         """Return the Epoch with nothing measured in the columns that `refused` (M,) says."""
         return self._replace(z=np.where(refused, 0, self.z), seen=self.seen & ~np.asarray(refused))
 
@@ -83,9 +83,9 @@ class Rows:
     seen: np.ndarray
     dt: np.ndarray | None = None
     r: np.ndarray | None = None
-    over: Callable | None = None
+    over: Callable[..., Any] | None = None
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Epoch]:
         """Yield one Epoch after the other; the steps of many are made at once."""
         N = len(self.z)
         for part in [slice(0, N)] if self.dt is None else epochs_at_a_time(N, self.seen[0].size):
@@ -107,34 +107,34 @@ class Epochs:
     z: np.ndarray
     dt: np.ndarray | None = None
     r: np.ndarray | None = None
-    over: Callable | None = None
+    over: Callable[..., Any] | None = None
 
     @cached_property
-    def missing(self):
+    def missing(self) -> np.ndarray:
         """The mask of the measurements that are missing, (N, m, M)."""
         return np.isnan(self.z)
 
     @property
-    def complete(self):
+    def complete(self) -> bool:
         """Say whether nothing is missing: a NaN makes the sum NaN, sooner seen than a mask (so do two infinities)."""
         return not math.isnan(self.z.sum())
 
     @cached_property
-    def alike(self):
+    def alike(self) -> bool:
         """Say whether all tracks have the same gaps, steps and variances: then they share their covariances."""
         widths = [array.shape[-1] for array in (self.dt, self.r) if array is not None]
         return all(width == 1 for width in widths) and bool((self.missing == self.missing[..., :1]).all())
 
-    def of(self, tracks):
+    def of(self, tracks: slice | np.ndarray) -> Epochs:
         """Return the Epochs of some tracks, a slice or a mask of them."""
         dt, r = (a if a is None or a.shape[-1] == 1 else a[..., tracks] for a in (self.dt, self.r))
         return Epochs(self.z[..., tracks], dt, r, self.over)
 
-    def steps(self, part):
+    def steps(self, part: slice) -> Steps | None:
         """Return the Steps (n, n, K, M or 1) before the epochs of a slice, None where all are the model's."""
         return None if self.dt is None else Steps.over(self.over, self.dt[part])
 
-    def noise(self, R):
+    def noise(self, R: np.ndarray) -> np.ndarray:
         """Return the covariances of the measurements (N, m, m, M or 1), or (m, m, 1) where all are the model's R."""
         if self.r is None:
             return R[..., None]
@@ -142,7 +142,7 @@ class Epochs:
         known = np.where(np.isfinite(self.r) & (self.r > 0), self.r, np.diag(R)[:, None])
         return known[:, :, None] * np.eye(len(R))[..., None]
 
-    def rows(self, together):
+    def rows(self, together: bool) -> Rows:
         """Return the Rows: all tracks in one column if they are to lie together, else each in a column of its own."""
         seen = ~self.missing[..., :1] if together else ~self.missing
         z = as_columns(np.where(self.missing, 0, self.z), together)

@@ -14,6 +14,7 @@ Instead of N rows one after the other there are two runs of K rows, side by side
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -31,19 +32,28 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # Where pieces do not fit together, all of them run again from where the ones before ended, so many times in all. Then
 # the track is not cut.
 MOST_PASSES = 3
+# A start is vague, and its first rows are taken in another way, where it makes a first measurement so many times as
+# uncertain as the noises do: rounding would leave some three digits in P. After so many rows it is vague no more.
+VAGUE = 1e12
+MOST_OF_A_START = 32
 # The floor of the eigenvalues of a correlation matrix, whose squares are some 1e-14: below it differences are rounding,
 # and no disagreement.
 NARROWEST = 1e-7
 
 
-def through(advance, rows, x0, P0, x, P):
+def through(advance, rows, x0, P0, x, P, vague=False):
     """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
 
-    They start from x0 (n, c, M) and P0 (n, n, M). Rows are cut into pieces where that is sooner done, and costs no
-    digits. Returns the last P, of each piece where there are several, in which an overflow shows, and the least
-    variance of all.
+    They start from x0 (n, c, M) and P0 (n, n, M), which may be vague. Rows are cut into pieces where that is sooner
+    done, and costs no digits. Returns the last P, of each piece where there are several, in which an overflow shows,
+    and the least variance of all.
     """
+    if vague:
+        k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
+        rows, x, P = _mapped(rows, lambda array: array[k:]), x[k:], P if P is None else P[k:]
     N, _, c, M = x.shape
+    if N == 0:
+        return P0, P0.diagonal().min()
     K = rows_per_piece(N, c * M)
     with np.errstate(invalid="ignore"):  # the root of an S that rounding took below zero: NaN, which is refused
         found = _in_pieces(advance, rows, K, x0, P0, x, P) if K < N else None
@@ -65,8 +75,7 @@ def _in_sequence(advance, rows, x_k, P_k, x, P):
 def _in_pieces(advance, rows, K, x0, P0, x, P):
     """Do what `through` does, in pieces of K rows. Returns None where the pieces do not fit together."""
     N, M = len(x), x.shape[-1]
-    arrays = {name: value for name, value in vars(rows).items() if isinstance(value, np.ndarray)}
-    pieces = replace(rows, **{name: cut(array, K) for name, array in arrays.items()})
+    pieces = _mapped(rows, partial(cut, K=K))
     try:
         x_start, P_start = starts(advance, pieces, x0, P0)
     except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
@@ -85,6 +94,12 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
             return P_last, least_variance
         x_start, P_start = x_next, P_next
     return None
+
+
+def _mapped(rows, function):
+    """Return rows with function(array) in the place of each of their arrays."""
+    arrays = {name: value for name, value in vars(rows).items() if isinstance(value, np.ndarray)}
+    return replace(rows, **{name: function(array) for name, array in arrays.items()})
 
 
 def rows_per_piece(N, tracks):
@@ -134,18 +149,11 @@ def starts(advance, pieces, x0, P0):
     zero, it stays there: x_piece = 0, with innovations e = [z1, z2]. Known to be at 1, where both measurements are
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
-    (n, c, M), width = x0.shape, pieces.z.shape[-1]
-    # All pieces run from a start of zero that is known exactly. Beside the c tracks of a column run n more, which have
-    # no measurements and start at one of the unit vectors each: they end at T, and have the innovations -L.
-    x, P = np.zeros((n, c + n, width)), np.zeros((n, n, width))
-    x[:, c:] = np.eye(n)[..., None]
-    z = np.zeros((pieces.z.shape[1], c + n, width))
-    innovations = []
-    for epoch in pieces:
-        z[:, :c] = epoch.z
-        x, P, e = advance(epoch._replace(z=z), x, P)
-        innovations.append(e)
-    x, P, e = (_as_matrices(each, M) for each in (x, P, np.concatenate(innovations)))
+    n, c, M = x0.shape
+    rows = list(_exactly_started(advance, pieces, n, c))
+    x, P, _ = rows[-1]
+    e = np.concatenate([innovations for _, _, innovations in rows])
+    x, P, e = (_as_matrices(each, M) for each in (x, P, e))
     L, y = _compressed(-e[..., c:], e[..., :c])
     x_k, P_k = _as_matrices(x0, M)[0], _as_matrices(P0, M)[0]
     found = [(x_k, P_k)]
@@ -156,6 +164,45 @@ def starts(advance, pieces, x0, P0):
         x_k, P_k = _next_start(x_k, P_k, *piece)
         found.append((x_k, P_k))
     return tuple(_as_columns([each.reshape(M, n, -1) for each in every]) for every in zip(*found, strict=True))
+
+
+def _exactly_started(advance, rows, n, c):
+    """Yield x, P and the innovations of rows from a start of zero that is known exactly.
+
+    Beside the c tracks of a column run n more, which have no measurements and start at one of the unit vectors each:
+    they are at T, and have the innovations -L.
+    """
+    _, m, _, width = rows.z.shape
+    x, P, z = np.zeros((n, c + n, width)), np.zeros((n, n, width)), np.zeros((m, c + n, width))
+    x[:, c:] = np.eye(n)[..., None]
+    for epoch in rows:
+        z[:, :c] = epoch.z
+        x, P, innovations = advance(epoch._replace(z=z), x, P)
+        yield x, P, innovations
+
+
+def _from_a_vague_start(advance, rows, x0, P0, x, P):
+    """Write the first rows as `through` does, and return how many, x and P after the last.
+
+    In the first updates of a vague start all digits of P0 / R are lost, and without process noise for good. So each of
+    these rows takes one Lainiotis step over all rows up to it, which keeps them. Then the start no longer matters.
+    """
+    n, c, M = x0.shape
+    x_0, P_0 = (_as_matrices(each, M)[0] for each in (x0, P0))
+    L, y = np.zeros((M, 0, n)), np.zeros((M, 0, c))
+    seen = np.zeros(M, int)
+    for k, (x_k, P_k, e) in enumerate(_exactly_started(advance, rows, n, c)):
+        x_k, P_k, e = (_as_matrices(each, M)[0] for each in (x_k, P_k, e))
+        L, y = _compressed(np.concatenate([L, -e[..., c:]], axis=1), np.concatenate([y, e[..., :c]], axis=1))
+        after = _next_start(x_0, P_0, x_k[..., c:], x_k[..., :c], P_k, L, y)
+        x_k, P_k = (_as_columns([each]) for each in after)
+        x[k] = x_k
+        if P is not None:
+            P[k] = P_k
+        seen += rows.seen[k].any(axis=0)
+        if seen.min() == 2 * n or k == MOST_OF_A_START - 1:
+            break
+    return k + 1, x_k, P_k
 
 
 def _next_start(x, P, T, x_piece, P_piece, L, y):

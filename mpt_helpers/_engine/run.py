@@ -27,7 +27,8 @@ def estimates(estimator, epochs, x, covariances):
     # Many tracks are not searched for gaps where no covariance is wanted: they go the first way, and a gap is NaN,
     # which spreads to all that follows. Tracks whose last state is NaN run again as columns.
     unsearched = M > FEW_TRACKS and not covariances
-    if epochs.dt is None and epochs.r is None and (unsearched or epochs.complete):
+    equal = epochs.dt is None and epochs.r is None and not estimator.vague
+    if equal and (unsearched or epochs.complete):
         shared = estimator.shared_steps(N, M)
     if shared is None:
         return _by_columns(estimator, epochs, x, covariances)
@@ -50,10 +51,8 @@ def _by_columns(estimator, epochs, x, covariances):
         rows = epochs.of(part).rows(together)
         # Views of x and P, which `through` writes to.
         P_part = P if P is None or together else P[..., part]
-        P_last, least_variance = through(
-            estimator.on_columns(rows), rows, *_start(estimator, rows), as_columns(x[..., part], together), P_part
-        )
-        _held(P_last, least_variance)
+        written = as_columns(x[..., part], together), P_part
+        _held(*through(estimator.on_columns(rows), rows, *_start(estimator, rows), *written, estimator.vague))
     return P
 
 
@@ -65,12 +64,10 @@ def _start(estimator, rows):
 
 
 def _held(P, least_variance=0.0):
-    """Return the covariances P, or raise where they overflow, or rounding has taken a variance below zero."""
-    if not np.isfinite(P).all():
-        checks.refuse("z", "gaps over which the covariances stay within the range of doubles", "an overflow")
-    if least_variance < 0:
-        need = "measurements that are not far more precise than P0 or than what is known after a gap"
-        checks.refuse("z", need, "a variance below zero, by rounding")
+    """Return the covariances P, or raise where doubles do not hold them."""
+    if not np.isfinite(P).all() or least_variance < 0:
+        need = "gaps over which the covariances stay within the range of doubles, and no far more precise measurements"
+        checks.refuse("z", need, "an overflow, or a variance below zero by rounding")
     return P
 
 

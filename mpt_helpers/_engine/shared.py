@@ -82,8 +82,8 @@ def product_of_steps(A, B):
 class SharedSteps(NamedTuple):
     """The Step of each epoch (N of them) of tracks without gaps, and the products that `run_shared` takes."""
 
-    steps: list
-    products: list
+    steps: list[Step]
+    products: list[np.ndarray]
 
 
 def make_shared_steps(next_step, P0, m, N, tracks):

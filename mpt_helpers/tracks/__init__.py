@@ -227,7 +227,9 @@ def longest_in_order(time: Array) -> Array:
     # Entry k of `starts` and `starts_of` is of all orders of k + 1 rows the one that starts latest: -time of its first
     # row, turned since bisect wants numbers that increase, and that row. `after` has the row that follows each one.
     # Times 1, 9, 2, 3 make, from the end, starts of [-3], [-3, -2], [-9, -2], [-9, -2, -1]: the order is 1, 2, 3.
-    starts, starts_of, after = [], [], {}
+    starts: list[int] = []
+    starts_of: list[int] = []
+    after: dict[int, int | None] = {}
     for row in known[::-1].tolist():
         length = bisect.bisect_left(starts, turned[row])
         after[row] = starts_of[length - 1] if length else None

@@ -138,7 +138,7 @@ class Line:
     number: NDArray[np.intp]
     relative: Array | None
 
-    def part(self, rows):
+    def part(self, rows: NDArray[np.intp]) -> Line:
         """Return some of the rows."""
         own = {field.name: getattr(self, field.name) for field in fields(self)}
         return Line(**{name: None if each is None else each[rows] for name, each in own.items()})

@@ -101,17 +101,17 @@ def draw_late():
     fig, ax = plots.panels([["error"], ["surprises"]], height=2.3)
     ax["error"].fill_between(second, -2 * sigma[shown], 2 * sigma[shown], color=BAND, lw=0)
     ax["error"].axhline(0, color="0.4", lw=1)
-    errors = {kf: (true - kf.filter(measured[:, None])[:, 0])[shown] for kf in (late, right)}
+    errors = {kf: (kf.filter(measured[:, None])[:, 0] - true)[shown] for kf in (late, right)}
     (late_line,) = ax["error"].plot(second, errors[late], color=WRONG)
     (right_line,) = ax["error"].plot(second, errors[right], "--", lw=1.2, color=RIGHT)
-    plots.label_line(late_line, "paper's filter, H = [1 1]", at=59, xytext=(0, 17), ha="right")
-    plots.label_line(right_line, "right filter, H = [1 0]", at=3, xytext=(0, -29))
-    ax["error"].annotate("grey: ± 2σ of the paper's filter", (60, -0.6), ha="right", va="top", color="0.3")
-    ax["error"].set_ylim(-1.3, 2.9)
+    plots.label_line(late_line, "paper's filter, H = [1 1]", at=59, xytext=(0, -27), ha="right")
+    plots.label_line(right_line, "right filter, H = [1 0]", at=3, xytext=(0, 22))
+    ax["error"].annotate("grey: ± 2σ of the paper's filter", (60, 0.6), ha="right", va="bottom", color="0.3")
+    ax["error"].set_ylim(-2.9, 1.3)
     ax["surprises"].axhspan(-2, 2, color=BAND, lw=0)
     ax["surprises"].plot(second, surprises[shown], ".-", lw=0.8, color=WRONG)
     ax["surprises"].set_ylim(-3.5, 3.5)
-    plots.finish(ax["error"], "", "true minus reported position (m)")
+    plots.finish(ax["error"], "", "reported minus true position (m)")
     plots.finish(ax["surprises"], "second", "surprises of the paper's filter, over their σ; grey: ± 2")
     fig.suptitle(
         "At 1.5 m/s the error is nine times its stated σ.\nOver a minute its own test sees nothing.",

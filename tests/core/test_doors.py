@@ -22,9 +22,9 @@ KF, LF, STEADY = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS), mpt.SteadySt
 AHEAD, FIR = mpt.SteadyStatePredictor(STEADY, 2), mpt.FIRFilter.from_steady_state(STEADY)
 RNG = np.random.default_rng(0)
 
-NO_NUMBER = [None, "1", [1.0], True, 1j, NAN, INF, 10**400, KF]
+NO_NUMBER = [None, "1", [1.0], 1j, NAN, INF, 10**400, KF]
 NO_POSITIVE = [*NO_NUMBER, 0, -1]
-NO_COUNT = [None, "1", [1], True, 1.0, 1.5, NAN, -1, KF]
+NO_COUNT = [None, "1", [1], 1.0, 1.5, NAN, -1, KF]
 NO_MODEL = [None, "axis", 1, EYE, KF, mpt.LinearModel]
 NO_FILTER = [None, "KF", 1, AXIS, mpt.KalmanFilter]
 NO_STEADY = [*NO_FILTER, KF, AHEAD, FIR]
@@ -272,7 +272,7 @@ def test_what_a_column_only_turns_into_numbers_is_refused(name):
 
 def test_a_column_of_dates_is_taken_for_times_and_for_nothing_else():
     np.testing.assert_array_equal(mpt.KalmanFilter(CV, t=Times()).t, [0, 86400])
-    with pytest.raises(TypeError, match=r"r: needs .* got dates"):
+    with pytest.raises(TypeError, match=r"r: needs .* got an array of objects of type datetime"):
         mpt.KalmanFilter(CV, r=Times())
 
 
@@ -280,30 +280,25 @@ def chained(error):
     return error.__context__ is not None and not error.__suppress_context__
 
 
-SECOND = np.timedelta64(1, "s")
-
-
 @pytest.mark.parametrize(
     ("call", "got"),
     [
-        (lambda: mpt.gsm_axis(1.0, timedelta(seconds=1), 0.1), "q: .*its total_seconds() is a number"),
-        (lambda: mpt.gsm_axis(1.0, SECOND, 0.1), "q: .*divided by np.timedelta64(1, 's') it is a number"),
+        (lambda: mpt.gsm_axis(1.0, timedelta(seconds=1), 0.1), "q: .*got datetime.timedelta(seconds=1)"),
+        (lambda: mpt.gsm_axis(1.0, np.timedelta64(1, "s"), 0.1), "q: .*got np.timedelta64(1,'s')"),
         (lambda: mpt.gsm_axis(1.0, 0.01, Decimal(1)), "r: needs a positive number, got Decimal('1')"),
         (lambda: KF.filter(None), "z: needs .* of numbers, NaN where one is missing, got None"),
-        (lambda: KF.filter([[1.0], [None]]), "z: .* NaN where one is missing, got None among its values"),
-        (lambda: KF.filter(np.array([[1.0]], object)), "z: .*got numbers as objects (.astype(float) makes an array"),
-        (lambda: KF.filter([[Decimal(1)]]), "z: .*got an array of objects of type Decimal"),
-        (lambda: KF.filter([[timedelta(1)]]), "z: .*got lengths of time (divided by np.timedelta64(1, 's'),"),
-        (lambda: KF.filter([[SECOND]]), "z: .*got lengths of time (divided by np.timedelta64(1, 's'),"),
-        (lambda: KF.filter([[np.datetime64("2020-06-25")]]), "z: .*got dates (their differences in seconds"),
+        (lambda: KF.filter([[1.0], [None]]), "z: .*got an array of objects of type NoneType, float"),
+        (lambda: KF.filter(np.array([[1.0]], object)), "z: .*got an array of objects of type float"),
+        (lambda: KF.filter([[timedelta(1)]]), "z: .*got an array of objects of type timedelta"),
+        (lambda: KF.filter([[np.datetime64("2020-06-25")]]), "z: .*got an array of datetime64[D] data"),
         (lambda: KF.filter([["1"]]), "z: .*got an array of <U1 data"),
         (lambda: KF.filter([[1.0], [1.0, 2.0]]), "z: .*got rows of different lengths"),
         (lambda: KF.filter(np.ma.masked_equal([[1.0], [2.0]], 2)), "z: .*got a masked array (its filled(np.nan) has"),
         (lambda: mpt.mean_track(CV, "3"), "N: needs an integer of at least 1, got '3'"),
-        (lambda: mpt.gsm_axis(10**400, 0.01, 0.1), "dt: needs a positive number of seconds below 1e60, got 1000"),
+        (lambda: mpt.gsm_axis(10**400, 0.01, 0.1), "dt: needs a positive number, got 1000"),
     ],
 )
-def test_what_was_got_is_said_with_the_cure_and_without_what_led_there(call, got):
+def test_what_was_got_is_said_without_what_led_there(call, got):
     with pytest.raises((TypeError, ValueError)) as raised:
         call()
     assert re.match(re.escape(got).replace(r"\.\*", ".*"), str(raised.value)), raised.value

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import precise
 import pytest
 from conftest import AXIS, dense_model
 from oracles import gaussian_conditioning_of_steps, gaussian_log_density, matrices
@@ -14,6 +15,7 @@ from scipy.optimize import minimize
 import mpt_helpers as mpt
 from mpt_helpers import _base as recursive
 from mpt_helpers import metrics
+from mpt_helpers._base import Estimates
 from mpt_helpers._engine import pieces as partition
 from mpt_helpers._engine import shared as steps
 from mpt_helpers._engine.shared import recursion
@@ -725,9 +727,40 @@ def test_a_state_that_is_known_exactly_stays_so(tracks, gaps):
             np.testing.assert_allclose(one(smooth.P), exact.P_smooth, rtol=1e-7, atol=1e-8)
 
 
+VAGUE_STARTS = {
+    # Its P was 3 to 78 % wrong without a word, and never forgets.
+    "no process noise": (mpt.constant_acceleration(dt=10.0, q=0.0, r=1e-4, P0=1e8 * np.eye(3)), None),
+    # It was refused: 5.3 sigma wrong.
+    "P0 = 1e16": (mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=1e16 * np.eye(2)), None),
+    "variances of its own": (mpt.constant_acceleration(dt=10.0, q=0.0, r=1e4, P0=1e8 * np.eye(3)), 1e-4),
+    "two axes": (mpt.stack(*[mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=1e14 * np.eye(2))] * 2), None),
+}
+
+
+@pytest.mark.parametrize("rows", [5, 60])
+@pytest.mark.parametrize("gaps", [0.0, 0.3])
+@pytest.mark.parametrize(("model", "r"), VAGUE_STARTS.values(), ids=VAGUE_STARTS)
+def test_a_vague_start_costs_few_digits(model, r, gaps, rows):
+    """Against 60 digits; of many tracks with their own gaps, and of one that is cut into pieces."""
+    rng = np.random.default_rng(5)
+    z = rng.standard_normal((rows, model.m, 3))
+    z[rng.random(z.shape) < gaps] = np.nan
+    kf = mpt.KalmanFilter(model, r=None if r is None else np.full((rows, model.m), r))
+    many = kf.estimates(z)
+    for i in range(3):
+        R = model.R if r is None else r * np.eye(model.m)
+        x, _, _, P, *_ = precise.kalman(model.F, model.H, model.Q, R, model.x0, model.P0, z[..., i])
+        x, P = x.astype(float), P.astype(float)
+        sigma = np.sqrt(np.einsum("kii->ki", P))
+        one = kf.estimates(z[..., i])
+        for both in (one, Estimates(many.x[..., i], many.P[..., i])):
+            # Steps of 10 s make the first prediction 1e17 times as uncertain as R: that costs all but three digits.
+            assert (np.abs(both.x - x) < 1e-2 * sigma).all()
+            assert (np.abs(both.P - P) < 1e-2 * sigma[:, :, None] * sigma[:, None]).all()
+
+
 def test_a_variance_below_zero_is_refused():
-    kalman = mpt.KalmanFilter
-    z = np.sin(np.arange(1, 41.0))[:, None]
-    z[9:13] = np.nan
-    with pytest.raises(ValueError, match="a variance below zero"):  # 5.3 sigma wrong, without a word
-        kalman(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=1e16 * np.eye(2))).filter(z)
+    axis = mpt.constant_acceleration(dt=1.0, q=1.0, r=1e-6, P0=np.eye(3))
+    t = np.concatenate([np.arange(10.0), 1e6 + np.arange(10.0)])
+    with pytest.raises(ValueError, match="a variance below zero"):
+        mpt.KalmanFilter(axis, t=t).filter(np.zeros((20, 1)))

@@ -100,9 +100,9 @@ def test_a_step_takes_a_stack_of_recordings_and_of_models(taught):
 
 def test_pieces_begun_early(taught):
     says("40 early rows are exact to less than a thousandth of a millimetre")
-    says("With half missing they are good to a fraction of a millimetre, and it takes 80 to do as well.")
+    says("With half missing, 80 early rows reach the same.")
     says("it takes 120 steps in place of 10,000")
-    for name, bounds in {"recording": {40: 1e-3}, "half": {40: 1, 80: 1e-3}}.items():
+    for name, bounds in {"recording": {40: 1e-3}, "half": {80: 1e-3}}.items():
         for early, bound in bounds.items():
             x, _ = taught["begun_early"](taught[name], 80, early)
             off = np.abs(x - taught["one_by_one"](taught[name]))[:, 0].max()
@@ -147,7 +147,7 @@ def test_a_start_that_is_right_by_accident_is_not_believed():
 def test_a_difference_does_not_grow_in_sigma():
     """Of two filters with the same gains, for models of any kind, in gaps and elsewhere."""
     says(
-        "In this unit a difference does not grow from row to row: a measurement shrinks it, and a gap widens σ at least"
+        "a difference in this unit does not grow from row to row: a measurement shrinks it, and a gap widens σ at least"
     )
     rng = np.random.default_rng(5)
     for n in (2, 3, 4):
@@ -174,23 +174,20 @@ def sigma_of_loop(names, z):
 
 
 def test_the_seams_tell():
-    says("there are trials only, 300 with other Q, lengths and gaps. In nine of ten no row was further off the loop")
-    says("than the largest seam, both in σ; the worst was off by less than 20 times as much.")
-    rng, ratios, harmless = np.random.default_rng(1), [], []
+    says("and L at least twice `early`. In most of them no row was further off the loop than the largest seam")
+    says("both in σ; the worst was off by less than three times as much.")
+    rng, ratios = np.random.default_rng(1), []
     for _ in range(300):
         factor = 10 ** rng.uniform(-4, 3)
         names = with_model(F, factor * Q)
-        z = with_gaps(rng, int(rng.integers(200, 500)), 0.1 * np.sqrt(factor))
-        x, seam = names["begun_early"](z, int(rng.integers(10, 200)), int(rng.integers(5, 100)))
+        z = with_gaps(rng, int(rng.integers(300, 600)), 0.1 * np.sqrt(factor))
+        early = int(rng.integers(5, 60))
+        x, seam = names["begun_early"](z, int(rng.integers(2 * early, 200)), early)
         off = (np.abs(x - names["one_by_one"](z)) / sigma_of_loop(names, z)).max()
         if seam > 1e-7:  # below, rounding
             ratios.append(off / seam)
-        if seam < 0.01:
-            harmless.append(off)
-    assert max(ratios) < 20
-    assert np.mean(np.array(ratios) < 1) > 0.9
-    says("Where all seams were below a hundredth of σ, no row was off by more than a tenth.")
-    assert max(harmless) < 0.1
+    assert max(ratios) < 3
+    assert np.mean(np.array(ratios) < 1) > 0.7
 
 
 # Learn
@@ -333,7 +330,7 @@ def test_the_best_length_of_a_piece():
 def test_several_measurements_a_row_take_an_inverse_and_a_huge_variance():
     says("the division becomes an inverse between the factors")
     says("`P @ H.T @ inv(S)`, `h.mT @ inv(S) @ e`, `h.mT @ inv(S) @ h`")
-    says("Take a huge variance in place of an infinite one.")
+    says("Take 1e30 in place of an infinite variance.")
     step, H = with_axes(2)
     model = mpt.LinearModel(
         F=np.kron(np.eye(2), F), H=H, Q=np.kron(np.eye(2), Q), R=0.1 * np.eye(2), P0=100 * np.eye(4)
@@ -389,13 +386,10 @@ def test_pieces_gain_less_with_more_unknowns():
     Each measured ratio lies within 2.5 times of what is said: 1.7 times for the machine, as the lesson says, and 1.5
     for what numpy's products of stacks cost in its various builds.
     """
-    said = re.search(
-        r"begun early were about (\d+), (\d+) and (\d+) times as fast as a loop over the rows, and those that learn "
-        r"their start about (\d+), (\d+) and (\d+) times\.",
-        LESSON.text,
-    )
-    early, pretending = np.array(said.groups(), float).reshape(2, 3)
-    says("With 4, 6 and 12 unknowns")
+    said = re.findall(r"with 4, 6, 12 unknowns (\d+), (\d+), (\d+)", printed_by("who"))
+    early, pretending = np.array(said, float)
+    says("There they were 4 to 13 times as fast as a loop over the rows.")
+    assert (min(pretending), max(early)) == (4, 13)
     found = []
     for axes in (2, 3, 6):
         step, _ = with_axes(axes)
@@ -436,7 +430,8 @@ def test_pieces_that_begin_early_are_some_two_times_as_fast_as_the_runner(taught
 def test_the_lines_of_the_table_are_in_the_order_of_what_they_gain():
     """From constant gain on: whoever stops at the first line that is true takes the fastest way open to him."""
     says("take the first line that is true for you")
-    numbers = [line.split()[-1].replace(",", "") for line in printed_by("who").splitlines()[3:]]
+    lines = printed_by("who").splitlines()[3:]
+    numbers = [re.search(r" {2,}(?:some )?([\d,]+)(;.*)?$", line)[1].replace(",", "") for line in lines]
     assert list(map(float, numbers)) == sorted(map(float, numbers), reverse=True)
 
 
