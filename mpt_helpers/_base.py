@@ -52,10 +52,22 @@ MOST_NUMBERS = 4_000_000
 
 
 class Estimates(NamedTuple):
-    """States x, (N, n) or (N, n, M), and their covariances P, (N, n, n) or (N, n, n, M)."""
+    """The states of all epochs and their covariances; printed, the shapes of both.
+
+    Attributes
+    ----------
+    x : ndarray (N, n) or (N, n, M)
+        The states.
+    P : ndarray (N, n, n) or (N, n, n, M)
+        Their covariances.
+
+    """
 
     x: Array
     P: Array
+
+    def __repr__(self) -> str:
+        return f"Estimates(x {self.x.shape}, P {self.P.shape})"
 
 
 def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, Array]:

@@ -123,6 +123,9 @@ class Innovations(NamedTuple):
     values: Array
     S: Array
 
+    def __repr__(self) -> str:
+        return f"Innovations(values {self.values.shape}, S {self.S.shape})"
+
 
 def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
     """Return the innovations z(k) - H x(k/k-1) and their covariance S(k) = H P(k/k-1) Hᵀ + R.

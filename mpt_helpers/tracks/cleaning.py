@@ -287,7 +287,7 @@ def clean(
     pause: Seconds | None = None,
     segment: ArrayLike | None = None,
     rounding: float | None = None,
-    show: Callable[[str], None] = lambda _: None,
+    show: Callable[[str], None] | None = None,
 ) -> Cleaned:
     """Return a recorded track without its faults, smoothed and with a band.
 
@@ -312,7 +312,7 @@ def clean(
         Where it changes a recording begins anew.
     rounding : float, optional
         The variance that the digits of z have, m²; without it their grid is searched.
-    show : callable
+    show : callable, optional
         Called with what is done next, in words.
 
     Returns
@@ -337,6 +337,7 @@ def clean(
     ([100], [], 0.035, 4.03)
 
     """
+    say = show or (lambda _: None)
     seconds = checks.duration("seconds", seconds)
     limit = checks.number("limit", limit, "a squared distance in variances, above 1, as 100", lambda value: value > 1)
     pause = None if pause is None else checks.duration("pause", pause)
@@ -348,35 +349,35 @@ def clean(
     own = z[fixes.rows]
     largest = None if relative is None else relative[fixes.rows].max(axis=1)[:, None]
     scale = scale_of(clock, own, rounding, fixes.begin)
-    noise, segment = first_guess(clock, own, scale, fixes.begin), None
+    noise, segments = first_guess(clock, own, scale, fixes.begin), None
     for _ in range(TURNS):
-        show("looking for faults")
-        before, segment = segment, np.full(len(t), -1)
+        say("looking for faults")
+        before, segments = segments, np.full(len(t), -1)
         kf = filter_of(noise, scale, clock, largest, 1)  # each axis is a track for it
-        segment[fixes.rows] = gate.segments_of(kf, own[:, None], np.flatnonzero(fixes.begin), limit, 3)
-        line = on_one_line(t, z, relative, fixes.repeats, segment, noise, scale)
-        segment = seen_from_both_sides(line, noise, scale, segment)
-        if before is not None and np.array_equal(segment, before):
+        segments[fixes.rows] = gate.segments_of(kf, own[:, None], np.flatnonzero(fixes.begin), limit, 3)
+        line = on_one_line(t, z, relative, fixes.repeats, segments, noise, scale)
+        segments = seen_from_both_sides(line, noise, scale, segments)
+        if before is not None and np.array_equal(segments, before):
             break
-        line = on_one_line(t, z, relative, fixes.repeats, segment, noise, scale)
+        line = on_one_line(t, z, relative, fixes.repeats, segments, noise, scale)
         if line.stands_still(scale):
-            still = f"{(segment >= 0).sum()} of {len(own)} fixes standing still"
+            still = f"{(segments >= 0).sum()} of {len(own)} fixes standing still"
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
-        show("fitting")
+        say("fitting")
         noise = fitted(line, noise, scale, near=before is not None)
-    line = on_one_line(t, z, relative, fixes.repeats, segment, noise, scale)
-    show("smoothing")
+    line = on_one_line(t, z, relative, fixes.repeats, segments, noise, scale)
+    say("smoothing")
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]
     x, P = np.full((len(t), n), np.nan), np.full((len(t), n, n), np.nan)
     x[line.rows], P[line.rows] = s.x, s.P
     x[line.rows, ::2] -= line.moved
-    show("judging the band")
+    say("judging the band")
     return Cleaned(
         t=t,
         z=z,
-        pieces=segment,
+        pieces=segments,
         x=x,
         P=P,
         q=noise.q,

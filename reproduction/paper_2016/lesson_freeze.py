@@ -80,9 +80,7 @@ def draw_start(steps=25):
     plots.label_line(varying, f"the gain varies first: settles at {later[-1]:.2f} m", at=5, xytext=(0, -26))
     ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(R)), (0, 5), textcoords="offset points", ha="right",
                 color=measured.get_color())  # fmt: skip
-    ax.annotate(
-        "begun on two\nmeasurements", (3, two[2]), (-26, 12), textcoords="offset points", color=frozen.get_color()
-    )
+    ax.annotate("begun on two", (3, two[2]), (-28, 8), textcoords="offset points", color=frozen.get_color())
     ax.set_ylabel("typical error at 20 m/s (m)")
     plots.label_line(frozen, f"frozen at once: up to {at_once.max():.0f} m off", at=3, xytext=(10, 4))
     plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {at_once.max():.0f} m off")

@@ -353,9 +353,9 @@ def test_side_by_side_any_number_of_filters_keeps_its_coefficients():
 @pytest.mark.parametrize("tracks", [(), (3,)], ids=["one track", "one of three"])
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of the covariance that overflows
 def test_a_gap_in_which_the_covariance_overflows_is_refused(make, tracks):
-    growing = mpt.LinearModel(F=[[2.0]], H=[[1.0]], Q=[[1.0]], R=[[1.0]])
-    z = np.ones((700, 1, *tracks))
-    z[(slice(600), 0, *[1] * len(tracks))] = np.nan
+    growing = mpt.LinearModel(F=[[16.0]], H=[[1.0]], Q=[[1.0]], R=[[1.0]])
+    z = np.ones((200, 1, *tracks))
+    z[(slice(150), 0, *[1] * len(tracks))] = np.nan
     for function in (make(growing).filter, make(growing).covariances, make(growing).smooth):
         with pytest.raises(ValueError, match=r"z: needs gaps over which the covariances .* got an overflow"):
             function(z)
@@ -470,3 +470,17 @@ def test_joint_filters_of_separate_ones_have_the_same_times_in_every_part(seed, 
             for pair in ((first, separate(*times)), (separate(*times), first)):
                 with pytest.raises(ValueError, match="second: needs a filter of the same times as the first"):
                     mpt.JoinFilter(*pair)
+
+
+def test_what_is_printed_is_a_line():
+    kf, z = mpt.KalmanFilter(AXIS, r=[[1.0], [2.0]]), np.ones((2, 1))
+    printed = [
+        (kf, "<KalmanFilter: 2 states, 1 measurements, r>"),
+        (mpt.Separate(kf, kf), "<Separate: 4 states, 2 measurements>"),
+        (kf.estimates(z), "Estimates(x (2, 2), P (2, 2, 2))"),
+        (mpt.metrics.innovations(kf, z), "Innovations(values (2, 1), S (2, 1, 1))"),
+    ]
+    for each, line in printed:
+        assert repr(each) == line
+    with pytest.raises(AttributeError, match=r"no attribute 'predict'; step\(x, P, z_k\) takes one measurement"):
+        kf.predict()

@@ -175,8 +175,8 @@ def test_a_filter_keeps_no_memory_of_what_it_has_seen(name):
     held = []
     tracemalloc.start()
     for _ in range(4):
-        z = np.zeros((400, each.model.m))
-        z[rng.random(400) < 0.1] = np.nan
+        z = np.zeros((200, each.model.m))
+        z[rng.random(200) < 0.1] = np.nan
         each.filter(z)
         if name != "FIR":
             each.covariances(z)
@@ -184,7 +184,7 @@ def test_a_filter_keeps_no_memory_of_what_it_has_seen(name):
         gc.collect()
         held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
-    assert np.diff(held).min() < 10_000  # the steps of one track hold some 40,000 at least
+    assert np.diff(held).min() < 10_000  # the steps of one track hold some 20,000 at least
 
 
 COPIES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda each: pickle.loads(pickle.dumps(each))}

@@ -556,23 +556,21 @@ def make_axis(q, r):
 
 
 def test_the_errors_of_a_fit_are_the_spread_of_its_values():
-    """Over 40 simulated tracks, whose spread is known to 11 %."""
+    """Over 20 of 40 simulated tracks, whose spread is known to 16 %, and over all of them together."""
     z = mpt.simulate(make_axis(0.04, 0.5), 150, np.random.default_rng(9), 40)[1]
-    fits = [mpt.fit(make_axis, z[..., i], q=0.1, r=1.0) for i in range(40)]
-    for name, true in {"q": 0.04, "r": 0.5}.items():
-        logs = np.log([each.values[name] for each in fits])
-        stated = np.median([each.log_errors[name] for each in fits])
-        assert 0.56 < logs.std() / stated < 1.44  # four standard errors
-        assert abs(np.median(logs) - np.log(true)) < 4 * 1.25 * stated / np.sqrt(40)
-        off = [np.log(each.values[name] / true) / each.log_errors[name] for each in fits]
-        assert np.mean(np.abs(off) < 2) >= 34 / 40  # 38 are due, and fewer than 34 once in 70 times
+    fits = [mpt.fit(make_axis, z[..., i], q=0.1, r=1.0) for i in range(20)]
     together = mpt.fit(make_axis, z, q=0.1, r=1.0)
     assert together.log_likelihood == pytest.approx(metrics.log_likelihood(together.filter, z).sum(), rel=1e-12)
     for name, true in {"q": 0.04, "r": 0.5}.items():
+        logs = np.log([each.values[name] for each in fits])
+        stated = np.median([each.log_errors[name] for each in fits])
+        assert 0.36 < logs.std() / stated < 1.64  # four standard errors
+        assert abs(np.median(logs) - np.log(true)) < 4 * 1.25 * stated / np.sqrt(20)
+        off = [np.log(each.values[name] / true) / each.log_errors[name] for each in fits]
+        assert np.mean(np.abs(off) < 2) >= 17 / 20  # 19 are due, and fewer than 17 once in 80 times
         assert abs(np.log(together.values[name] / true)) < 4 * together.log_errors[name]
-        # Each of the 40 states Student's factor of six blocks, 1.31; together they know theirs to 11 %.
-        stated = np.median([each.log_errors[name] for each in fits]) / 1.31
-        assert together.log_errors[name] == pytest.approx(stated / np.sqrt(40), rel=0.5)
+        # Each of the 20 states Student's factor of six blocks, 1.31; all 40 together know theirs to 11 %.
+        assert together.log_errors[name] == pytest.approx(stated / 1.31 / np.sqrt(40), rel=0.5)
 
 
 def test_a_fit_takes_times_and_gaps():
@@ -634,7 +632,7 @@ def test_what_runs_to_zero_leaves_the_errors_of_the_others():
 def test_a_flat_direction_leaves_the_errors_of_the_others():
     z = mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11))[1]
     alone = mpt.fit(make_axis, z, q=1.0, r=1.0)
-    for a, q in ((1.0, 1.0), (2.0, 0.3), (0.5, 0.5)):
+    for a, q in ((1.0, 1.0), (2.0, 0.3)):
         with pytest.warns(UserWarning, match="the likelihood is flat") as said:
             found = mpt.fit(lambda q, r, a: make_axis(q * a, r), z, q=q, r=1.0, a=a)
         assert sorted(str(each.message)[5] for each in said) == ["a", "q"]
@@ -648,11 +646,11 @@ def make_plane(q1, r1, q2, r2):
 @pytest.fixture(scope="module")
 def near():
     """Measurements of two axes, and their fit from a guess that is near."""
-    z = mpt.simulate(make_plane(0.04, 0.5, 3.0, 20.0), 200, np.random.default_rng(3))[1]
+    z = mpt.simulate(make_plane(0.04, 0.5, 3.0, 20.0), 120, np.random.default_rng(3))[1]
     return z, mpt.fit(make_plane, z, q1=0.1, r1=1.0, q2=1.0, r2=10.0)
 
 
-@pytest.mark.parametrize(("q", "r"), [(1e-4, 1e4), (1e-6, 1e4), (1e-10, 1.0), (1e-10, 1e2), (1e-10, 1e4)])
+@pytest.mark.parametrize(("q", "r"), [(1e-10, 1.0), (1e-6, 1e4)])
 def test_a_fit_from_a_process_noise_far_too_small_finds_the_same(near, q, r):
     """There the noise of the measurements explains the motion, and q changes nothing: the search alone stays there."""
     z, found = near
@@ -687,7 +685,7 @@ def test_a_fit_refuses_by_name(call, error, words):
 
 def test_a_fit_is_the_maximum_of_the_joint_density():
     """The density of all measurements, dense, maximised by another search."""
-    z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(13))[1]
+    z = mpt.simulate(make_axis(0.04, 0.5), 30, np.random.default_rng(13))[1]
     z[7:10] = np.nan
     found = mpt.fit(make_axis, z, q=1.0, r=1.0)
 

@@ -248,7 +248,7 @@ def test_a_gate_in_sequence_is_the_plain_loop_that_refuses_the_same_rows(case, l
         np.testing.assert_array_equal(np.array(taken)[:, i], loop.taken)
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(cases(timed=False, variances=["none"]), st.integers(2, 40), st.integers(0, 3))
 def test_lainiotis_joint_filters_and_predictions_are_the_plain_loop(case, rows, steps_ahead):
     """A prediction of a prediction is the plain loop's state, moved on; its covariance with it."""
@@ -374,7 +374,7 @@ def test_separate_filters_with_conditions_are_plain_loops(first, second, steps_a
     np.testing.assert_allclose(metrics.log_likelihood(both, z), sums, **SAME)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(cases(timed=True, least_rows=25, most_rows=45), st.sampled_from([DT, 1.5, 4.0]), st.sampled_from([0.95, 0.7]))
 def test_a_band_and_the_live_band_are_the_plain_loop(case, seconds, level):
     """Of tracks of their own times and variances; from where the bands of these tracks have ended, on average."""

@@ -100,9 +100,9 @@ def test_a_step_takes_a_stack_of_recordings_and_of_models(taught):
 
 def test_pieces_begun_early(taught):
     says("40 early rows are exact to less than a thousandth of a millimetre")
-    says("With half missing they are good to a fraction of a millimetre, and 80 do as well.")
+    says("With half missing, 80 early rows reach the same.")
     says("it takes 120 steps in place of 10,000")
-    for name, bounds in {"recording": {40: 1e-3}, "half": {40: 1, 80: 1e-3}}.items():
+    for name, bounds in {"recording": {40: 1e-3}, "half": {80: 1e-3}}.items():
         for early, bound in bounds.items():
             x, _ = taught["begun_early"](taught[name], 80, early)
             off = np.abs(x - taught["one_by_one"](taught[name]))[:, 0].max()
@@ -386,13 +386,10 @@ def test_pieces_gain_less_with_more_unknowns():
     Each measured ratio lies within 2.5 times of what is said: 1.7 times for the machine, as the lesson says, and 1.5
     for what numpy's products of stacks cost in its various builds.
     """
-    said = re.search(
-        r"40 rows early were about (\d+), (\d+) and (\d+) times as fast as a loop over the rows, "
-        r"and those that learn their start about (\d+), (\d+) and (\d+) times\.",
-        LESSON.text,
-    )
-    early, pretending = np.array(said.groups(), float).reshape(2, 3)
-    says("With 4, 6 and 12 unknowns")
+    said = re.findall(r"with 4, 6, 12 unknowns (\d+), (\d+), (\d+)", printed_by("who"))
+    early, pretending = np.array(said, float)
+    says("There they were 4 to 13 times as fast as a loop over the rows.")
+    assert (min(pretending), max(early)) == (4, 13)
     found = []
     for axes in (2, 3, 6):
         step, _ = with_axes(axes)
@@ -433,7 +430,8 @@ def test_pieces_that_begin_early_are_some_two_times_as_fast_as_the_runner(taught
 def test_the_lines_of_the_table_are_in_the_order_of_what_they_gain():
     """From constant gain on: whoever stops at the first line that is true takes the fastest way open to him."""
     says("take the first line that is true for you")
-    numbers = [line.split()[-1].replace(",", "") for line in printed_by("who").splitlines()[3:]]
+    lines = printed_by("who").splitlines()[3:]
+    numbers = [re.search(r" {2,}(?:some )?([\d,]+)(;.*)?$", line)[1].replace(",", "") for line in lines]
     assert list(map(float, numbers)) == sorted(map(float, numbers), reverse=True)
 
 

@@ -75,7 +75,7 @@ def hatch(taught):
 
 
 # Numbers that no cell prints: computed in tests below.
-COMPUTED = """0.05 0.1 0.14 0.15 0.2 0.23 0.25 0.4 0.6 0.78 0.8 0.82 0.83 0.84 0.9 0.91 0.93 0.94 0.97 1.0 1.07 1.1 1.2
+COMPUTED = """0.05 0.1 0.15 0.2 0.23 0.25 0.3 0.4 0.78 0.8 0.82 0.83 0.84 0.9 0.91 0.93 0.94 0.97 1.0 1.07 1.1 1.2
 1.26 1.3 1.4 1.42 1.5 1.56 1.7 1.9 2.0 2.1 2.20 2.46 3.3 4.7"""
 
 
@@ -138,7 +138,7 @@ def test_the_formula_is_computed_by_hand():
 
 def test_the_root_of_n_ends_where_the_noise_is_as_large_as_what_lasts(cases):
     r, sigma, _ = constants_of_heights()[WALL]
-    says("After about $r/\\sigma^2$ fixes as much is left of the noise as lasts")
+    says("After about $r/\\sigma^2$ fixes the noise that is left is as large as σ, and more fixes gain little.")
     says("On your wall that is four fixes")
     assert round(r / sigma**2) == 4
     made = mpt.metrics.rms(cases[WALL].errors[:2880, 2].reshape(-1, 4).mean(axis=1))
@@ -179,7 +179,7 @@ def test_what_a_mean_leaves_is_that_of_memory(cases):
 
 
 def test_what_is_left_without_noise_jumps_where_satellites_come_and_go(days, cases):
-    says("It jumps where a satellite comes or goes")
+    says("The line jumps where a satellite comes or goes")
     for name, day in days.items():
         arc = recorded.arcs(day)
         changes = (arc[1:] != arc[:-1]).any(axis=1)
@@ -302,7 +302,7 @@ def test_what_the_filters_state_and_make_is_read(cases, taught):
 def test_what_the_table_of_filters_says_is_said():
     least, most = row("judged", "white")[2:4]
     assert (round(least), round(most)) == (2, 6)
-    says("Without it white was two to six times too sure after 50 min at rest")
+    says("At rest white was two to six times too sure after 50 min")
     says("The longer white runs, the more it is too sure")
     least, most = np.reshape(row("judged", "white"), (-1, 2)).T
     assert (np.diff(least) > 0).all()
@@ -334,8 +334,8 @@ def test_the_more_one_turns_the_less_the_lasting_error_matters(cases):
         model = lasting_error(mpt.constant_velocity(step, q, r, P0=start), sigma, tau)
         found = mpt.KalmanFilter(model).estimates(walks[:, :1] + errors)
         assert np.std((found.x[:, 0] - walks[:, 0])[20:]) > 0.97 * np.std(errors[20:])
-    says("for a simulated walker ($q$ = 0.1 m²/s³) with a fix each 30 s it made 1.0 times what it stated")
-    says("neither filter gained on a fix")
+    says("Simulated walkers ($q$ = 0.1 m²/s³) made 1.0 times what white stated with a fix each 30 s")
+    says("where no filter gained on a fix")
 
 
 def test_with_a_fix_each_second_it_matters_more():
@@ -354,7 +354,7 @@ def test_with_a_fix_each_second_it_matters_more():
         noise += sigma**2 * (1 - a**2) * np.outer(new, new)
         P = np.linalg.solve(np.eye(9) - np.kron(A, A), noise.ravel()).reshape(3, 3)
         found.append(np.sqrt(P[0, 0] / kf.P[0, 0]))
-    says(f"With a fix each second, all simulated, it was {lesson.spread(found, '{:.1f}')} times")
+    says(f"and {lesson.spread(found, '{:.1f}')} times with a fix each second")
 
 
 def test_a_change_is_that_of_the_error_in_space():
@@ -474,8 +474,13 @@ def test_six_times_the_median_begins_anew_too_often(cases, hatch):
     says("take twelve times the median step of code minus phase")
     for station in recorded.TABLES:
         name = f"{station}, {ONE}"
-        six = lesson.smoothed({name: cases[name]}, hatch, times=6)[name]
-        assert row("remedies", name)[1] - 0.005 < recorded.size(six[99:])
+        six, twelve = (
+            recorded.size(lesson.smoothed({name: cases[name]}, hatch, times=times)[name][99:])
+            for times in (6, lesson.SLIP_STEPS)
+        )
+        assert f"{twelve:.2f}" == f"{row('remedies', name)[1]:.2f}"
+        assert twelve < six
+    assert lesson.SLIP_STEPS == 12
 
 
 def test_a_slip_that_code_minus_phase_shows_is_found(hatch):
@@ -531,11 +536,9 @@ def test_the_mean_of_the_day_is_that_of_the_header(cases):
     where = f"was {esbc} m from there at ESBC and NYA1 and {belem} m at Belem with two frequencies"
     says(f"{where}, and up to {one:.1f} m with one")
     says(f"In height that was up to {belem} m here with two frequencies, and {one:.1f} m with one")
-    horizontal = max(np.abs(offset[:2]).max() for offset in two.values())
-    says(f"East and north were up to {horizontal:.1f} m off with two frequencies")
 
 
-def test_the_horizontal_means_are_off_as_far_as_plates_have_moved(days, cases):
+def test_plates_have_moved_sideways(days, cases):
     """By ITRF2014's rotations of Eurasia and South America (Altamimi et al. 2017), since ETRS89 and SIRGAS2000."""
     eurasia, america = (-0.085, -0.531, 0.770), (-0.270, -0.301, -0.140)  # milliarcseconds a year
     moved = {
@@ -543,11 +546,14 @@ def test_the_horizontal_means_are_off_as_far_as_plates_have_moved(days, cases):
         "NYA1": (eurasia, 2024.3 - 1989.0),
         "Belem": (america, 2024.0 - 2000.4),
     }
-    apart = []
+    shifts = []
     for name, (pole, years) in moved.items():
         station = days[name].station
         velocity = np.cross(np.radians(np.array(pole) / 3.6e6), station)
-        shift = years * positioning.local_axes(station) @ velocity
-        apart.append(cases[f"{name}, {TWO}"].offset[:2] - shift[:2])
-    says(f"within {np.abs(apart).max():.2f} m on each axis")
-    assert np.linalg.norm(apart) < 0.25 < 0.9 < np.linalg.norm([cases[f"{name}, {TWO}"].offset[:2] for name in moved])
+        shifts.append(years * positioning.local_axes(station) @ velocity)
+    sizes = lesson.spread(np.linalg.norm(shifts, axis=1), "{:.1f}")
+    says(f"Plates have moved since by {sizes} m, and the means of two frequencies agree, but that is sideways")
+    assert np.abs(shifts)[:, 2].max() < 0.01
+    # Such frames are an inference from this agreement: on six axes together it is 0.2 m.
+    apart = [cases[f"{name}, {TWO}"].offset[:2] - shift[:2] for name, shift in zip(moved, shifts, strict=True)]
+    assert np.linalg.norm(apart) < 0.25 < 0.9 < np.linalg.norm(shifts)

