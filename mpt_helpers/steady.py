@@ -208,7 +208,7 @@ def fir_order(A: ArrayLike, tol: float, norm: float | str = 2) -> int:
     # ‖Aᴹ‖ ≥ ρᴹ ≥ tol for every M ≤ log tol / log ρ, so the search starts there. One part in 1e9 is for rounding.
     least = np.log(tol) / np.log(radius) * (1 - 1e-9) if radius > 0 else 1
     order = max(1, int(least))
-    power = np.linalg.matrix_power(A, order) if order <= MOST_TAPS else np.zeros_like(A)
+    power = np.linalg.matrix_power(A, min(order, MOST_TAPS))
     while order <= MOST_TAPS and np.linalg.norm(power, norm) >= tol:
         power = power @ A
         order += 1

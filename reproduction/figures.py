@@ -19,31 +19,16 @@ import matplotlib
 import numpy as np
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
 from mpt_helpers.tracks.files import write_together
 
 from .project import project
 
-# Gaps between two estimates below this are rounding and differ between processors: they are drawn at this value.
+# Values below this are rounding and differ between processors: they are described as zero.
 FLOOR = 1e-12
 # Drawn values below this are described with one significant digit: the rounding of the tracks plotted here reaches
 # some 1e-14.
 QUANTUM = 1e-9
-
-
-def visible_gap(gap: ArrayLike) -> np.ndarray:
-    """Return gaps as they are drawn: clipped at 1e-12, with one significant digit below 1e-9 and three above.
-
-    A gap is the difference of numbers of order 10, so its digits beyond some 1e-14 are rounding: drawn, they would move
-    a pixel on another processor.
-
-    >>> visible_gap([0.12345, 1.2345e-10, 1e-17])
-    array([1.23e-01, 1.00e-10, 1.00e-12])
-    """
-    gap = np.maximum(gap, FLOOR)
-    unit = 10.0 ** (np.floor(np.log10(gap)) - np.where(gap < QUANTUM, 0, 2))
-    return np.round(gap / unit) * unit
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ SEEN = 3.0
 # Means over so many tau, of which there are so many or more, scatter as the fit says but once in a thousand times.
 SLOW, FEWEST_MEANS, UNLIKELY = 10, 5, 1e-3
 LEAST_SPANS = 10  # of a log beside the span of `memory`
+STILL = LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[1.0]])  # a position at rest, for the shapes of its fixes
 
 
 def lasting_error(
@@ -267,8 +268,7 @@ def _log_likelihood(z, step, r, sigma, tau):
 
 def _at_rest(variance, step, r, sigma, tau):
     """Return the filter of a receiver at rest with an error that lasts, whose fixes have such a variance (m²)."""
-    still = LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[r]], P0=[[10 * variance]])
-    return _AtRest(lasting_error(still, sigma, tau, dt=step))
+    return _AtRest(unknown=10 * variance, noise=r, lasting=sigma**2, fade=math.exp(-step / tau))
 
 
 def _fit_axis(z, step):
@@ -288,12 +288,18 @@ def _fit_axis(z, step):
 
 @dataclass(frozen=True, eq=False)
 class _AtRest(Filter):
-    """The Kalman filter of a position at rest and its lasting error, without matrices: a fit runs it 400 times.
+    """The Kalman filter of `lasting_error` for a position at rest, without matrices: a fit runs it 400 times.
 
     Its covariance never settles, so that a general filter computes each step with small matrices, ten times as slowly.
+    unknown, noise and lasting are variances: of the position at the start, of a fix and of what lasts; fade is the part
+    of what lasts that a step leaves.
     """
 
-    model: LinearModel
+    unknown: float
+    noise: float
+    lasting: float
+    fade: float
+    model: LinearModel = STILL
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
         """Return the innovations of logs z (N, 1, M), NaN where z has NaN, and their variances (N, 1, 1, M)."""
@@ -302,12 +308,12 @@ class _AtRest(Filter):
 
     def _innovations_of_one(self, z):
         """Return the innovations of one log, a list of N numbers, and their variances."""
-        fades, added, r = float(self.model.F[1, 1]), float(self.model.Q[1, 1]), float(self.model.R[0, 0])
-        (p, both), (_, e) = self.model.P0.tolist()  # p: variance of the position, e: of what lasts, both: covariance
+        fade, r, added = self.fade, self.noise, self.lasting * (1 - self.fade**2)
+        p, both, e = self.unknown, 0.0, self.lasting  # variance of the position, covariance, variance of what lasts
         position = lasting = 0.0
         values, variances = [], []
         for z_k in z:
-            lasting, both, e = fades * lasting, fades * both, fades * fades * e + added
+            lasting, both, e = fade * lasting, fade * both, fade * fade * e + added
             new, S = z_k - position - lasting, p + 2 * both + e + r
             values.append(new)
             variances.append(S)

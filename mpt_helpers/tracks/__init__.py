@@ -334,7 +334,7 @@ def track(
     seconds: Seconds = 10.0,
     limit: float = 100.0,
     pause: Seconds | None = None,
-    show: Callable[[str], None] = lambda _: None,
+    show: Callable[[str], None] | None = None,
 ) -> Cleaned:
     """Return the track of a GPX or CSV file, or of a pandas frame, without its faults, smoothed and with a band.
 
@@ -355,7 +355,7 @@ def track(
         The NIS above which a fix is refused, as of `gated`.
     pause : float or timedelta, optional
         After so long without a fix, in s, a recording begins anew, as of `clean`.
-    show : callable
+    show : callable, optional
         Called with what is done next, in words.
 
     Returns
@@ -378,7 +378,8 @@ def track(
     ['time', 'x', 'y', 'v_x', 'v_y', 'sigma', 'sigma_v', 'kept', 'segment']
 
     """
-    show("reading")
+    if show is not None:
+        show("reading")
     if hasattr(source, "columns"):
         return of_recording("frame", read_frame(source, columns), seconds, limit, pause, show)
     path = Path(source)
@@ -391,7 +392,7 @@ def of_recording(
     seconds: Seconds,
     limit: float,
     pause: Seconds | None,
-    show: Callable[[str], None],
+    show: Callable[[str], None] | None,
 ) -> Cleaned:
     """Return a Recording as a Cleaned; path is where it is from, for errors."""
     rows, left_out = usable(path, recording)

@@ -355,7 +355,7 @@ def clean(
     pause: Seconds | None = None,
     segment: ArrayLike | None = None,
     rounding: float | None = None,
-    show: Callable[[str], None] = lambda _: None,
+    show: Callable[[str], None] | None = None,
 ) -> Cleaned:
     """Return a recorded track without its faults, smoothed and with a band.
 
@@ -380,7 +380,7 @@ def clean(
         Where it changes a recording begins anew.
     rounding : float, optional
         The variance that the digits of z have, m²; without it their grid is searched.
-    show : callable
+    show : callable, optional
         Called with what is done next, in words.
 
     Returns
@@ -405,6 +405,7 @@ def clean(
     ([100], [], 0.035, 4.03)
 
     """
+    say = show or (lambda _: None)
     seconds = checks.duration("seconds", seconds)
     limit = checks.number("limit", limit, "a squared distance in variances, above 1, as 100", lambda value: value > 1)
     pause = None if pause is None else checks.duration("pause", pause)
@@ -430,7 +431,7 @@ def clean(
     scale = scale_of(clock, own[0], rounding, begin)
     noise, pieces = first_guess(clock, own[0], scale, begin), None
     for _ in range(TURNS):
-        show("looking for faults")
+        say("looking for faults")
         before, pieces = pieces, np.full(len(t), -1)
         kf = filter_of(noise, scale, clock, None if relative is None else own[1].max(axis=1)[:, None], 1)
         pieces[fixes] = gate.segments_of(kf, own[0][:, None], np.flatnonzero(begin), limit, 3)
@@ -442,17 +443,17 @@ def clean(
         if stands_still(line, scale):
             still = f"{(pieces >= 0).sum()} of {len(fixes)} fixes standing still"
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
-        show("fitting")
+        say("fitting")
         noise = fitted(line, noise, scale, near=before is not None)
     line = on_one_line(track, pieces, noise, scale)
-    show("smoothing")
+    say("smoothing")
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]
     x, P = np.full((len(t), n), np.nan), np.full((len(t), n, n), np.nan)
     x[line.rows], P[line.rows] = s.x, s.P
     x[line.rows, ::2] -= line.moved
-    show("judging the band")
+    say("judging the band")
     errors = log_errors(line, noise, scale)
     band = band_of(line, noise, scale, seconds)
     return Cleaned(

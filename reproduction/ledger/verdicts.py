@@ -23,17 +23,6 @@ CAUSE_KINDS = (*WRONG, "copy")
 # The output of a notebook cell in which `python -m reproduction` and the site find the verdicts.
 MIME = "application/vnd.mpt-helpers.verdicts+json"
 
-# What a claim with this verdict is called where claims are counted.
-OF_CLAIMS = {
-    REPRODUCED: "hold",
-    IN_PART: "hold under a condition",
-    DIFFERS: "fail",
-    ERRATUM: "contradict their own paper",
-    CANNOT_BE_CHECKED: "cannot be checked",
-}
-# What anything else with this verdict is called where numbers, formulas and figures are counted.
-OF_VALUES = {REPRODUCED: "agree", IN_PART: "agree in part", DIFFERS: "do not", CANNOT_BE_CHECKED: "cannot be checked"}
-COUNTED_AS = {WITHIN_BAND: REPRODUCED, ERRATUM: DIFFERS}
 # Plurals that are not the word with an s.
 PLURALS = {each: each for each in VERDICTS} | {IN_PART: "hold in part", DIFFERS: "differ", ERRATUM: "errata"}
 
@@ -97,13 +86,6 @@ class Tally:
         """Return how many numbers, formulas and figures agree."""
         agree = self.values[REPRODUCED] + self.values[WITHIN_BAND]
         return f"{agree} of {self.values.total()} numbers, formulas and figures agree"
-
-    def outcomes_of_values(self) -> dict[str, int]:
-        """Return how many numbers, formulas and figures have each outcome: {verdict of OF_VALUES: items}."""
-        outcomes = dict.fromkeys(OF_VALUES, 0)
-        for verdict, count in self.values.items():
-            outcomes[COUNTED_AS.get(verdict, verdict)] += count
-        return outcomes
 
     def cause_text(self, kind: str) -> str:
         """Return the causes of one kind with their cells in brackets, as in "6 slips (85 cells)"."""

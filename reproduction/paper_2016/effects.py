@@ -84,12 +84,14 @@ def claims(key, part):
     return found
 
 
+@cache
 def over_as_many_steps(key, N):
     """Return the factor by which the average of Table 1 over as many steps changes with the time step."""
     columns = [table1.columns(dt=dt)[key] for dt in VARIED["dt"]]
     return factor(np.array([table1.of_both_axes(column, STEPS)[N] for column in columns]))
 
 
+@cache
 def metres_of_the_start(key, N):
     """Return in words the largest mean error of the start on the x axis, for the motions of `VARIED`."""
     largest = []

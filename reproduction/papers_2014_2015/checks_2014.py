@@ -10,8 +10,6 @@ import mpt_helpers as mpt
 
 from .. import burden
 
-WALK = 1.5  # m/s
-
 
 def gap(one, *others):
     """Return the largest difference of arrays from the first, or of tuples of arrays member by member.

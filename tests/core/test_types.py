@@ -16,7 +16,7 @@ from tools import shipped
 import mpt_helpers as mpt
 import reproduction
 from mpt_helpers import bands, metrics, riccati, tracks
-from reproduction import figures, plots
+from reproduction import plots
 
 # What holds of the types of results; each line is one that a checker must accept.
 RIGHT = """\
@@ -216,7 +216,6 @@ CALLS = [
     Call(metrics.error_moments, None, (STEADY, AXIS, 3)),
     Call(riccati.rekf, None, (AXIS,)),
     Call(riccati.relf, None, (AXIS,)),
-    Call(figures.visible_gap, None, ([0.1],)),
     Call(mpt.LinearModel.over, mpt.constant_velocity(1, 1, 1), (2,)),
     *(Call(getattr(type(each), name), each, (Z,)) for each in (KF, STEADY) for name in ("filter", "estimates")),
     *(Call(type(each).step, each, ([0, 1], np.eye(2), [1])) for each in (KF, STEADY, mpt.LainiotisFilter(AXIS))),

@@ -138,7 +138,7 @@ def test_the_formula_is_computed_by_hand():
 
 def test_the_root_of_n_ends_where_the_noise_is_as_large_as_what_lasts(cases):
     r, sigma, _ = constants_of_heights()[WALL]
-    says("After about $r/\\sigma^2$ fixes as much is left of the noise as lasts")
+    says("After about $r/\\sigma^2$ fixes the noise that is left is as large as σ, and more fixes gain little.")
     says("On your wall that is four fixes")
     assert round(r / sigma**2) == 4
     made = mpt.metrics.rms(cases[WALL].errors[:2880, 2].reshape(-1, 4).mean(axis=1))
@@ -179,7 +179,7 @@ def test_what_a_mean_leaves_is_that_of_memory(cases):
 
 
 def test_what_is_left_without_noise_jumps_where_satellites_come_and_go(days, cases):
-    says("It jumps where a satellite comes or goes")
+    says("The line jumps where a satellite comes or goes")
     for name, day in days.items():
         arc = recorded.arcs(day)
         changes = (arc[1:] != arc[:-1]).any(axis=1)
@@ -302,7 +302,7 @@ def test_what_the_filters_state_and_make_is_read(cases, taught):
 def test_what_the_table_of_filters_says_is_said():
     least, most = row("judged", "white")[2:4]
     assert (round(least), round(most)) == (2, 6)
-    says("Without it white was two to six times too sure after 50 min at rest")
+    says("At rest white was two to six times too sure after 50 min")
     says("The longer white runs, the more it is too sure")
     least, most = np.reshape(row("judged", "white"), (-1, 2)).T
     assert (np.diff(least) > 0).all()
@@ -334,8 +334,8 @@ def test_the_more_one_turns_the_less_the_lasting_error_matters(cases):
         model = lasting_error(mpt.constant_velocity(step, q, r, P0=start), sigma, tau)
         found = mpt.KalmanFilter(model).estimates(walks[:, :1] + errors)
         assert np.std((found.x[:, 0] - walks[:, 0])[20:]) > 0.97 * np.std(errors[20:])
-    says("for a simulated walker ($q$ = 0.1 m²/s³) with a fix each 30 s it made 1.0 times what it stated")
-    says("neither filter gained on a fix")
+    says("Simulated walkers ($q$ = 0.1 m²/s³) made 1.0 times what white stated with a fix each 30 s")
+    says("where no filter gained on a fix")
 
 
 def test_with_a_fix_each_second_it_matters_more():
@@ -354,7 +354,7 @@ def test_with_a_fix_each_second_it_matters_more():
         noise += sigma**2 * (1 - a**2) * np.outer(new, new)
         P = np.linalg.solve(np.eye(9) - np.kron(A, A), noise.ravel()).reshape(3, 3)
         found.append(np.sqrt(P[0, 0] / kf.P[0, 0]))
-    says(f"With a fix each second, all simulated, it was {lesson.spread(found, '{:.1f}')} times")
+    says(f"and {lesson.spread(found, '{:.1f}')} times with a fix each second")
 
 
 def test_a_change_is_that_of_the_error_in_space():

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from reproduction import figures, plots
-from reproduction.figures import alt_text, describe, save_figure, visible_gap
+from reproduction.figures import alt_text, describe, save_figure
 from reproduction.plots import finish, panels
 
 
@@ -73,7 +73,7 @@ DRAWN = [line, band, scatter, bars, steps, stairs, image, heat_map, contours, in
 
 @pytest.mark.parametrize("draw", DRAWN)
 def test_a_change_of_one_percent_in_any_point_is_described(draw):
-    y = np.random.default_rng(0).uniform(1, 100, 20)
+    y = np.random.default_rng(0).uniform(1, 100, 8)
     described = set()
     for i in range(-1, len(y)):
         moved = y.copy()
@@ -207,20 +207,6 @@ def test_rounding_is_not_described():
     assert describe(fig) == before
 
 
-def test_a_gap_that_leaves_the_level_of_rounding_is_described():
-    described = []
-    for gap in (1e-16, 2e-12, 9e-10):
-        fig, ax = panels([["gap"]])
-        ax["gap"].semilogy(visible_gap(np.full(9, gap)))
-        described.append(describe(fig))
-    assert len(set(described)) == 3
-
-
-def test_gaps_are_clipped_where_rounding_begins():
-    np.testing.assert_array_equal(visible_gap([0, 1e-17, 5e-13]), 1e-12)
-    np.testing.assert_allclose(visible_gap([3.33333e-11, 0.123456]), [3e-11, 0.123], rtol=1e-14)
-
-
 def test_a_figure_is_the_same_bytes_every_time(tmp_path):
     saved = []
     for name in ("a", "b"):
@@ -315,23 +301,23 @@ def test_the_colours_differ_for_colour_blind_readers_and_the_first_four_in_grey(
     assert np.diff(lightness).min() > 6
 
 
-@pytest.mark.parametrize("scale", ["linear", "log"])
-def test_the_last_bits_of_what_is_drawn_are_not_seen(tmp_path, scale):
+def test_the_last_bits_of_what_is_drawn_are_not_seen(tmp_path):
     """They differ between processors: flat ends and straight parts are where a picture would show it."""
     drawn = []
-    for seed in (None, 1, 2):
+    for seed in (None, 1):
         x = np.linspace(1, 60, 400)
         y = 1 - 0.5 * np.exp(-x)
         if seed:
             y = y * (1 + 1e-15 * np.random.default_rng(seed).standard_normal(400))
-        fig, ax = panels([["a", "b"], ["c", "d"]], height=2.5)
-        ax["a"].plot(x, y), ax["a"].fill_between(x, y - 0.1, y + 0.1)
-        ax["b"].plot(y, x, "o")
+        fig, ax = panels([["a", "log a"], ["b", "log b"], ["c", "d"]], height=2.5)
+        for scale in ("", "log "):
+            ax[f"{scale}a"].plot(x, y), ax[f"{scale}a"].fill_between(x, y - 0.1, y + 0.1)
+            ax[f"{scale}b"].plot(y, x, "o")
+        ax["log a"].set_yscale("log"), ax["log b"].set_xscale("log")
         ax["c"].pcolormesh(y.reshape(20, 20)), ax["d"].bar(x[:20], y[:20])
-        ax["a"].set_yscale(scale), ax["b"].set_xscale(scale)
         save_figure(fig, "bits", folder=tmp_path)
         drawn.append([(tmp_path / f"bits.{kind}").read_bytes() for kind in ("png", "svg")])
-    assert drawn[0] == drawn[1] == drawn[2]
+    assert drawn[0] == drawn[1]
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])

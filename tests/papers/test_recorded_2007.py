@@ -340,12 +340,13 @@ def test_the_ins_is_expected_over_its_noise():
     model = recorded.ins_model(30.0, 1.0, q=1e-4)
     found = recorded.with_ins(model, errors)
     gps, kf, rng = recorded.windows(errors)[:, 0], mpt.KalmanFilter(model), np.random.default_rng(7)
-    square = []
-    for _ in range(400):
-        ins = 1.2 + 0.01 * rng.standard_normal((100, 2))
-        x = kf.filter(np.stack([6.0 * np.arange(100)[:, None] + gps, ins], axis=1))
-        wrong = x - np.stack([6.0 * np.arange(100)[:, None] + 0 * gps, 0.2 + 0 * gps, 1 + 0 * gps], axis=1)
-        square.append(wrong**2)
+    square, draws = [], 20
+    true = np.stack([6.0 * np.arange(100), np.full(100, 0.2), np.ones(100)], axis=1)[:, :, None]
+    for _ in range(20):
+        ins = np.repeat(1.2 + 0.01 * rng.standard_normal((100, draws, 1)), 2, axis=2)
+        z = np.stack([np.tile(true[:, 0] + gps, draws), ins.reshape(100, -1)], axis=1)
+        wrong = (kf.filter(z) - true).reshape(100, 3, draws, 2)
+        square.append((wrong**2).mean(axis=2))
     rms = np.sqrt(np.mean(square, axis=0)[50:].mean(axis=(0, 2)))
     np.testing.assert_allclose([found.position, found.velocity, found.bias], rms, rtol=0.05)
     nees = (np.mean(square, axis=0)[:, 0] / kf.covariances(100)[:, 0, 0, None])[recorded.SETTLED :].mean()

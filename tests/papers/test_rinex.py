@@ -6,6 +6,7 @@ import re
 import runpy
 import sys
 import warnings
+from contextlib import chdir
 from types import SimpleNamespace
 
 import numpy as np
@@ -105,13 +106,13 @@ def test_the_page_s_faults_are_seen_at_belem(monkeypatch, capsys):
     assert -110 < int(off) < -90
 
 
-@pytest.fixture
-def page(monkeypatch):
+@pytest.fixture(scope="module")
+def page():
     """The names that the page's code by hand defines: one satellite at the first epoch."""
-    monkeypatch.chdir(ROOT)
     names = {}
-    for text in [text for kind, text in BLOCKS if kind == "python"][:9]:
-        exec(text, names)
+    with chdir(ROOT):
+        for text in [text for kind, text in BLOCKS if kind == "python"][:9]:
+            exec(text, names)
     return names
 
 
