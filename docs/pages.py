@@ -266,9 +266,11 @@ def described_lesson(name, cells):
     return Lesson(name, title(cells), question, next((key for key in linked if key in keys()), ""))
 
 
-def parts_of(about, kind):
-    """Return the tables or figures of a paper, [(number, anchor on its page)]."""
-    return [(each.partition(" ")[2], slug(each)) for each in about.numbered if each.startswith(kind)]
+def parts_of(key, kind):
+    """Return the tables or figures of a paper, [(number, anchor on its page)]: a heading may say more than its name."""
+    paper = published(key)
+    headings = {row.name: row.heading for row in paper.rows}
+    return [(name.partition(" ")[2], slug(headings[name])) for name in paper.about.numbered if name.startswith(kind)]
 
 
 def draw_sensor(folder):

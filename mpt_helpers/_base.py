@@ -15,7 +15,7 @@ one step, `next_step`; `on_columns` may say the same for many columns at once. W
     filter, estimates_of  ->  run             ->  engine.estimates
     estimates             ->  estimates_of
     covariances           ->  estimates
-    smooth                ->  _smoothed       ->  engine.estimates, smoothing.smoothed
+    smooth                ->  _smoothed       ->  engine.estimates, smoothed
     innovations_of        ->  engine.innovations  ->  engine.estimates
 
     engine.estimates      ->  shared_steps    ->  next_step               tracks without gaps
@@ -41,7 +41,7 @@ from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, Prediction, Rows, SteppedColumns
 from ._engine.pieces import VAGUE
-from ._engine.shared import SharedSteps, Step
+from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
 from .equations import unit_measurements
@@ -442,8 +442,8 @@ class RecursiveFilter(Filter):
         """Return the innovations and their covariances, as in Filter."""
         return self._in_tiles(partial(engine.innovations, self), self.epochs_of(z), self.model.m)
 
-    def shared_steps(self, N: int, tracks: int) -> SharedSteps | None:
-        """Return the steps of tracks without gaps, None where too many differ; the last are kept for the next call."""
+    def shared_steps(self, N: int, tracks: int) -> tuple[list[Step], list[Array]] | None:
+        """Return steps and products of tracks without gaps, None where too many differ; kept for the next call."""
         # Read once and returned from here: another thread may write to `_kept` meanwhile.
         kept_for, kept = self._kept.get("last", (None, None))
         if kept_for != (N, tracks):

@@ -37,18 +37,16 @@ __all__ = [
     "suspicious",
 ]
 
-# A median NIS, for each number measured, of these times the one that a true model has, says that something is wrong: on
-# ten recorded tracks fitted filters had 0.2 to 1.4, first guesses 0.04 to 120, and degrees, kilometres and
-# milliseconds 1e-11 to 1e-4.
+# `suspicious` compares the NIS of single numbers with that of a true model. On ten recorded tracks the median was 0.2
+# to 1.4 times as large after a fit, 0.04 to 120 times with first guesses, and 1e-11 to 1e-4 times with degrees,
+# kilometres or milliseconds in place of metres and seconds;
 FAR_TOO_SMALL, FAR_TOO_LARGE = 2e-4, 1e4
-# A number stands out if its NIS is so many times the median one. On the same tracks the largest one was below 1.3e3
-# times the median, and with one fix 10,000 km away above 7e4 times, however q and r were fitted to it.
-ALONE = 1e4
-# Innovations of a true model are uncorrelated. Those of nine of the ten fits were so to 0.3, and with q and r exchanged
-# they were correlated by up to -0.74 and 1. Sizes above this many times the median one, 3 sigma, count as this many.
-CORRELATED, LARGEST_SIZE = 0.5, 4.4
-# The median of the square of a normal number of variance 1.
-MEDIAN_OF_A_SQUARE = float(2 * gammaincinv(0.5, 0.5))
+# the largest was below 1.3e3 times the median, and above 7e4 times with one fix 10,000 km away;
+OUTLIER = 1e4
+# successive innovations were correlated by less than 0.3 in nine of ten fits, and by up to -0.74 and 1 with q and r
+# exchanged. There innovations are clipped at 4.4 times their median size, which is 3 sigma.
+CORRELATED, CLIPPED = 0.5, 4.4
+MEDIAN_OF_A_SQUARE = float(2 * gammaincinv(0.5, 0.5))  # of a normal number of variance 1
 
 
 def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
@@ -319,16 +317,17 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     repeats = np.zeros(z.shape, bool)
     repeats[1:] = z[1:] == z[:-1]
     squares = np.square(np.where(repeats, np.nan, unit))
-    usual = float(np.nanmedian(squares)) if np.isfinite(squares).any() else 0.0
-    found = {"same time": _said_of_equal_times(estimator.t, z)}
-    if usual > 0:
-        found["units"] = _said_of_units(usual / MEDIAN_OF_A_SQUARE)
-        found["far off"] = _said_of_the_farthest(squares / usual)
-        found["correlated"] = _said_of_correlation(unit / math.sqrt(usual))
-    return {kind: found[kind] for kind in ("units", "far off", "correlated", "same time") if found.get(kind)}
+    median = float(np.nanmedian(squares)) if np.isfinite(squares).any() else 0.0
+    found = {}
+    if median > 0:
+        found["units"] = _wrong_units(median / MEDIAN_OF_A_SQUARE)
+        found["far off"] = _outlier(squares / median)
+        found["correlated"] = _correlation(unit / math.sqrt(median))
+    found["same time"] = _same_time(estimator.t, z)
+    return {kind: text for kind, text in found.items() if text}
 
 
-def _said_of_units(ratio):
+def _wrong_units(ratio):
     """Say that the median NIS is `ratio` times that of a true model, where it is far too small or too large."""
     if FAR_TOO_SMALL < ratio < FAR_TOO_LARGE:
         return ""
@@ -336,19 +335,20 @@ def _said_of_units(ratio):
     return f"the median NIS is {ratio:.0e} times what it should be: {units}"
 
 
-def _said_of_the_farthest(ratios):
-    """Name the largest NIS of `ratios` (N, m, M), over the median one, where it stands out."""
-    worst = np.unravel_index(np.nanargmax(ratios), ratios.shape)
-    if ratios[worst] <= ALONE:
+def _outlier(ratios):
+    """Name the largest NIS of `ratios` (N, m, M), over the median one, where it is that of an outlier."""
+    k, _, track = np.unravel_index(np.nanargmax(ratios), ratios.shape)
+    largest = np.nanmax(ratios)
+    if largest <= OUTLIER:
         return ""
-    row = f"row {worst[0]} of z" if ratios.shape[2] == 1 else f"row {worst[0]} of track {worst[2]} of z"
-    return f"{row} is far off: its NIS is {ratios[worst]:.0e} times the median one"
+    row = f"row {k} of z" if ratios.shape[2] == 1 else f"row {k} of track {track} of z"
+    return f"{row} is far off: its NIS is {largest:.0e} times the median one"
 
 
-def _said_of_correlation(values):
-    """Say that innovations (N, m, M), over the median size, are like the ones before them. The largest are cut."""
-    cut = np.clip(np.nan_to_num(values), -LARGEST_SIZE, LARGEST_SIZE)
-    correlation = float((cut[1:] * cut[:-1]).sum() / np.square(cut).sum())
+def _correlation(innovations):
+    """Say that successive innovations (N, m, M), over their median size, are correlated."""
+    clipped = np.clip(np.nan_to_num(innovations), -CLIPPED, CLIPPED)
+    correlation = float((clipped[1:] * clipped[:-1]).sum() / np.square(clipped).sum())
     if abs(correlation) <= CORRELATED:
         return ""
     size = "small" if correlation > 0 else "large"
@@ -356,11 +356,11 @@ def _said_of_correlation(values):
     return f"{told}: q is too {size} beside r (are the two exchanged?), or the mobile moves in another way"
 
 
-def _said_of_equal_times(t, z):
+def _same_time(t, z):
+    """Say that rows have the time of the row before, and an axis of z (N, m, M) with it: a fix may come in two rows."""
     if t is None:
         return ""
     seen = np.isfinite(z)
-    # Both rows must have one axis of z (N, m, M): the axes of one fix may come in a row each.
     again = ((np.diff(t.reshape(len(t), -1), axis=0) == 0) & (seen[1:] & seen[:-1]).any(axis=1)).any(axis=1)
     if not again.any():
         return ""

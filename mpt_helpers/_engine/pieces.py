@@ -210,8 +210,8 @@ def _next_start(x, P, T, x_piece, P_piece, L, y):
 
     They may be stacks. First it is corrected by y = L x + noise of unit variance, in Joseph's form.
     """
-    G = gain_on_the_start(P, L.swapaxes(-1, -2))
-    keep, TG = T @ (np.eye(P.shape[-1]) - G @ L), T @ G
+    TG = T @ gain_on_the_start(P, L.swapaxes(-1, -2))
+    keep = T - TG @ L
     P = keep @ P @ keep.swapaxes(-1, -2) + TG @ TG.swapaxes(-1, -2) + P_piece
     return x_piece + keep @ x + TG @ y, (P + P.swapaxes(-1, -2)) / 2
 

@@ -32,9 +32,10 @@ def estimates(estimator, epochs, x, covariances):
         shared = estimator.shared_steps(N, M)
     if shared is None:
         return _by_columns(estimator, epochs, x, covariances)
-    run_shared(shared.products, estimator.model.x0[:, None], epochs.z, x)
+    steps, products = shared
+    run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:
-        return _held(np.array([step.P for step in shared.steps])[..., None])
+        return _held(np.array([step.P for step in steps])[..., None])
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.any():
         of_gaps = np.empty((*x.shape[:2], gaps.sum()))

@@ -79,17 +79,11 @@ def product_of_steps(A, B):
     return recursion(A, B, inputs[:n], inputs[n:].reshape(L, m, -1)).reshape(L * n, -1)
 
 
-class SharedSteps(NamedTuple):
-    """The Step of each epoch (N of them) of tracks without gaps, and the products that `run_shared` takes."""
-
-    steps: list[Step]
-    products: list[np.ndarray]
-
-
 def make_shared_steps(next_step, P0, m, N, tracks):
-    """Return the SharedSteps of N epochs without gaps, or None where too many of them differ.
+    """Return the Step of each of N epochs without gaps, and their products for `run_shared`.
 
-    next_step(P, seen) is that of a filter, P0 its P(0/0), m the number of its measurements.
+    None where too many of them differ. next_step(P, seen) is that of a filter, P0 its P(0/0), m the number of its
+    measurements.
     """
     most = MOST_STEPS if tracks > FEW_TRACKS else MOST_STEPS_OF_FEW
     steps = list(steps_without_gaps(next_step, P0, m, min(N, most)))
@@ -98,7 +92,7 @@ def make_shared_steps(next_step, P0, m, N, tracks):
         if steps[-1] is not steps[-2]:
             return None
         steps += steps[-1:] * (N - most)
-    return SharedSteps(steps, products_for(steps, tracks))
+    return steps, products_for(steps, tracks)
 
 
 def steps_without_gaps(next_step, P0, m, N):
@@ -125,18 +119,16 @@ def products_for(steps, tracks):
     steps is a list of Steps. Where a filter has converged it repeats one Step, and its blocks share one W.
     """
     L = steps_per_product(len(steps[0].A) * min(tracks, TILE))
-    products, made_of = [], []
-    for k in range(0, len(steps), L):
-        block = steps[k : k + L]
-        if not _are_the_same_objects(block, made_of):
-            W = product_of_steps([step.A for step in block], [step.B for step in block])
-            made_of = block
-        products.append(W)
-    return products
+    blocks = [steps[k : k + L] for k in range(0, len(steps), L)]
+    made = {}
+    for block in blocks:
+        if _objects(block) not in made:
+            made[_objects(block)] = product_of_steps([step.A for step in block], [step.B for step in block])
+    return [made[_objects(block)] for block in blocks]
 
 
-def _are_the_same_objects(block, other):
-    return len(block) == len(other) and all(a is b for a, b in zip(block, other, strict=True))
+def _objects(block):
+    return tuple(map(id, block))
 
 
 def run_shared(products, x0, z, x):

@@ -65,16 +65,17 @@ def smoothed(prediction, epochs, x, P):
         text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
         checks.warn(f"{text}: covariances may be wrong. Process noise of a millionth of the variances mends it")
     (N, n, M), width = x.shape, P.shape[3]
+    x, P = x.copy(), P.copy()
+    if N == 1:
+        return x, P
     C, d, D = np.empty((N - 1, n, n, width)), np.empty((N - 1, n, M)), np.empty((N - 1, n, n, width))
-    for part in epochs_at_a_time(N - 1, n * n * width) if N > 1 else ():
+    for part in epochs_at_a_time(N - 1, n * n * width):
         steps = epochs.steps(slice(part.start + 1, part.stop + 1))
         C[part], d[part], D[part] = _coefficients(prediction, steps, x[part], P[part])
-    x, P = x.copy(), P.copy()
-    if N > 1:
-        in_columns = partial(as_columns, together=epochs.alike)
-        back = RowsBack(in_columns(d[::-1]), C[::-1], D[::-1])
-        # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
-        through(StepBack.advance, back, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+    in_columns = partial(as_columns, together=epochs.alike)
+    back = RowsBack(in_columns(d[::-1]), C[::-1], D[::-1])
+    # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
+    through(StepBack.advance, back, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
     return x, P
 
 

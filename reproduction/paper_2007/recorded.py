@@ -392,16 +392,6 @@ def line_ratios(errors, n):
     return rms(lines[:, whole], axis=1) / [rms(each[whole]) for each in fixes]
 
 
-def newest_points(errors, n):
-    """Return the errors (N - n + 1, 3) of lines through n fixes at their newest points, from errors (N, 3)."""
-    return np.transpose([line_errors(axis, n)[1] for axis in errors.T])
-
-
-def newest_ratio(errors, n):
-    """Return the three-dimensional error of the newest points of lines over that of the fixes at the same epochs."""
-    return ratio_of(newest_points(errors, n), errors[n - 1 :])
-
-
 def means(errors, n):
     """Return the means (N - n + 1, 3) of n successive errors (N, 3)."""
     return np.lib.stride_tricks.sliding_window_view(errors, n, axis=0).mean(axis=-1)

@@ -1,10 +1,10 @@
-"""A gate of a user's own, as CONTRIBUTING.md writes it, on the engine's rows; where the engine refuses one."""
+"""A gate of a user's own, as CONTRIBUTING.md writes it, on the engine's rows; and the gain of each epoch."""
 
 import re
 
 import numpy as np
 import pytest
-from conftest import AXIS, ROOT
+from conftest import AXIS, ROOT, dense_model
 
 import mpt_helpers as mpt
 from mpt_helpers._engine.run import in_sequence, on_own_columns
@@ -85,3 +85,27 @@ def test_a_gate_that_says_something_else_is_refused_by_name(says):
     run = in_sequence(*on_own_columns(mpt.KalmanFilter(AXIS), np.ones((3, 1, 3))), takes=lambda epoch, e: says)
     with pytest.raises(ValueError, match="takes: needs a gate that returns one truth value, or one for each of the 3"):
         next(run)
+
+
+def gains(kf, z):
+    """Yield the gain B_k (n, m, M) of each epoch of z (N, m, M): the answer to unit measurements, from x = 0."""
+    advance, rows, _, P = on_own_columns(kf, z)
+    n, m, M = kf.model.n, kf.model.m, z.shape[2]
+    units = np.broadcast_to(np.eye(m)[..., None], (m, m, M))
+    for epoch in rows:
+        B, P, _ = advance(epoch._replace(z=units), np.zeros((n, m, M)), P)
+        yield B
+
+
+@pytest.mark.parametrize("make", [mpt.KalmanFilter, mpt.LainiotisFilter])
+def test_the_gain_of_each_epoch_is_seen(make):
+    """Against `next_step`, with correlated noises and rows that are partly missing."""
+    each = make(dense_model(1))
+    z = np.ones((12, 2, 3))
+    z[np.random.default_rng(2).random(z.shape) < 0.3] = np.nan
+    P = [each.P0] * 3
+    for B, z_k in zip(gains(each, z), z, strict=True):
+        for i in range(3):
+            _, B_k, P[i] = each.next_step(P[i], ~np.isnan(z_k[:, i]))
+            # A dozen products of numbers of order 10.
+            np.testing.assert_allclose(B[..., i], B_k * ~np.isnan(z_k[:, i]), rtol=1e-9, atol=1e-10)
