@@ -257,7 +257,8 @@ class KalmanFilter(RecursiveFilter):
     @cached_property
     def _filterpy(self):
         # filterpy 2.0: a scalar R would be added to all of S, so R is a matrix; x has one dimension, as z has. It gets
-        # measurements of unit noise, since its S = H P Hᵀ + R rounds a precise sensor away beside a large P.
+        # measurements of unit noise, since its S = H P Hᵀ + R rounds a precise sensor away beside a large P. Its
+        # function `update` returns the gain only together with a density, which takes longer than all else.
         H_1, _ = self._units
         kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=len(H_1))
         kf.x = np.zeros(self.model.n)

@@ -184,7 +184,7 @@ def corrected(x, P, z, seen, variance, i):
 
     seen (M,) tells where there is one, and its variance v is a number or (M,). It is the textbook's update with eᵢᵀ for
     H: with row i of P as p and S = pᵢ + v, the gain K is p / S, and the new row i is p - pᵢ p / S = p v / S. That last
-    form takes no difference of large numbers. P is overwritten, so it must be the caller's own.
+    form takes no difference of large numbers. x and P are overwritten, so they must be the caller's own.
     """
     p = P[i].copy()
     S = p[i] + variance
@@ -193,7 +193,8 @@ def corrected(x, P, z, seen, variance, i):
     P -= K[:, None] * p
     P[i] = P[:, i] = p * np.where(seen, variance / S, 1.0)
     innovation = z - x[i]
-    return x + K[:, None] * innovation, P, innovation * weight
+    x += K[:, None] * innovation
+    return x, P, innovation * weight
 
 
 class KalmanColumns:

@@ -150,10 +150,10 @@ def starts(advance, pieces, x0, P0):
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, M = x0.shape
-    rows = list(_exactly_started(advance, pieces, n, c))
-    x, P, _ = rows[-1]
-    e = np.concatenate([innovations for _, _, innovations in rows])
-    x, P, e = (_as_matrices(each, M) for each in (x, P, e))
+    innovations = []
+    for last in _exactly_started(advance, pieces, n, c):
+        innovations.append(last[2])
+    x, P, e = (_as_matrices(each, M) for each in (last[0], last[1], np.concatenate(innovations)))
     L, y = _compressed(-e[..., c:], e[..., :c])
     x_k, P_k = _as_matrices(x0, M)[0], _as_matrices(P0, M)[0]
     found = [(x_k, P_k)]
