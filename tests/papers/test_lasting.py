@@ -101,7 +101,7 @@ def test_a_fit_finds_it_without_the_truth():
         ({"sigma": [1.0, 2.0]}, r"sigma: needs a number, or 1 numbers, got shape \(2,\)"),
         ({"tau": 0.0}, "tau: needs a positive number, got 0.0"),
         ({"tau": np.inf}, "tau: needs a positive number, got inf"),
-        ({"dt": -1.0}, "dt: needs a positive number of seconds .*, got -1.0"),
+        ({"dt": -1.0}, "dt: needs a positive number.*, got -1.0"),
     ],
 )
 def test_bad_numbers_are_refused_by_name(change, message):
