@@ -302,3 +302,22 @@ def test_segments_may_have_names_and_dates_for_times():
     c = clean(dates, z, segment=["a"] * 150 + ["b"] * 150)
     assert c.recordings == [0, 150]
     np.testing.assert_array_equal(c.t, np.r_[150:300, 0:150])
+
+
+def test_years_that_cannot_be_are_unread_and_the_others_count(tmp_path):
+    t, _, z = ride(N=100)
+    path = gpx(tmp_path / "years.gpx", t, *degrees(z))
+    text = path.read_text().replace("2022-05-03T09:15:40Z", "0001-01-01T00:00:00Z")
+    path.write_text(text.replace("2022-05-03T09:15:50Z", "9999-12-31T00:00:00Z"))
+    c = mpt.track(path)
+    assert c.source.left_out == {"a time that cannot be read": 2}
+    assert len(c.refused) == 0
+
+
+def test_the_time_in_motion_of_a_glider_is_known_although_its_speed_is_not():
+    """At 30 m/s, circling, where a speed is known to more than MOVING: no row is near a rest."""
+    t = np.arange(0, 1800.0, 3.0)
+    z = np.column_stack([400 * np.sin(t / 13), 400 * np.cos(t / 13) + 5 * t])
+    found = clean(t, z + np.random.default_rng(4).normal(0, 3.0, z.shape)).summary()
+    assert found["speed_error_km_h"] > 3.6 * 0.5
+    assert found["moving_seconds"] == pytest.approx(1797, abs=6)
