@@ -358,7 +358,7 @@ def with_named_headers(output):
     """Return an output of a cell whose tables have no empty header: to a screen reader it would have no name."""
     if "text/html" not in output.get("data", {}):
         return output
-    html = "".join(output["data"]["text/html"]).replace("<th></th>", "<td></td>")
+    html = re.sub(r"<th( style='[^']*')?>(?:<br ?/?>)?</th>", r"<td\1></td>", "".join(output["data"]["text/html"]))
     return {**output, "data": {**output["data"], "text/html": html}}
 
 
