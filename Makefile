@@ -38,7 +38,7 @@ site: $(VENV)/.site
 site-test: site
 	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq install chromium; } \
 		|| { echo "error: site-test needs Chromium: sudo apt-get install chromium" >&2; exit 1; }
-	$(PY) -m pytest docs/test_site.py docs/test_docstrings.py
+	$(PY) -m pytest -n auto docs/test_site.py docs/test_docstrings.py
 
 $(VENV)/.site: $(VENV)/.ok docs/environment.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check -r environment.txt -r docs/environment.txt
