@@ -436,9 +436,8 @@ class LiveBand:
         self.first: tuple[Array, Array] = (self.model.x0, estimator.P0)
         self.times: deque[float] = deque()  # of the fixes within the last horizon
         self.fixes: int = 0
-        self.unchecked: int | None = (
-            0 if before is None else None
-        )  # how many fixes came too late; None once one did not
+        # How many fixes came too late; None once one did not.
+        self.unchecked: int | None = 0 if before is None else None
         # Predictions that wait for their fix: time, x, P, f c, the number of their fix, its z.
         self.pending: deque[tuple[Any, ...]] = deque()
 

@@ -93,27 +93,9 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse(name, need, "one whose F and Q are for one length only")
 
     def coefficients(self, N: int) -> Step:
-        """Return the coefficients of steps 1 to N with nothing missing.
+        """Return the coefficients of steps 1 to N, as in RecursiveFilter.
 
-        Parameters
-        ----------
-        N : int
-            Number of steps.
-
-        Returns
-        -------
-        A : ndarray (N, n, n)
-            A_k of each step.
-        B : ndarray (N, n, m)
-            B_k of each step.
-        P : ndarray (N, n, n)
-            P(k/k) after each step.
-
-        Raises
-        ------
-        ValueError
-            For a filter with times or variances: each of its epochs has a `next_step` of its own.
-
+        Raises ValueError for a filter with times or variances: each of its epochs has a `next_step` of its own.
         """
         if self.t is not None or self.r is not None:
             name, got = ("r", "variances") if self.t is None else ("t", "times")

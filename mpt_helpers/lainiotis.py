@@ -46,25 +46,7 @@ class LainiotisFilter(RecursiveFilter):
     """
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k).
-
-        Parameters
-        ----------
-        P : ndarray (n, n) or (M, n, n)
-            The covariance P(k/k), or a stack of them.
-        seen : ndarray (m,) of bool
-            Which measurements are there.
-
-        Returns
-        -------
-        A : ndarray (n, n)
-            The coefficient of x(k/k) in x(k+1/k+1) = A x(k/k) + B z(k+1).
-        B : ndarray (n, m)
-            The coefficient of z(k+1).
-        P : ndarray (n, n)
-            The covariance P(k+1/k+1); all three are stacks where P is one.
-
-        """
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter; all three are stacks where P is one."""
         return lainiotis_step(P, self._constants_of(seen))
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:

@@ -31,7 +31,7 @@ class Row:
 
     @property
     def name(self) -> str:
-        """What the line is called: the heading up to a colon."""
+        """The name of the line: the heading up to a colon."""
         return self.heading.partition(":")[0]
 
     @property

@@ -45,7 +45,7 @@ class Layout:
 
     @property
     def name(self) -> str:
-        """What the paper calls the table: the title up to a colon."""
+        """The paper's name of the table: the title up to a colon."""
         return self.title.partition(":")[0]
 
 

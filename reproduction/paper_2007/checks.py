@@ -171,7 +171,7 @@ def changes(rng, steps=200, tracks=100):
 
 
 class OnRecord(NamedTuple):
-    """What receivers at rest make of the paper's claims, for each recording and axis: arrays (recordings, 3).
+    """The paper's claims tried on receivers at rest, for each recording and axis: arrays (recordings, 3).
 
     newest and of_noise are the errors of the newest point of the line of 100, over those of one fix: of the errors, and
     of their noise alone. ratio is the same of the Kalman filter with a simulated INS (q = 0), nees its squared error

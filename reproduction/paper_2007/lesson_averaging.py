@@ -9,6 +9,7 @@ from mpt_helpers.metrics import rms
 from reproduction import lasting, plots
 
 from . import recorded
+from .checks import spread
 
 LENGTHS = np.array([1, 2, 3, 5, 10, 20, 35, 50, 75, 100])
 MINUTES = (10, 50, 240)  # of filters that are judged
@@ -31,15 +32,6 @@ def filtered(cases):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return {name: recorded.filtered(case) for name, case in cases.items()}
-
-
-def spread(values, form="{:.2f}"):
-    """Return the least and the largest of some numbers as a text.
-
-    >>> spread([[1, 2.5], [3, 2]])
-    '1.00 to 3.00'
-    """
-    return f"{form.format(np.min(values))} to {form.format(np.max(values))}"
 
 
 def memories(cases):
@@ -177,15 +169,6 @@ def over_time(cases, filtered):
     return rows
 
 
-def over_a_fix(cases, filtered, word="aware"):
-    """Return the error in space of a filter at the end of a window over that of its last fix, {kind: list of cases}."""
-    found = {kind: [] for kind in recorded.KINDS}
-    for name, case in cases.items():
-        last = np.linalg.norm([rms(recorded.windows(axis)[-1, 0]) for axis in case.errors.T])
-        found[case.kind].append(in_space(getattr(filtered[name], word), "error") / last)
-    return found
-
-
 def changed(filtered, word, other):
     """Return by how much (%) the error in space of a filter at the end of a window differs from another's: (cases,)."""
     made = [[in_space(getattr(each, name), "error") for each in filtered.values()] for name in (word, other)]
@@ -206,12 +189,12 @@ def constants_of(fit):
 
 
 def same_day(cases, filtered):
-    """Return errors (N, 3) and constants (3, 3) of each case: those of the same day."""
+    """Return the errors (N, 3) of each case, and the constants (3, 3) fitted to the same day."""
     return [(case.errors, constants_of(filtered[name].fit)) for name, case in cases.items()]
 
 
 def other_half(cases, filtered):
-    """Return errors (N, 3) and constants (3, 3) of each half of each day: those of the day's other half."""
+    """Return the errors (N, 3) of each half of each day, and the constants (3, 3) fitted to its other half."""
     found = []
     for name, case in cases.items():
         found += zip(np.array_split(case.errors, 2), reversed(filtered[name].fit.halves), strict=True)
@@ -219,7 +202,7 @@ def other_half(cases, filtered):
 
 
 def another_station(cases, filtered):
-    """Return errors (N, 3) and constants (3, 3) of each two cases of one kind: those of the other station."""
+    """Return the errors (N, 3) of each case, and the constants (3, 3) of another station; all pairs of one kind."""
     pairs = [(name, other) for name, other in permutations(cases, 2) if cases[name].kind == cases[other].kind]
     return [(cases[name].errors, constants_of(filtered[other].fit)) for name, other in pairs]
 

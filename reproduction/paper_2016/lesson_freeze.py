@@ -25,19 +25,26 @@ def typical_errors(steps=25, after=8):
     [ 9.  11.2  9.8] [0.32 0.21]
     """
     model = constant_velocity(1.0, Q, R)
-    F, H, identity = model.F, model.H, np.eye(2)
     settled = SteadyStateFilter.from_kalman(model).B
     varying = KalmanFilter(replace(model, P0=UNKNOWN)).coefficients(after).B
-    found = []
-    for gains in ([settled] * steps, [*varying, *[varying[-1]] * (steps - after)]):
-        off, P = np.array([0.0, -SPEED]), np.zeros((2, 2))
-        rms = []
-        for K in gains:
-            left = identity - K @ H
-            off, P = left @ F @ off, left @ F @ P @ F.T @ left.T + R * K @ K.T
-            rms.append(np.sqrt(off[0] ** 2 + P[0, 0]))
-        found.append(np.array(rms))
-    return found
+    at_rest = np.array([0.0, -SPEED]), np.zeros((2, 2))
+    return [
+        rms_errors(model, gains, *at_rest)
+        for gains in ([settled] * steps, [*varying, *[varying[-1]] * (steps - after)])
+    ]
+
+
+def rms_errors(model, gains, off, P):
+    """Return the rms position error after each of the gains, of a car that nothing pushes.
+
+    off (2,) is the mean error of the start, estimate minus truth, and P (2, 2) its covariance.
+    """
+    F, H, R, rms = model.F, model.H, model.R, []
+    for K in gains:
+        left = np.eye(2) - K @ H
+        off, P = left @ F @ off, left @ F @ P @ F.T @ left.T + K @ R @ K.T
+        rms.append(np.sqrt(off[0] ** 2 + P[0, 0]))
+    return np.array(rms)
 
 
 def errors_from_two_measurements(r=R, steps=25):
@@ -49,14 +56,10 @@ def errors_from_two_measurements(r=R, steps=25):
     [0.32 0.32 0.36 0.34] 60.0
     """
     model = constant_velocity(1.0, Q, r)
-    K = SteadyStateFilter.from_kalman(model).B
-    left = np.eye(2) - K @ model.H
+    settled = SteadyStateFilter.from_kalman(model).B
     P = r * np.array([[1.0, 1.0], [1.0, 2.0]])  # of z(2), z(2) - z(1)
-    rms = [np.sqrt(r), np.sqrt(r)]
-    while len(rms) < steps:
-        P = left @ model.F @ P @ model.F.T @ left.T + r * K @ K.T
-        rms.append(np.sqrt(P[0, 0]))
-    return np.array(rms)
+    one = np.sqrt(r)
+    return np.array([one, one, *rms_errors(model, [settled] * (steps - 2), np.zeros(2), P)])
 
 
 def draw_start(steps=25):
