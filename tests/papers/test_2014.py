@@ -364,7 +364,14 @@ def test_from_which_step_on_fir_pays_against_a_filter_that_collects(words):
 
 
 def test_fir_lags_by_a_share_of_the_distance(words):
-    assert f"by {1000 * np.linalg.matrix_power(STEADY.A, 17)[0, 0]:.1f} mm for each metre from the origin" in words
+    """Exactly: FIR leaves out A¹⁷ times the estimate of 17 steps earlier; there the velocity hardly counts."""
+    left_out = np.linalg.matrix_power(STEADY.A, 17)
+    share = f"by {1000 * left_out[0, 0]:.1f} mm for each metre that the phone was from the origin 17 steps earlier"
+    assert share in words
+    z = np.random.default_rng(3).normal(0, 10, (40, 1)).cumsum(axis=0)
+    x, fir = STEADY.filter(z), mpt.FIRFilter.from_steady_state(STEADY, tol=1e-3).filter(z)
+    np.testing.assert_allclose((x - fir)[17:], x[:-17] @ left_out.T, atol=1e-9)
+    assert abs(left_out[0, 1]) < 0.05 * left_out[0, 0]
 
 
 @pytest.mark.parametrize("name", ["1", "2", "inf", "fro"])
