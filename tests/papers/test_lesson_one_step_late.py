@@ -125,9 +125,7 @@ def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
 
 def test_the_wrong_sigma_is_the_error_of_a_second_ago():
     """Within one part in a hundred, by simulation of the position before and the estimate now."""
-    says(
-        "It is, here, the error of the position a second ago, known from the measurement of that second and from the next"
-    )
+    says("It is, here, the error of the position a second ago, known from the measurement of that second")
     true, measured = lesson.walk(60, tracks=4000)
     x = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE})).filter(measured[:, None])
     about_before = np.sqrt(np.mean((x[40:, 0] - true[39:-1]) ** 2))
