@@ -63,7 +63,7 @@ def errors_from_two_measurements(r=R, steps=25):
 
 
 def draw_start(steps=25):
-    """Return a figure of `typical_errors`, on a logarithmic axis."""
+    """Return a figure of `typical_errors` and `errors_from_two_measurements`, on a logarithmic axis."""
     at_once, later = typical_errors(steps)
     k = np.arange(1, steps + 1)
     fig, axes = plots.panels([["error"]], height=3.4)
@@ -71,6 +71,8 @@ def draw_start(steps=25):
     measured = ax.axhline(np.sqrt(R), color=plots.COLOUR_OF["measured"], ls=":", label="one measurement")
     (frozen,) = ax.semilogy(k, at_once, color=plots.COLOUR_OF["steady"], label="frozen at once, as in the paper")
     (varying,) = ax.semilogy(k, later, color=plots.COLOUR_OF["kalman"], ls="--", label="the gain varies first")
+    two = errors_from_two_measurements(steps=steps)
+    ax.semilogy(k, two, color=frozen.get_color(), ls="-.", lw=1.2, label="begun on two measurements")
     ax.set_ylim(0.1, 20)
     ax.set_yticks([0.1, 0.3, 1, 3, 10], ["0.1", "0.3", "1", "3", "10"])
     ax.minorticks_off()
@@ -81,6 +83,7 @@ def draw_start(steps=25):
     plots.label_line(varying, f"the gain varies first: settles at {later[-1]:.2f} m", at=5, xytext=(0, -26))
     ax.annotate("one measurement: 0.32 m", (steps, np.sqrt(R)), (0, 5), textcoords="offset points", ha="right",
                 color=measured.get_color())  # fmt: skip
+    ax.annotate("begun on two", (3, two[2]), (-28, 8), textcoords="offset points", color=frozen.get_color())
     ax.set_ylabel("typical error at 20 m/s (m)")
     plots.label_line(frozen, f"frozen at once: up to {at_once.max():.0f} m off", at=3, xytext=(10, 4))
     plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {at_once.max():.0f} m off")

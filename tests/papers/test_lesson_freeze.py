@@ -58,7 +58,7 @@ def test_the_start_comes_out_by_hand():
     says(
         "It is now 9.0 m behind and 15.8 m/s too slow. In the next second it falls back to 9.0 + 15.8 = 24.8 m behind."
     )
-    says("The second measurement takes 0.549 of that away, and leaves 11.2 m. That is the top.")
+    says("The second measurement takes 0.549 of that away, and leaves 11.2 m. That is the top of the curve.")
     behind = 20 * (1 - K)
     assert behind.round(1).tolist() == [9.0, 15.8]
     assert round((1 - K[0]) * behind.sum(), 1) == 11.2
@@ -66,7 +66,7 @@ def test_the_start_comes_out_by_hand():
 
 def test_the_picture():
     """The exact errors of the picture are those of simulated cars that nothing pushes."""
-    says("For twelve steps, but for one moment, the frozen filter is worse than no filter.")
+    says("For twelve steps, but for the moment in which its error changes sign, the frozen filter is worse than no")
     says("The one whose gain varies only improves.")
     at_once, later = lesson.typical_errors(40)
     one = np.sqrt(lesson.R)
@@ -94,12 +94,11 @@ def test_a_line_through_two_measurements_is_a_start_for_a_good_sensor_only(sigma
     exact = lesson.errors_from_two_measurements(sigma**2)
     np.testing.assert_allclose(rms, exact, rtol=0.02)  # known to 0.5 %
     if sigma == 10:
-        says(f"One that is wrong by 10 m gives a velocity that is wrong by {sigma * np.sqrt(2):.0f} m/s")
-        says(f"forgets that slowly, and is up to {exact.max():.0f} m off")
+        says(f"there two measurements give a velocity that is wrong by {sigma * np.sqrt(2):.0f} m/s")
+        says(f"forgets it slowly, and is up to {exact.max():.0f} m off")
     else:
-        typical = lesson.errors_from_two_measurements().max()
-        says(f"the filter that is frozen at once is never more than {typical:.2f} m off (rms).")
-        assert typical == pytest.approx(exact.max(), rel=0.02)
+        says("With this sensor a good guess is nearly enough.")
+        assert exact.max() < 1.2 * sigma
 
 
 def test_the_steps_to_freeze(taught):
@@ -136,6 +135,11 @@ def test_the_braking(taught):
         for brake in ((2, np.inf), (4, np.inf), (2, 3))
     }
     np.testing.assert_allclose(list(of.values()), [[16, 26], [29, 33], [16, 10]], atol=0.6)
+    says("From 1 to 4 m/s² that is so for every brake of up to three seconds, and the first for every standstill.")
+    for brake in (1, 2, 3, 4):
+        for lasting in (1, 2, 3):
+            assert rms(misses(motion, 1, brake, lasting)) < rms(misses(motion_3, 0.01, brake, lasting))
+        assert rms(misses(motion, 1, brake)) > rms(misses(motion_3, 0.01, brake))
     says("With the rule it does not.")
     assert np.abs(misses(motion_3, 0.01, 2)[6:]).max() < 1.5
     assert misses(motion_3, 0.01, 2, stops=False)[10] < -20
@@ -164,7 +168,11 @@ def test_a_miss_costs_a_frozen_gain_little_and_ten_much():
         assert np.sqrt(frozen[0, 0] / best) == pytest.approx(times, abs=0.05 * (times > 2) + 0.01)
 
 
-def test_a_position_far_from_zero_is_taken_for_speed():
-    says("the first step takes part of the distance for speed: at 10 km, 5,000 m/s")
-    x = mpt.KalmanFilter(VELOCITY).filter([[10_000.0]])
-    assert round(x[0, 1], -2) == 5000
+def test_a_larger_q_states_too_much_on_a_calm_road(taught):
+    says("If you chose a larger $q$ that is too much on a calm road, which is the safe side.")
+    for q in (0.1, 1.0, 10.0):
+        F, Q = taught["motion"](5, q)
+        model = mpt.constant_velocity(1.0, q, lesson.R)
+        steady = mpt.SteadyStateFilter.from_kalman(model)
+        calm = mpt.metrics.error_moments(steady, replace(model, Q=np.zeros((2, 2))), 200).covariance[-1]
+        assert (F @ steady.P @ F.T + Q)[0, 0] > 2 * (F @ calm @ F.T)[0, 0]
