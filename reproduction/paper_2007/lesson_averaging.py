@@ -14,7 +14,12 @@ from .checks import spread
 LENGTHS = np.array([1, 2, 3, 5, 10, 20, 35, 50, 75, 100])
 MINUTES = (10, 50, 240)  # of filters that are judged
 STYLES = ("-", "--")  # of the kinds of range
-FILTERS = {"white": plots.COLOURS[1], "tuned": plots.COLOURS[2], "aware": plots.COLOUR_OF["kalman"]}
+# Two that state too little, and one that does not
+FILTERS = {
+    "white": (plots.COLOUR_OF["wrong"], "-"),
+    "tuned": (plots.COLOUR_OF["wrong"], ":"),
+    "aware": (plots.COLOUR_OF["kalman"], "-"),
+}
 SLIP_STEPS = 12  # a slip of one phase: so many times the median step of code minus phase
 # The tropics, up to 15 degrees, in RTCA/DO-229 (MOPS, appendix A.4.2.4; UNB3 has the same): pressure of vapour (hPa),
 # temperature (K), its lapse (K/m), and the exponent by which vapour falls with height. There they have no season.
@@ -59,7 +64,7 @@ def draw_waves(cases, names, hours=3.5):
         case = cases[name]
         k = case.seconds <= 3600 * hours
         ax[name].plot(case.seconds[k] / 3600, case.errors[k, 2], ".", ms=2, color="0.6", label="one fix")
-        line = {"color": plots.COLOURS[0], "label": "without its noise"}
+        line = {"color": plots.COLOUR_OF["kalman"], "label": "without its noise"}
         ax[name].plot(case.seconds[k] / 3600, case.lasting[k, 2], **line)
         ax[name].set_ylim(-9, 9)
         plots.finish(ax[name], "hour" if name == names[-1] else "", f"error of the height (m), {name}")
@@ -80,7 +85,7 @@ def draw_means(cases):
     """
     fig, ax = plots.panels([["parts", "whole"]], height=3.8)
     titled(fig, "Averaging takes the noise. Most of the lasting error stays")
-    colours = {"noise": plots.COLOUR_OF["measured"], "lasting": plots.COLOURS[0]}
+    colours = {"noise": plots.COLOUR_OF["measured"], "lasting": plots.COLOUR_OF["kalman"]}
     for part, colour in colours.items():
         ratios = np.array([[left_by_mean(getattr(case, part), n) for n in LENGTHS] for case in cases.values()])
         ax["parts"].fill_between(LENGTHS, ratios.min(axis=0), ratios.max(axis=0), color=colour, alpha=0.6, lw=1)
@@ -119,10 +124,10 @@ def draw_stated(filtered):
     titled(fig, "All three filters are about equally wrong. One says so")
     panel, ticks, right = ax["metres"], [], 0
     for j, (name, each) in enumerate(filtered.items()):
-        for i, (word, colour) in enumerate(FILTERS.items()):
+        for i, (word, (colour, style)) in enumerate(FILTERS.items()):
             made, stated = (in_space(getattr(each, word), what) for what in ("error", "stated"))
             y = -j - 0.27 * i
-            panel.plot([stated, made], [y, y], "-", color=colour, lw=2, label=word if j == 0 else None)
+            panel.plot([stated, made], [y, y], style, color=colour, lw=2, label=word if j == 0 else None)
             panel.plot(stated, y, "o", color=colour, mfc="white", ms=11)
             panel.plot(made, y, "o", color=colour, ms=5)
             text = f"{made / stated:.1f} x"
