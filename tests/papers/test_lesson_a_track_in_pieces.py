@@ -273,7 +273,7 @@ def test_a_start_that_is_right_by_accident_is_not_believed():
 
 
 def test_the_seams_tell():
-    """Of 1,670 recordings of many models no row was off by more than 0.93 times the largest seam: here are some more."""
+    """Of 1,670 recordings of many models no row was off by more than 0.93 times the largest seam; here are more."""
     says("where the largest seam was below σ, no row was further off the loop than that")
     rng, seen = np.random.default_rng(1), 0
     for _ in range(40):
