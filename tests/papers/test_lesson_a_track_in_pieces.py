@@ -133,7 +133,7 @@ def test_what_the_first_two_surprises_of_a_piece_see():
 
 def test_the_noises_of_the_surprises_are_independent():
     """The covariance of all surprises of a piece that starts exactly, without a filter's lines: diagonal, and S."""
-    says("Because these noises are independent, if they are Gaussian, and at least uncorrelated.")
+    says("These noises are uncorrelated, and independent if they are Gaussian.")
     for factor in (0.01, 1, 100):
         rows, names = 12, with_model(F, factor * Q)
         # z = (sum of what each push does) + noise; the surprise of row k is z(k) - E[z(k) | z(1) ... z(k-1)]
@@ -157,7 +157,7 @@ def test_the_noises_of_the_surprises_are_independent():
 
 def test_a_piece_of_one_measurement_is_the_filter_of_the_paper(taught):
     """T, O, P are F_n, O_n, P_n; X is K_n z and t is K_m z (Eq. 7)."""
-    says("With pieces of one measurement this is the filter of Lainiotis (1975), as a paper of 2014 has it")
+    says("With pieces of one measurement this is the filter of Lainiotis, as a paper of 2014 has it")
     z = 1.7
     X, T, P, t, information = taught["pretend"]([(z, 0.1)])
     S = (NOW @ Q @ NOW.T).item() + 0.1
