@@ -49,6 +49,11 @@ from .model import LinearModel
 
 # Numbers in the covariances of a tile of tracks whose innovations, or way back, are computed together: 32 MB.
 MOST_NUMBERS = 4_000_000
+# How many times as large as the variance of a measurement that of its prediction may be. Rounding of I - K H makes P
+# after the measurement wrong by some 1e-31 of the variance of the prediction: at this limit by 1 % of R.
+LARGEST = 1e29
+# The largest part of a variance that may be rounding after a step.
+MOST_ROUNDING = 0.1
 
 
 class Estimates(NamedTuple):
@@ -79,6 +84,23 @@ def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, A
         return values[..., 0], covariances[..., 0]
     M = values.shape[2]
     return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
+
+
+def require_digits(T: Array, P: Array, after: Array, times_R: float, dt: float | None = None) -> None:
+    """Raise a ValueError if a step from P (n, n), over dt if it has one of its own, leaves no digits in P `after` it.
+
+    T P Tᵀ is a part of `after`, and |T| are the sizes of its factors: an entry P_ij, rounded by ε σ_i σ_j, may nearly
+    cancel the others. times_R is the variance of the prediction of a measurement, in units of its noise.
+    """
+    sigma = np.sqrt(np.abs(P.diagonal()))
+    rounding = np.finfo(float).eps * (T @ sigma) ** 2
+    if times_R < LARGEST and np.isfinite(after).all() and (rounding <= MOST_ROUNDING * after.diagonal()).all():
+        return
+    held = "whose variances doubles hold beside those of the measurements"
+    if dt is not None:
+        checks.refuse("dt", f"a time over which the state has a prediction {held}", f"{dt:.6g} s")
+    need = f"a covariance with a prediction {held} (filter and estimates take a larger P0 than single steps do)"
+    checks.refuse("P", need, f"{times_R:.2g} times as much")
 
 
 class Filter(Immutable):
@@ -231,13 +253,18 @@ class Filter(Immutable):
         """The filters that it is made of; none but for joint and separate filters and predictors."""
         return ()
 
-    def times_of(self, N: int) -> Array:
-        """Return the times of N epochs in s: its t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
+    def leaves(self) -> list[Filter]:
+        """Return the filters that it is made of in the end, itself where it is made of none."""
+        return [leaf for part in self.parts for leaf in part.leaves()] or [self]
 
-        A model without a dt has steps of one second.
+    def times_of(self, N: int) -> Array:
+        """Return the times of N epochs in s: t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
+
+        t is that of the filter, or of the first of its parts that has one. A model without a dt has steps of 1 s.
         """
-        if self.t is not None:
-            return self.t
+        given = [leaf.t for leaf in self.leaves() if leaf.t is not None]
+        if given:
+            return given[0]
         return (1.0 if self.model.dt is None else self.model.dt) * np.arange(N)
 
     def epochs_of(self, z: Array) -> Epochs:
@@ -282,7 +309,8 @@ class Filter(Immutable):
     def __repr__(self) -> str:
         """One line: the kind, and the sizes of the model."""
         given = "".join(f", {name}" for name in ("t", "r") if getattr(self, name) is not None)
-        return f"<{type(self).__name__}: {self.model.n} states, {self.model.m} measurements{given}>"
+        n, m = self.model.n, self.model.m
+        return f"<{type(self).__name__}: {n} state{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}{given}>"
 
     if not TYPE_CHECKING:  # a type checker would take any name for one that is there
 
@@ -360,13 +388,20 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def vague(self) -> bool:
-        """Whether P0 is so large beside Q and R that the first updates leave few digits in P (`_engine.pieces`)."""
+        """Whether P0 is so large beside Q and R that the first updates leave few digits in P (`_engine.pieces`).
+
+        Raises ValueError where it is so large that none is left.
+        """
         F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
         if self.r is not None:
             given = np.where(self.r > 0, self.r, np.inf).reshape(*self.r.shape[:2], -1)
             R = np.diag(np.minimum(np.diag(R), given.min(axis=(0, 2))))
-        H_1, _ = unit_measurements(H, H @ Q @ H.T + R)
-        return self.optimal and bool((H_1 @ F @ self.P0 @ F.T @ H_1.T).max() > VAGUE)
+        of_R, of_Q_and_R = (unit_measurements(H, noise)[0] @ F for noise in (R, H @ Q @ H.T + R))
+        times_R = (of_R @ self.P0 @ of_R.T).max()
+        if not times_R < LARGEST:
+            need = f"variances of what is measured below {LARGEST:g} times R"
+            checks.refuse("P0", need, f"{times_R:.2g} times as much")
+        return self.optimal and bool((of_Q_and_R @ self.P0 @ of_Q_and_R.T).max() > VAGUE)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.

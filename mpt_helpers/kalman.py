@@ -19,17 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _checks as checks
-from ._base import RecursiveFilter
+from ._base import RecursiveFilter, require_digits
 from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns, Rows
+from ._engine.pieces import VAGUE
 from ._engine.shared import Step
 from .equations import neutralised, unit_measurements
 from .model import LinearModel, missed_by_halves
 
-# How many times as large as the variance of a measurement that of its prediction may be. filterpy's P after the
-# measurement is wrong by some 1e-31 of the variance of the prediction. At this limit that is 1e-31 * 1e29 = 1 % of the
-# variance of the measurement, which P is then about.
-LARGEST = 1e29
 # By how much two half steps may miss the whole one before a filter warns that a transition loses its digits there.
 MISSED_ELSEWHERE = 1e-3
 
@@ -146,12 +143,10 @@ class KalmanFilter(RecursiveFilter):
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
-        if not (kf.S.max() < LARGEST and np.isfinite(kf.P).all()):
-            held = "whose variances doubles hold beside those of the measurements"
-            if dt is not None:
-                checks.refuse("dt", f"a time over which the state has a prediction {held}", f"{dt:.6g} s")
-            checks.refuse("P", f"a covariance with a prediction {held}", f"{kf.S.max():.2g} times as much")
-        return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
+        keep = np.eye(self.model.n) - kf.K @ kf.H
+        if not (kf.S.max() < VAGUE and np.isfinite(kf.P).all()):
+            require_digits(np.abs(keep) @ np.abs(kf.F), P, kf.P, kf.S.max(), dt)
+        return keep @ kf.F, kf.K @ W, kf.P
 
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
@@ -228,8 +223,6 @@ class KalmanFilter(RecursiveFilter):
     def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, as in RecursiveFilter."""
         model = self.model
-        if not (self._units[0] @ model.P0 @ self._units[0].T).max() < LARGEST:
-            checks.refuse("P0", f"variances of what is measured below {LARGEST:g} times R", "larger ones")
         return KalmanColumns(self.prediction, model.H, model.R, model.P0, rows).advance
 
     @cached_property

@@ -6,9 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ._base import RecursiveFilter
+from ._base import RecursiveFilter, require_digits
 from ._checks import Array
-from .equations import lainiotis_matrices, lainiotis_step, neutralised
+from ._engine.pieces import VAGUE
+from .equations import gain_on_the_start, lainiotis_matrices, lainiotis_step, neutralised
 
 # Patterns of missing measurements whose constants a Lainiotis filter keeps.
 MOST_PATTERNS = 64
@@ -46,12 +47,18 @@ class LainiotisFilter(RecursiveFilter):
     """
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter; all three are stacks where P is one."""
-        return lainiotis_step(P, self._constants_of(seen))
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter; raises ValueError for a P of no digits."""
+        constants = self._constants_of(seen)
+        A, B, P_next = lainiotis_step(P, constants)
+        times_R = (constants.C.T @ P @ constants.C).max()
+        if not times_R < VAGUE:
+            keep = np.eye(len(P)) - gain_on_the_start(P, constants.C) @ constants.C.T
+            require_digits(np.abs(constants.Fn) @ np.abs(keep), P, P_next, times_R)
+        return A, B, P_next
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) of stacks (M, n, n), as in RecursiveFilter, all at once."""
-        return self.next_step(P, seen)
+        return lainiotis_step(P, self._constants_of(seen))
 
     def _constants_of(self, seen):
         kept, pattern = self._constants, seen.tobytes()
