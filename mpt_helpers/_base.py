@@ -278,10 +278,6 @@ class Filter(Immutable):
         """
         raise NotImplementedError
 
-    def on_columns(self, rows: Rows) -> Callable[..., Any]:
-        """Return the filter on columns, as a RecursiveFilter does; raises TypeError for one that has no step."""
-        raise self._not_recursive()
-
     def estimates_of(self, z: Array) -> tuple[Array, Array]:
         """Return the estimates of z (N, m, M), (N, n, M), and their covariances, (N, n, n, M) or (N, n, n, 1)."""
         x = np.empty((len(z), self.model.n, z.shape[2]))

@@ -6,8 +6,8 @@ columns. A filter on columns is one function,
 
     x, P, innovations = advance(epoch, x, P)
 
-- x comes out linear in x and in z, P depends on neither, and both are left as they were. So `pieces` may start
-  anywhere, a gate may call twice, and the gain B_k is what comes out from x = 0 and unit vectors for z.
+- x comes out linear in x and in z, P depends on neither, and both are left as they were: so `pieces` may start
+  anywhere.
 - innovations (m, c, M) are white and of unit variance, zero where nothing was measured: the sum of their squares is the
   NIS. A filter whose P is not that of the best estimate returns none, (0, c, M).
 """
@@ -69,10 +69,6 @@ class Epoch(NamedTuple):
     seen: np.ndarray
     steps: Steps | None
     r: np.ndarray | None
-
-    def without(self, refused: np.ndarray) -> Epoch:
-        """Return the Epoch with nothing measured in the columns that `refused` (M,) says."""
-        return self._replace(z=np.where(refused, 0, self.z), seen=self.seen & ~np.asarray(refused))
 
 
 @dataclass(frozen=True)
