@@ -11,9 +11,6 @@ from ._checks import Array
 from ._engine.pieces import VAGUE
 from .equations import gain_on_the_start, lainiotis_matrices, lainiotis_step, neutralised
 
-# Patterns of missing measurements whose constants a Lainiotis filter keeps.
-MOST_PATTERNS = 64
-
 
 class LainiotisFilter(RecursiveFilter):
     """The Lainiotis filter (2014 Eqs. 5-7, 2015 Eqs. 2-3).
@@ -61,15 +58,19 @@ class LainiotisFilter(RecursiveFilter):
         return lainiotis_step(P, self._constants_of(seen))
 
     def _constants_of(self, seen):
-        kept, pattern = self._constants, seen.tobytes()
-        constants = kept.get(pattern)
-        if constants is None:
-            constants = lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
-            if len(kept) >= MOST_PATTERNS:
-                kept.clear()
-            kept[pattern] = constants
-        return constants  # not what is kept: another thread may have cleared it
+        if seen.all():
+            return self._of_a_whole_row
+        if not seen.any():
+            return self._of_a_missed_row
+        return self._of_a_part(seen)
+
+    def _of_a_part(self, seen):
+        return lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
 
     @cached_property
-    def _constants(self):
-        return {}
+    def _of_a_whole_row(self):
+        return lainiotis_matrices(self.model)
+
+    @cached_property
+    def _of_a_missed_row(self):
+        return self._of_a_part(np.zeros(self.model.m, bool))

@@ -295,31 +295,26 @@ class ConstantGainColumns:
         seen = epoch.seen[0]
         x_seen, P_seen = self._keep(x, P)
         x_seen = x_seen + np.tensordot(self._B, epoch.z, axes=1)
-        none = np.zeros((0, *x.shape[1:]))
-        return np.where(seen, x_seen, x), np.where(seen, P_seen + self._noise, P), none
+        return np.where(seen, x_seen, x), np.where(seen, P_seen + self._noise, P), x[:0]
 
 
-class SteppedColumns:
-    """Any filter on columns, by its next_steps(P, seen): columns that see the same measurements go together.
+def advance_by_steps(estimator, epoch, x, P):
+    """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations, by `next_steps` of any filter.
 
-    The innovations are those of the model's step, for a filter whose gain follows its covariance (`optimal`).
+    Columns that see the same measurements go together. The innovations are those of the model's step.
     """
+    innovations = _innovations(estimator, epoch, x, P) if estimator.optimal else x[:0]
+    x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, epoch.z))  # stacks of matrices
+    for seen in np.unique(epoch.seen, axis=1).T:
+        columns = np.flatnonzero((seen == epoch.seen.T).all(axis=1))
+        A, B, P[columns] = estimator.next_steps(P[columns], seen)
+        x[columns] = A @ x[columns] + B @ z[columns]
+    return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
 
-    def __init__(self, next_steps, optimal, prediction, H, R):
-        self._next_steps, self._optimal, self._predicted, self._H, self._R = next_steps, optimal, prediction, H, R
 
-    def advance(self, epoch, x, P):
-        """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations."""
-        innovations = self._innovations(epoch, x, P) if self._optimal else np.zeros((0, *x.shape[1:]))
-        x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, epoch.z))  # stacks of matrices
-        for seen in np.unique(epoch.seen, axis=1).T:
-            columns = np.flatnonzero((seen == epoch.seen.T).all(axis=1))
-            A, B, P[columns] = self._next_steps(P[columns], seen)
-            x[columns] = A @ x[columns] + B @ z[columns]
-        return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
-
-    def _innovations(self, epoch, x, P):
-        x, P = self._predicted(x, P)
-        S = product(product(self._H, P), self._H.T) + self._R[..., None]
-        expected = np.tensordot(self._H, x, axes=1)
-        return whitened(np.where(epoch.seen[:, None], epoch.z - expected, np.nan), S[:, :, None])[0]
+def _innovations(estimator, epoch, x, P):
+    H, R = estimator.model.H, estimator.model.R
+    x, P = estimator.prediction(x, P)
+    S = product(product(H, P), H.T) + R[..., None]
+    expected = np.tensordot(H, x, axes=1)
+    return whitened(np.where(epoch.seen[:, None], epoch.z - expected, np.nan), S[:, :, None])[0]

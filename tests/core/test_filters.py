@@ -482,5 +482,3 @@ def test_what_is_printed_is_a_line():
     ]
     for each, line in printed:
         assert repr(each) == line
-    with pytest.raises(AttributeError, match=r"no attribute 'predict'; step\(x, P, z_k\) takes one measurement"):
-        kf.predict()
