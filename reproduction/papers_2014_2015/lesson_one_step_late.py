@@ -10,7 +10,7 @@ from reproduction import plots
 PRINTED = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)  # Example 1 of the paper: H = [1 dt]
 NOISE = np.sqrt(PRINTED.R[0, 0])  # sigma of a measured position (m)
 UNKNOWN = 100 * np.eye(2)  # P(0/0) of a start that nobody knows: sigma of 10 m and 10 m/s
-WRONG, RIGHT, BAND = "#D55E00", plots.COLOUR_OF["kalman"], "0.87"
+WRONG, RIGHT, BAND = plots.COLOUR_OF["wrong"], plots.COLOUR_OF["kalman"], "0.87"
 
 
 def walk(rows, push=0.1, tracks=None, seed=1):
