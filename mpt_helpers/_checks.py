@@ -6,6 +6,7 @@ argument.
 
 from __future__ import annotations
 
+import math
 import operator
 import sys
 import warnings
@@ -57,9 +58,13 @@ def number(name: str, value: object, need: str, accept: Callable[[float], bool])
     """
     if not isinstance(value, Real) or isinstance(value, np.timedelta64):  # which counts as a Real
         refuse(name, need, f"{value!r:.60}", TypeError)
-    if not (abs(value) <= sys.float_info.max and accept(value)):
+    try:
+        as_float = float(value)
+    except OverflowError:  # a whole number beyond the range of doubles
+        as_float = math.inf
+    if not (math.isfinite(as_float) and accept(as_float)):
         refuse(name, need, f"{value!r:.60}")
-    return float(value)
+    return as_float
 
 
 def positive(name: str, value: object) -> float:
