@@ -225,6 +225,8 @@ def test_made_over_stated_is_judged_on_errors_of_a_known_kind():
     made = lesson.carried(cases, fits)
     np.testing.assert_allclose(made["another half day"], [1 / 3, 3.0, 1.0, 1.0], rtol=0.12)
     np.testing.assert_allclose(made["another station"], [np.sqrt(5) / 3, 3.0], rtol=0.12)
+    (name, *_) = cases
+    assert "another station" not in lesson.carried({name: cases[name]}, fits)
 
 
 def test_a_tau_that_the_day_does_not_determine_has_a_question_mark():
