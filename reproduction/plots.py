@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from mpt_helpers.tracks.style import COLOURS, STYLE
 
-# One colour for one filter, in every figure; Kalman and Lainiotis are one estimate, and so have one.
+# One colour for one filter, in every figure, and one for what is wrong. Kalman and Lainiotis are one estimate.
 COLOUR_OF = {
     "kalman": COLOURS[0],
     "lainiotis": COLOURS[0],
@@ -21,7 +21,8 @@ COLOUR_OF = {
     "fir": COLOURS[2],
     "predictor": COLOURS[3],
     "line": COLOURS[4],
-    "mean": COLOURS[5],
+    "acceleration": COLOURS[5],  # a Kalman filter that knows the acceleration, beside one that does not
+    "wrong": "#B8251D",
     "measured": "0.55",
     "truth": "black",
 }

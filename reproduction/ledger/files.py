@@ -94,7 +94,8 @@ def _grid_layout(grid):
         columns = zip(grid["columns"], cells, strict=True)
         items = [f"{{{grid['id']}.{row}.{column}}}" if printed else "" for column, printed in columns]
         rows.append([f"{row} {name}".strip(), *items])
-    return Layout(grid["id"], grid["title"], ["", *named], rows, grid=True, wrong=grid.get("wrong", ""))
+    head = ["printed | counted", *named]
+    return Layout(grid["id"], grid["title"], head, rows, grid=True, wrong=grid.get("wrong", ""))
 
 
 def _made(make, entry, file, kinds=()):

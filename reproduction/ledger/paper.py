@@ -222,12 +222,13 @@ class Paper:
     def _told(self, layout):
         """Return what is wrong in a table, a sentence for each cause or one for all; none is told twice."""
         failing = [each for each in self._to_report if each.verdict in FAILS]
-        causes = Counter(each.cause for each in failing)
-        sign = mark(IN_PART) if all(each.verdict == IN_PART for each in failing) else mark(DIFFERS)
-        if layout.wrong and causes:
-            told = [f"{sign} {counted(causes.total(), 'cell')}: {layout.wrong}"]
+        if layout.wrong and failing:
+            told = [f"{_signed(failing)}: {layout.wrong}"]
         else:
-            told = [f"{sign} {counted(count, 'cell')}: {self._why(id, layout.name)}" for id, count in causes.items()]
+            told = []
+            for cause in dict.fromkeys(each.cause for each in failing):
+                cells = [each for each in failing if each.cause == cause]
+                told.append(f"{_signed(cells)}: {self._why(cause, layout.name)}")
         unchecked = [each for each in self._to_report if each.verdict == CANNOT_BE_CHECKED and each.printed != "?"]
         for reason, count in Counter(each.reason for each in unchecked).items():
             told.append(f"{mark(CANNOT_BE_CHECKED)} {counted(count, 'cell')}: {reason}.")
@@ -346,6 +347,12 @@ def _agreeing(verdicts):
     if unchecked > lost:
         said += f"; {unchecked - lost} cannot be checked"
     return said
+
+
+def _signed(failing):
+    """Return the number of failing cells behind each sign, as in "✗ 1 cell, (✓) 2 cells"."""
+    signs = Counter(mark(each.verdict) for each in failing)
+    return ", ".join(f"{sign} {counted(signs[sign], 'cell')}" for sign in ("✗", "(✓)") if signs[sign])
 
 
 def _where_items_stand(layout, lines):

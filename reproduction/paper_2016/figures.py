@@ -36,8 +36,8 @@ def draw_figure(key, N, seed):
             ax[panel].fill_between(k[some], low[some], high[some], color=colour, alpha=0.12, lw=0, label=band)
             ax[panel].plot(k[some], e[some], style, color=colour, label=label)
 
-    plots.finish(ax["start"], "step k", f"ours: error (m), steps 1 to {CAUGHT_UP}")
-    plots.finish(ax["later"], "step k", f"ours: steps {CAUGHT_UP + 1} to {STEPS}")
+    plots.finish(ax["start"], "step k", "ours: error (m) at first")
+    plots.finish(ax["later"], "step k", "ours: error (m), later")
     plots.legend_below(ax["start"], 3)
 
     ax["plane"].plot(*real, "o-", color=plots.COLOUR_OF["truth"], ms=6, mfc="white", label="real position")

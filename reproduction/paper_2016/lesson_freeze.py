@@ -96,7 +96,8 @@ def draw_braking(misses, seconds=5):
 
     misses maps a brake in m/s² to {name of a filter: misses (m) of the predictions of seconds 0, 1, ...}.
     """
-    styles = [(plots.COLOUR_OF["kalman"], "-"), (plots.COLOURS[2], "--"), (plots.COLOURS[2], "-")]
+    of_acceleration = plots.COLOUR_OF["acceleration"]
+    styles = [(plots.COLOUR_OF["kalman"], "-"), (of_acceleration, "--"), (of_acceleration, "-")]
     names = [f"{brake:g} m/s²" for brake in misses]
     fig, ax = plots.panels([names], height=3.4)
     ax[names[1]].sharey(ax[names[0]])

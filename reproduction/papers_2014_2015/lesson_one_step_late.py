@@ -1,4 +1,4 @@
-"""What the lesson `one_step_late` draws and counts: a simulated walk, its picture, and the alarms of NIS."""
+"""What the lesson `one_step_late` draws: a simulated walk and its picture."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from reproduction import plots
 PRINTED = mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)  # Example 1 of the paper: H = [1 dt]
 NOISE = np.sqrt(PRINTED.R[0, 0])  # sigma of a measured position (m)
 UNKNOWN = 100 * np.eye(2)  # P(0/0) of a start that nobody knows: sigma of 10 m and 10 m/s
-WRONG, RIGHT, BAND = "#D55E00", plots.COLOUR_OF["kalman"], "0.87"
+WRONG, RIGHT, BAND = plots.COLOUR_OF["wrong"], plots.COLOUR_OF["kalman"], "0.87"
 
 
 def walk(rows, push=0.1, tracks=None, seed=1):
@@ -48,42 +48,6 @@ def walk(rows, push=0.1, tracks=None, seed=1):
     before = np.concatenate([np.full((1, *shape), 1.5), speed[:-1]])
     true = np.cumsum((before + speed) / 2, axis=0)
     return true, true + rng.normal(0, NOISE, true.shape)
-
-
-def alarms(push, H, minutes=20_000, seed=14):
-    """Count how often NIS notices something in a minute of a walk that obeys the model of the filter but for H.
-
-    Parameters
-    ----------
-    push : float
-        Standard deviation of a push (m/s), of the walk and of the filter.
-    H : list of list of float
-        What the filter takes the measured positions for.
-    minutes : int
-        Number of simulated minutes; each comes after a first one in which the filter settles.
-    seed : int
-        Seed of the random numbers.
-
-    Returns
-    -------
-    nis, share : float
-        The mean NIS, and the share of minutes whose NIS is not within 1 ± 2 sqrt(2/60).
-
-    Examples
-    --------
-    >>> nis, share = alarms(0.1, [[1, 0]], minutes=2000)
-    >>> round(nis, 1), share < 0.06
-    (1.0, True)
-
-    """
-    _, measured = walk(120, push, minutes, seed)
-    model = replace(mpt.gsm_axis(dt=1.0, q=push**2, r=NOISE**2), H=H, P0=UNKNOWN)
-    kf = mpt.KalmanFilter(model)
-    x, P = kf.filter(measured[:, None])[59:-1], kf.covariances(120)[59:-1]
-    surprises = measured[60:] - (model.H @ model.F @ x)[:, 0]
-    S = (model.H @ (model.F @ P @ model.F.T + model.Q) @ model.H.T + model.R)[:, 0]
-    nis = (surprises**2 / S).mean(axis=0)
-    return float(nis.mean()), float(np.mean(np.abs(nis - 1) > 2 * np.sqrt(2 / 60)))
 
 
 def draw_late():

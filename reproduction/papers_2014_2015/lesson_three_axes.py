@@ -1,4 +1,4 @@
-"""The drawings of the lesson on three axes, the numbers behind its table, and the answer to its exercise."""
+"""The drawings of the lesson on three axes, and the numbers behind its table."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from reproduction import plots
 
 PAPER = gsm_axis(dt=1.0, q=0.01, r=0.1)  # the paper's example: H = [1 1], the position one step ahead
 AXIS = replace(PAPER, H=[[1, 0]])  # the same axis, measured where it is
-KALMAN, STEADY = plots.COLOUR_OF["kalman"], plots.COLOUR_OF["steady"]
+KALMAN = plots.COLOUR_OF["kalman"]
 
 
 def covariance(steps=60):
@@ -195,67 +195,6 @@ def after_silence(missed, steps):
     return sigma_of_both(covariance_after(missed), steps)
 
 
-def first_after(missed):
-    """Return sigma of the position at the first fix after so many missed ones: (gain from P, the settled gain).
-
-    >>> best, constant = first_after(10)
-    >>> print(f"{best:.2f} {constant:.2f}")
-    0.31 1.25
-    """
-    best, constant = after_silence(missed, steps=1)
-    return float(best[0]), float(constant[0])
-
-
-def measured_again(missed=30, shown=15, phones=300):
-    """Return errors of an estimated height after a silence (1 + shown,): with the gain from P, and the settled gain.
-
-    Of all simulated phones it is the one whose error is nearest to one sigma of what the filter states, at the end of
-    the silence, which is the first row, and at the first measurement after it. Both filters begin at the known start,
-    and in the silence both only predict.
-
-    >>> varies, frozen = measured_again()
-    >>> print(varies[:5].round(1), frozen[:5].round(1))
-    [-11.   -0.3  -0.2  -0.2  -0.2] [-11.   -5.3  -1.7   0.3   1.1]
-    """
-    settle = 30
-    silent = slice(settle, settle + missed)
-    states, measured = simulate(AXIS, settle + missed + shown, np.random.default_rng(2015), tracks=phones)
-    measured[silent] = np.nan
-    varies = KalmanFilter(AXIS).filter(measured)
-    frozen, x = varies.copy(), varies[silent.stop - 1]
-    steady = SteadyStateFilter.from_kalman(AXIS)
-    for k in range(silent.stop, len(measured)):
-        x = steady.A @ x + steady.B @ measured[k]
-        frozen[k] = x
-    errors = [(x - states)[silent.stop - 1 :, 0] for x in (varies, frozen)]
-    stated = np.array([sigma_after(missed), first_after(missed)[0]])
-    usual = np.argmin(np.sum((np.abs(errors[0][:2]) / stated[:, None] - 1) ** 2, axis=0))
-    return errors[0][:, usual], errors[1][:, usual]
-
-
-def draw_swing(missed=30, shown=15):
-    """Return a figure of one phone's estimated height after a silence: with the gain that varies, and frozen."""
-    k = np.arange(shown + 1)
-    errors = measured_again(missed, shown)
-    fig, ax = plots.panels([["error"]], height=2.8)
-    ax["error"].axhline(0, color="0.4", lw=1.0)
-    varies, frozen = (
-        ax["error"].plot(k, each, "o-", color=color, markersize=4)[0]
-        for each, color in zip(errors, (KALMAN, STEADY), strict=True)
-    )
-    past = int(np.argmax(errors[1]))
-    plots.label_line(varies, "its gain varies", at=1, xytext=(-24, 24))
-    plots.label_line(frozen, "its gain is frozen", at=1, xytext=(8, -8))
-    plots.label_line(frozen, f"{errors[1][past]:.1f} m past the phone", at=past, xytext=(14, 8))
-    ax["error"].annotate("0: where the phone is", (shown, -0.6), ha="right", va="top", color="0.3")
-    ax["error"].set_ylim(-11.5, 4)
-    ax["error"].set_xticks([0, 5, 10, 15])
-    ax["error"].set_ylabel("error of the height (m)")
-    plots.finish(ax["error"], f"second after {missed} s without measurements", "")
-    fig.suptitle("After a silence the frozen filter swings", x=0.02, ha="left", weight="bold")
-    return fig
-
-
 def sigma_if_errors_last(c, steps=1000):
     """Return sigma of the position that the settled filter makes if measurement errors follow each other by c.
 
@@ -290,19 +229,3 @@ def covariance_after(seconds):
 def sigma_after(seconds):
     """Return sigma of the position of a settled axis after so many seconds without a measurement, in metres."""
     return float(np.sqrt(covariance_after(seconds)[0, 0]))
-
-
-def answer_silence(seconds, limit=1.0):
-    """Say whether this is the first whole second of silence at which sigma passes the limit, and if not, what sigma is.
-
-    >>> print(answer_silence(30))
-    not quite: after 30 s of silence σ is 10.5 m. It passed 1 m earlier.
-    """
-    if seconds is None:
-        return "not yet: give a whole number of seconds"
-    sigma, before = sigma_after(seconds), sigma_after(seconds - 1)
-    if sigma <= limit:
-        return f"not quite: after {seconds} s of silence σ is {sigma:.2f} m. It passes {limit:g} m later."
-    if before > limit:
-        return f"not quite: after {seconds} s of silence σ is {sigma:.3g} m. It passed {limit:g} m earlier."
-    return f"right: after {seconds} s of silence σ is {sigma:.2f} m, a second before it was {before:.2f} m"

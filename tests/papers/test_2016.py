@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from difflib import SequenceMatcher
 from fractions import Fraction
 from functools import cache
@@ -275,6 +276,9 @@ def test_what_is_said_of_the_time_step():
     assert f"to {falls[0]} (estimate) and {falls[1]} (prediction)" in sentence
     assert f"to {falls[2]} and {falls[3]} with constant acceleration" in sentence
     assert f"the error after the start {min(steps):.1f} to {max(steps):.1f} times as large" in text_of("front")
+    at_half, at_two = (average("ca", round(STEPS / dt), dt=dt)[0] for dt in (0.5, 2))
+    assert "with constant acceleration: there the longer step makes it three times as small" in text_of("front")
+    assert at_half / at_two == pytest.approx(3, rel=0.05)
     told = text_of("section-5-1-estimation-seen")
     assert (
         f"makes σ {by_step['cv', 0]:.2f} times as large, and four times the variance {by_noise['cv', 0]:.2f} times"
@@ -680,7 +684,9 @@ def test_what_filters_say_of_a_braking_car():
 def test_what_fails_is_what_the_front_names():
     fails = {each.cause for each in VERDICTS.values() if each.verdict in FAILS}
     assert fails == {"start", "time-step", "table2-operands", "velocity-for-acceleration"}
-    assert "It holds only in part (✓) for two claims" in text_of("front")
+    in_part = Counter(each.cause for each in VERDICTS.values() if each.verdict == IN_PART)
+    assert in_part == {"start": 2, "time-step": 4, "table2-operands": 2}
+    assert "It holds only in part (✓) in eight places" in text_of("front")
     assert "It does not hold (✗) in two places" in text_of("front")
     assert {id for id, each in VERDICTS.items() if each.verdict == ERRATUM} == {
         "ca.text",

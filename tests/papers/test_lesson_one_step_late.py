@@ -4,6 +4,7 @@ A text in `says` has its numbers put in by the test, so that a number that chang
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -110,24 +111,13 @@ def test_the_numbers_of_the_scene_and_of_the_repair():
     assert f"walking, 1.5 m/s: 1.5 m behind, {1.5 / late:.0f} times" in printed_by("how-bad")
     delay = right / 1.5 / np.sqrt(2)
     says(f"with σ = {right:.2f} m, walking past a mark and back tells the delay to {delay:.2f} s (its σ)")
-    F, _, Q = motion(1.0, 0.01)
-    _, made = makes(NEXT)
-    made, P = F @ made @ F.T, settled(NEXT)[2]
-    moved = F @ P @ F.T
-    says(f"the position then errs by {np.sqrt(made[0, 0]):.3f} m, as with the right filter")
-    assert f"{np.sqrt(made[0, 0]):.3f}" == f"{right:.3f}"
-    says(f"(It states a little more, {np.sqrt((moved + Q)[0, 0]):.3f}; with pushes of 1 m/s twice its error.)")
-    F, _, Q_1 = motion(1.0, 1.0)
-    stated, made_1 = F @ settled(NEXT, q=1.0)[2] @ F.T + Q_1, F @ makes(NEXT, q=1.0)[1] @ F.T
-    assert np.sqrt(stated[0, 0] / made_1[0, 0]) == pytest.approx(2, abs=0.15)
-    says(f"(The right filter states more, ± {2 * right:.2f} m.)")
 
 
 def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
     """The estimate is that of x(k), minus Δt times the velocity in the position: for every Q, r and Δt."""
     says("That the filter is late by v Δt on average is algebra, for every Q, r and Δt.")
     rng = np.random.default_rng(0)
-    for _ in range(300):
+    for _ in range(100):
         dt, q, r = 10 ** rng.uniform([-2, -4, -3], [2, 2, 3])
         L, _ = makes(np.array([[1.0, dt]]), dt, q, r)
         np.testing.assert_allclose(L, [[1, -dt], [0, 1]], rtol=1e-6, atol=1e-6 * dt)
@@ -135,9 +125,7 @@ def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
 
 def test_the_wrong_sigma_is_the_error_of_a_second_ago():
     """Within one part in a hundred, by simulation of the position before and the estimate now."""
-    says(
-        "It is the error of the position a second ago, known from the measurement of that second and from the next one."
-    )
+    says("It is, here, the error of the position a second ago, known from the measurement of that second")
     true, measured = lesson.walk(60, tracks=4000)
     x = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE})).filter(measured[:, None])
     about_before = np.sqrt(np.mean((x[40:, 0] - true[39:-1]) ** 2))
@@ -198,49 +186,44 @@ def nis_of_late(dt, q, r):
     return ((C @ covariance @ C.T).item() + G[0, 0] ** 2 * q + r) / S
 
 
-def rows_of(id):
-    return [re.split(r" {2,}", line.strip()) for line in printed_by(id).splitlines()[1:]]
-
-
-def test_the_nis_of_the_table_is_the_exact_one():
-    for push, nis, *_ in rows_of("pushes"):
-        q = float(push.removesuffix(" m/s")) ** 2
-        assert float(nis) == pytest.approx(nis_of_late(1.0, q, 0.1), abs=0.006)
-
-
 def test_what_counts_is_the_push_over_the_noise():
-    says("What counts is a push times Δt over the sensor's σ: 0.1 / 0.32 in the first row")
     rng = np.random.default_rng(2)
     for ratio in (0.1, 0.32, 1.0, 3.0):
         found = []
-        for _ in range(50):
+        for _ in range(20):
             dt, r = 10 ** rng.uniform([-2, -3], [2, 3])
             found.append(nis_of_late(dt, ratio**2 * r / dt**2, r))
         np.testing.assert_allclose(found, found[0], rtol=1e-5)
         assert found[0] < 1
-    says("and NIS falls below 1: the more, the larger the pushes are.")
     by_push = [nis_of_late(1.0, q, 0.1) for q in np.logspace(-6, 3, 50)]
     assert (np.diff(by_push) < 0).all()
 
 
+def alarms(push, H, minutes=20_000, seed=14):
+    """The mean NIS, and the share of minutes whose NIS is not within 1 ± 2 sqrt(2/60), after one that settles."""
+    _, measured = lesson.walk(120, push, minutes, seed)
+    kf = mpt.KalmanFilter(replace(mpt.gsm_axis(dt=1.0, q=push**2, r=0.1), H=H, P0=WIDE))
+    new = mpt.metrics.innovations(kf, measured[:, None])
+    nis = (new.values[60:, 0] ** 2 / new.S[60:, 0, 0].reshape(60, -1)).mean(axis=0)
+    return nis.mean(), np.mean(np.abs(nis - 1) > 2 * np.sqrt(2 / 60))
+
+
 def test_how_often_a_minute_raises_an_alarm():
-    """The share is one of 20,000 minutes: 0.4 % give or take at most; another seed gives the same within 1.5 %."""
-    says("The alarms are counted in 20,000 simulated minutes for each row.")
-    says("with pushes of 0.1 m/s a minute alarms you about as often as it does with the right filter")
-    says("With pushes of 1 m/s it nearly always says that something is wrong.")
-    shares = {}
-    for push, _, *said in rows_of("pushes"):
-        for H, share in zip((NEXT, NOW), said, strict=True):
-            _, found = lesson.alarms(float(push.removesuffix(" m/s")), H, seed=5)
-            assert found == pytest.approx(float(share.removesuffix("%")) / 100, abs=0.015)
-            shares[push, H[0, 1]] = found
-    assert shares["0.1 m/s", 1] < 1.1 * shares["0.1 m/s", 0]
-    assert shares["1 m/s", 1] > 0.9
+    """The share is one of 20,000 minutes, 0.4 % give or take at most; its mean NIS is the exact one."""
+    says("The alarms are counted in 20,000 simulated minutes each.")
+    pushes = (0.1, 0.3, 0.6, 1.0)
+    found = [alarms(push, NEXT) for push in pushes]
+    for push, (nis, _) in zip(pushes, found, strict=True):
+        assert nis == pytest.approx(nis_of_late(1.0, push**2, 0.1), abs=0.006)
+    gentle, *others, largest = (f"{100 * share:.0f}" for _, share in found)
+    _, honest = alarms(0.1, NOW)
+    says(f"For an honest filter some {100 * honest:.0f} % of all minutes lie outside two σ.")
+    says(f"it is {gentle} % with pushes of 0.1 m/s, then {', '.join(others)} and {largest} % with 0.3, 0.6 and 1 m/s.")
 
 
 def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
     minute, hours = ([float(each) for each in re.findall(r"\d\.\d\d", line)] for line in printed_by("nis").splitlines())
-    says("This minute alarms nobody. Three hours do show that something is a little off.")
+    says("The minute alarms nobody. Three hours show that something is a little off, but not what.")
     assert all(abs(nis - 1) < 2 * minute[2] for nis in minute[:2])
     assert hours[0] < 1 - 3 * hours[2]
     assert abs(hours[1] - 1) < 2 * hours[2]
@@ -258,7 +241,7 @@ def test_nis_of_the_lesson_is_that_of_the_package(taught):
 
 
 def test_somebody_who_turns_back_alarms_both():
-    says("there both filters lag, and NIS is large with either H")
+    says("both filters lag, and NIS is large with either H.")
     seconds = np.arange(200)
     positions = np.cumsum(1.5 * (1 - 2 * (seconds // 20 % 2)))
     z = positions[:, None] + np.random.default_rng(0).normal(0, np.sqrt(0.1), (200, 200))
@@ -273,9 +256,9 @@ def test_somebody_who_turns_back_alarms_both():
 
 def test_the_ramp_of_the_four_cases():
     found = re.findall(r"off by (-?[\d.]+) m and ([\d.]+) m/s", printed_by("ramp"))
-    assert found == [("0.00", "0.00"), ("-1.50", "0.00"), ("1.50", "0.00"), ("0.00", "0.00")]
+    assert found == [("0.00", "0.00"), ("-1.50", "0.00"), ("1.50", "0.00"), ("0.00", "0.00"), ("0.00", "1.50")]
     assert len(code_of("ramp").split("\n\n\n")[0].splitlines()) == 5  # "in five lines of code"
-    says("a point at constant speed brings it to light, in five lines of code")
+    says("which five lines of code bring it to light")
 
 
 def after_ramp(F, H, Q, r, sensor, dt=1.0, v=1.5, rows=1000):
@@ -295,7 +278,7 @@ def test_what_a_ramp_tells_is_what_the_formula_says():
     says("(h - b\\,\\Delta t / a)\\,v")
     says("(\\Delta t / a - 1)\\,v")
     rng = np.random.default_rng(3)
-    for _ in range(60):
+    for _ in range(25):
         dt, v, q, r = 10 ** rng.uniform([-1, -1, -2, -1], [1, 1.5, 1, 1])
         a, b, h = dt * rng.uniform(0.3, 3), dt * rng.uniform(0, 2), dt * rng.uniform(-2, 2)
         _, _, Q = motion(dt, q / dt**2)
@@ -318,7 +301,7 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_a_ramp_sees_neither_q_nor_r():
-    says("Q, r and P: every gain settles on the same ramp.")
+    says("Q, r and P, since every filter that still corrects its speed settles in the same place.")
     rng = np.random.default_rng(5)
     for _ in range(15):
         root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
@@ -340,7 +323,7 @@ def parabola(F, H, Q, r, rows=1500, a=0.3):
 def test_with_acceleration_four_entries_pass_the_ramp_and_not_the_parabola():
     says("in the four entries that multiply it: F[0,2], F[1,2], F[2,2] and H[0,2]")
     rng = np.random.default_rng(6)
-    for _ in range(5):
+    for _ in range(2):
         q, r = 10 ** rng.uniform([-2, -1], [0, 1])
         G = np.array([[1 / 6], [0.5], [1]])
         Q = q * G @ G.T
@@ -394,7 +377,7 @@ def test_the_tempting_fit_returns_the_number_in_h():
 
 def test_a_mark_that_is_passed_twice_tells_the_delay():
     """At constant speed; every filter, delay and offset of the sensor: the mean to 2 %, the scatter that is said."""
-    says("The two reports lie apart by twice the delay times your speed")
+    says("the two lie apart by twice the delay times your speed")
     away = 1.5 * np.arange(1, 101)
     rng = np.random.default_rng(8)
     for h, offset in ((-2, 0.0), (0, 3.0), (1, -7.0)):
@@ -411,7 +394,7 @@ def test_a_mark_that_is_passed_twice_tells_the_delay():
 
 def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     """There the paper's H is right: the settled filter errs by what it states, and NIS is that of the late filter."""
-    says("would make the same surprises, and the same alarms, where the filter is not late at all")
+    says("a sensor that really shows the next position raises the same alarms, though with it nothing is late.")
     push = 1.0
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))
@@ -427,12 +410,12 @@ def test_an_old_position_takes_a_negative_h_in_the_mean_only():
     L, made = makes(old, age=age)
     np.testing.assert_allclose(L, np.eye(2), atol=1e-9)
     states = np.sqrt(settled(old)[2][0, 0])
-    says(f"Here [1 −3] states {states:.2f} m and makes {np.sqrt(made[0, 0]):.2f} m.")
+    says(f"For positions three steps old, [1 −3] states {states:.2f} m here and makes {np.sqrt(made[0, 0]):.2f} m;")
     F, _, Q = motion(1.0, 0.01)
     P = settled(NOW)[2]
     for _ in range(age):
         P = F @ P @ F.T + Q
-    says(f"Filtering as of then and predicting makes {np.sqrt(P[0, 0]):.2f} m, and states it.")
+    says(f"filtering as of then and predicting makes {np.sqrt(P[0, 0]):.2f} m, and states it.")
     # both by simulation, which owes nothing to the formulas above
     true, measured = lesson.walk(100, tracks=20_000)
     for H, rms in ((old, np.sqrt(made[0, 0])), (NOW, np.sqrt(P[0, 0]))):
@@ -443,6 +426,57 @@ def test_an_old_position_takes_a_negative_h_in_the_mean_only():
         assert np.sqrt(np.mean((x[0] - true[-1]) ** 2)) == pytest.approx(rms, rel=0.02)
 
 
+def test_positions_ahead_make_a_filter_too_sure():
+    ahead = 3
+    true, measured = lesson.walk(100, tracks=20_000)
+    H = np.array([[1.0, ahead]])
+    kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": H, "P0": WIDE}))
+    made = np.sqrt(np.mean((kf.filter(measured[ahead:, None])[-1, 0] - true[-1 - ahead]) ** 2))
+    says(f"[1 3] states too little: {np.sqrt(settled(H)[2][0, 0]):.2f} m, where it makes {made:.2f} m.")
+
+
+def test_uneven_steps_give_the_late_filter_away():
+    """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
+    says("with steps that vary by 30 %, NIS is 1.6")
+    rng = np.random.default_rng(11)
+    tracks, rows = 2000, 100
+    steps = rng.uniform(0.7, 1.3, rows)
+    true = np.stack([np.zeros(tracks), np.full(tracks, 1.5)])
+    x, P = np.zeros((2, 2, tracks)), np.stack([WIDE, WIDE])
+    x[:, 1] = 1.5
+    found = []
+    for dt in steps:
+        F, G, Q = motion(dt, 0.01)
+        true = F @ true + G * rng.normal(0, 0.1, tracks)
+        z = true[0] + rng.normal(0, np.sqrt(0.1), tracks)
+        of_step = []
+        for i, H in enumerate((np.array([[1.0, dt]]), NOW)):
+            predicted, P_p = F @ x[i], F @ P[i] @ F.T + Q
+            S = (H @ P_p @ H.T).item() + 0.1
+            K = P_p @ H.T / S
+            new = z - H @ predicted
+            x[i], P[i] = predicted + K @ new, P_p - K @ H @ P_p
+            of_step.append(np.mean(new**2) / S)
+        found.append(of_step)
+    late, right = np.mean(found[20:], axis=0)
+    assert late == pytest.approx(1.6, abs=0.15)  # of other steps too: it depends on which come after which
+    assert right == pytest.approx(1, abs=0.02)
+
+
+def test_after_a_turn_a_filter_looks_late_until_it_has_settled():
+    """Without noise, of the right filter: the delay that the mark tells, by seconds between the mark and the turn."""
+    says("so that the filter settles after the turn (ten seconds are enough for this one)")
+    kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE}))
+
+    def delay(beyond):
+        positions = 1.5 * np.concatenate([np.arange(60), 59 - np.arange(1, 60)])
+        errors = kf.filter(positions[:, None])[:, 0] - positions
+        return (errors[59 + beyond] - errors[59 - beyond]) / 3.0
+
+    assert abs(delay(3)) > 0.3
+    assert max(abs(delay(each)) for each in range(10, 40)) < 0.11 / 4  # little beside the 0.11 s of the noise
+
+
 @pytest.mark.parametrize("h", [-2.0, -0.5, 0.0, 1.0, 2.5])
 def test_an_h_that_fits_the_sensor_passes_the_ramp(taught, h):
     np.testing.assert_allclose(taught["ramp"](np.array([[1.0, h]]), h), 0, atol=1e-6)
@@ -450,7 +484,7 @@ def test_an_h_that_fits_the_sensor_passes_the_ramp(taught, h):
 
 
 def test_a_wrong_step_in_f_shows_in_the_speed(taught):
-    says("A wrong Δt in F shows in the speed, so look at both.")
+    says("The last line above has a = 0.5 s: the position is right, and the speed is twice the true one.")
     names = with_matrices(taught, F=np.array([[1.0, 0.5], [0.0, 1.0]]))
     position, speed = names["ramp"](NOW, 0)
     assert position == pytest.approx(0, abs=1e-6)

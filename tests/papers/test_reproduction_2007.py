@@ -53,6 +53,9 @@ def test_the_front_says_what_the_verdicts_say(cells, record):
     assert len([each for each in unchecked if each.kind == "figure"]) == 6
     assert "It has lost all six pictures" in front
     assert {id for id, each in found.items() if each.cause not in ("", "copy")} == {"line.sigma", "line.first"}
+    share = float(re.search(r"in each case at most ([\d.]+) of that line's", found["kalman.changing"].computed)[1])
+    assert share < 0.1
+    assert "its error is less than a tenth of that of a line through 100 positions" in front
     low, high = record.newest.min(), record.newest.max()
     assert f"left {low:.2f} to {high:.2f} of the error of a single position, instead of 0.20" in front
     assert positioning.line_sigma(100, np.array([0, 100])) == pytest.approx(2 / np.sqrt(100), rel=0.02)

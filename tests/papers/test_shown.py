@@ -125,12 +125,22 @@ def test_a_table_may_say_in_one_sentence_what_is_wrong():
     assert read_paper("test", WITH_TABLES + text).table("t", [[1, 3], [4, 1]]).told == ["✗ 2 cells: All of them."]
 
 
+def test_what_is_wrong_and_what_holds_in_part_are_counted_apart():
+    formula = '{ id = "some", where = "Table 9", kind = "formula", printed = "a + b", cause = "one-missing" },'
+    text = WITH_TABLES.replace("items = [", f"items = [\n  {formula}")
+    text += TABLES.replace('["a count", "{count}"]', '["a sum", "{some}"]')
+    values = {each: VALUES[each] for each in ("wrong", "ratio", "lost")}
+    in_part = {"some": ({"in x": True, "in y": False}, "a + c", "added up")}
+    shown = read_paper("test", text).table("both", values | in_part, basis="simulation")
+    assert shown.told == ["✗ 1 cell, (✓) 1 cell: One is missing: 326 for 336."]
+
+
 def test_a_grid_shows_one_number_where_both_agree(paper):
     shown = paper.table("t", [[1, 0.5], [3, 1]])
     assert repr(shown).splitlines()[1:4] == [
-        "        1 KF A         2 LF B",
-        "1 KF A                 0.50",
-        "2 LF B  2.00 | 3.00 ✗",
+        "printed | counted  1 KF A         2 LF B",
+        "1 KF A                            0.50",
+        "2 LF B             2.00 | 3.00 ✗",
     ]
     assert "<th>2<br>LF&nbsp;B</th>" in shown.html()
 
