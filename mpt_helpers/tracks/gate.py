@@ -152,6 +152,9 @@ class _Sequence:
         self.missing = np.isnan(z)
         self.seen = ~self.missing.all(axis=2)
         self.fixes = self.seen.any(axis=1).tolist()
+        self.whole = (
+            (~self.missing | ~self.seen[:, :, None]).all(axis=(1, 2)).tolist()
+        )  # no axis lacks what others have
         self.dt, self.motions = [None] * len(z), {None: (kf.model.F, kf.model.Q)}  # F and Q by the length of a step
         if epochs.dt is not None:
             self.dt = epochs.dt[:, 0].tolist()
@@ -257,8 +260,8 @@ def _in_sequence(sequence, begins, limit, patience):
         if k in begins:
             found.append(rows)
             rows, state, candidates = [], None, []
-        if state is None:  # before the first fix of a recording
-            if fix:
+        if state is None:  # before the first fix of a recording that says where all axes begin
+            if fix and sequence.whole[k]:
                 state, rows = sequence.start(k), [k]
             continue
         look = sequence.look(state, k)
