@@ -107,8 +107,21 @@ class Filter(Immutable):
     model: LinearModel
     t: Array | None = None
     r: Array | None = None
-    optimal = False  # whether its gain is that of the covariance P, so that P says all that is known
-    steps_ahead = 0  # how far an estimate lies past its last measurement: 0, or N in a predictor
+
+    @property
+    def parts(self) -> Sequence[Filter]:
+        """The filters that it is made of; none but for joint and separate filters and predictors."""
+        return ()
+
+    @property
+    def optimal(self) -> bool:
+        """Say whether its gain is that of its covariance P, so that P says all that is known, in all its parts."""
+        return bool(self.parts) and all(each.optimal for each in self.parts)
+
+    @property
+    def steps_ahead(self) -> int:
+        """The number of steps from the last measurement that is used to the state that is estimated."""
+        return self.parts[0].steps_ahead if self.parts else 0
 
     @property
     def P0(self) -> Array:
@@ -248,11 +261,6 @@ class Filter(Immutable):
 
         """
         raise self._not_recursive()
-
-    @property
-    def parts(self) -> Sequence[Filter]:
-        """The filters that it is made of; none but for joint and separate filters and predictors."""
-        return ()
 
     def leaves(self) -> list[Filter]:
         """Return the filters that it is made of in the end, itself where it is made of none."""
