@@ -29,12 +29,13 @@ LEAST_ROWS = 30
 # a simulated constant acceleration is 1e11 sigmas from its origin after 100,000 rows.
 AGREED = 1e-6
 STATE_ROUNDING = 16 * np.finfo(float).eps
-# Where pieces do not fit together, all of them run again from where the ones before ended, so many times in all. Then
-# the track is not cut.
+# The largest number of runs: where pieces do not fit together, all of them run again from where the ones before ended.
+# After the last run the track is not cut.
 MOST_PASSES = 3
-# A start is vague where it makes a first measurement so many times as uncertain as the noises do: rounding would leave
-# some three digits in P. Its first rows are taken in another way, until it is vague no more: at most so many.
+# A start is vague where its P0 gives a first measurement more than this times the variance of the noises: rounding
+# would leave some three digits in P.
 VAGUE = 1e12
+# The largest number of rows that are taken in another way after a vague start.
 MOST_OF_A_START = 32
 # The least eigenvalue that a correlation matrix counts as having: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
@@ -149,10 +150,8 @@ def starts(advance, pieces, x0, P0):
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, M = x0.shape
-    innovations = []
-    for x, P, e in _exactly_started(advance, pieces, n, c):
-        innovations.append(e)
-    x, P, e = (_as_matrices(each, M) for each in (x, P, np.concatenate(innovations)))
+    x, P, innovations = zip(*_exactly_started(advance, pieces, n, c), strict=True)
+    x, P, e = (_as_matrices(each, M) for each in (x[-1], P[-1], np.concatenate(innovations)))
     L, y = _compressed(-e[..., c:], e[..., :c])
     found = [(_as_matrices(x0, M)[0], _as_matrices(P0, M)[0])]
     for piece in zip(x[:-1, ..., c:], x[:-1, ..., :c], P, L, y, strict=False):
@@ -214,8 +213,8 @@ def _compressed(L, y):
     """Return L (..., p, n) and y (..., p, c) of p <= n rows that tell as much of x: y = L x + noise of unit variance.
 
     Those given have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays white,
-    and what Qᵀ drops of y is noise alone, independent of what is kept. Lᵀ L and Lᵀ y would tell the same, but sums of
-    squares lose digits that R keeps.
+    and the part of y that Qᵀ drops is noise alone, independent of the rest. Lᵀ L and Lᵀ y would tell the same, but sums
+    of squares lose digits that R keeps.
     """
     Q, R = np.linalg.qr(L)
     return R, Q.swapaxes(-1, -2) @ y
