@@ -137,7 +137,8 @@ def carried(cases, fits):
         mean_over_stated(case.errors[:, UP], constants_of(fits[name]), case.step, n=round(4 * 3600 / case.step))
         for name, case in cases.items()
     ]
-    return {"another half day": halves, "another station": stations, "the same day, over four hours": hours}
+    found = {"another half day": halves, "another station": stations, "the same day, over four hours": hours}
+    return {where: ratios for where, ratios in found.items() if ratios}  # a reader's own may be the only station
 
 
 # What smoothing and corrections do

@@ -131,6 +131,15 @@ def test_the_mean_keeps_most_of_what_lasts_and_little_of_the_noise(cases):
     says(f"the mean of a hundred fixes kept {noise} of the noise, where theory says 0.10, and {lasting} of the lasting")
 
 
+def test_the_bars_of_the_figure_are_means_that_follow_the_line(cases):
+    panel = lesson.draw_wall(cases[WALL]).axes[0]
+    _, wave, *bars = [line.get_ydata() for line in panel.lines]
+    up = cases[WALL].errors[: 100 * len(bars), UP].reshape(-1, 100)
+    np.testing.assert_allclose(np.array(bars), up.mean(axis=1)[:, None] + np.zeros(2))
+    assert np.corrcoef(up.mean(axis=1), wave.reshape(-1, 100).mean(axis=1))[0, 1] > 0.95
+    says("They follow the line")
+
+
 def test_the_parts_of_the_walls_error(cases):
     says(f"It has {np.std(cases[WALL].lasting[:, UP]):.2f} m for σ, and the fit never saw it")
     says("at the price of about three times the noise")
@@ -216,6 +225,8 @@ def test_made_over_stated_is_judged_on_errors_of_a_known_kind():
     made = lesson.carried(cases, fits)
     np.testing.assert_allclose(made["another half day"], [1 / 3, 3.0, 1.0, 1.0], rtol=0.12)
     np.testing.assert_allclose(made["another station"], [np.sqrt(5) / 3, 3.0], rtol=0.12)
+    (name, *_) = cases
+    assert "another station" not in lesson.carried({name: cases[name]}, fits)
 
 
 def test_a_tau_that_the_day_does_not_determine_has_a_question_mark():
@@ -281,22 +292,26 @@ def test_what_the_table_of_six_heights_says_is_said(cases):
     for honest in (formula, aware):
         assert 0.75 < honest.min() < honest.max() < 1.25
     changes = []
-    for name, (r, sigma, tau) in constants_of_heights().items():
+    for (name, (r, sigma, tau)), in_the_table in zip(constants_of_heights().items(), rows[:, 2:], strict=True):
         step, axis = cases[name].step, cases[name].errors[:, UP]
         filters = recorded.white(step, np.var(axis)), recorded.with_lasting(step, r, sigma, tau)
-        made = [mpt.metrics.rms(each.filter(recorded.windows(axis))[-1, 0]) for each in filters]
+        ends = [each.estimates(recorded.windows(axis)) for each in filters]
+        made = np.array([mpt.metrics.rms(end.x[-1, 0]) for end in ends])
+        stated = np.sqrt([end.P[-1, 0, 0].mean() for end in ends])
+        np.testing.assert_allclose(in_the_table, made / stated, atol=0.06)  # a tenth is shown
         changes.append(made[1] / made[0] - 1)
     says("Their errors differ by a seventh at most")
     assert 0.12 < np.abs(changes).max() < 1 / 7
-    says(
-        "By constants of another half day or of another station, a mean was up to three times as far off as the formula"
-    )
+    says("With the constants of another half day or of another station, a mean was up to three times as far off as")
     assert [
-        round(row(printed("judged"), f"mean over formula, by constants of another {each}: ")[1])
+        round(row(printed("judged"), f"mean over formula, with the constants of another {each}: ")[1])
         for each in ("half day", "station")
     ] == [3, 3]
-    says("and over four hours up to twice")
-    assert round(row(printed("judged"), "mean over formula, by constants of the same day, over four hours: ")[1]) == 2
+    says("Over four hours it was up to twice as far off")
+    assert (
+        round(row(printed("judged"), "mean over formula, with the constants of the same day, over four hours: ")[1])
+        == 2
+    )
 
 
 def test_the_more_one_turns_the_less_the_lasting_error_matters(cases):
@@ -449,7 +464,7 @@ def test_with_two_phases_a_longer_average_takes_more_off(cases, hatch):
         name = f"{station}, {TWO}"
         smooth = lesson.smoothed({name: cases[name]}, lambda *each: hatch(*each[:3], 60))
         longer[station] = 1 - recorded.size(smooth[name][99:]) / row(PRINTED, name)[1]
-    page_says("30 min took another tenth off at Belem, beside the 5 min of the table, and nothing at NYA1")
+    page_says("30 min instead of the table's 5 took another tenth off at Belem, and nothing at NYA1")
     assert longer["Belem"] == max(longer.values()) == pytest.approx(0.11, abs=0.01)
     assert abs(longer["NYA1"]) < 0.02
 
