@@ -405,7 +405,7 @@ REFUSED_TIMES = {
     "another Q": (lambda: timed(replace(plane(), Q=np.eye(4)), t=T), "t: needs a model with a transition"),
     "axes of other dt": (
         lambda: timed(mpt.stack(*(mpt.constant_velocity(dt, 1, 1) for dt in (1, 2))), t=T),
-        "dt: needs a model that says the same dt",
+        "models: needs models of the same dt",
     ),
     "backwards": (lambda: timed(t=[0, 2, 1]), "t: needs .* do not decrease, got 1 after 2, in row 2"),
     "NaN": (lambda: timed(t=[0, np.nan]), "t: needs .* got NaN or infinity"),
