@@ -145,7 +145,7 @@ def test_variances_that_are_missing_refuse_no_step():
 
 def test_separate_filters_of_two_dt_are_refused_when_they_are_made():
     one, two = (mpt.KalmanFilter(mpt.constant_velocity(dt, 0.01, 0.1)) for dt in (1.0, 2.0))
-    with pytest.raises(ValueError, match="models of the same dt, got 1.0 s and 1.0 s and 2.0 s"):
+    with pytest.raises(ValueError, match=r"models of the same dt, got 1\.0 s and 1\.0 s and 2\.0 s"):
         mpt.Separate(one, one, two)
     of_any_dt = mpt.KalmanFilter(mpt.gsm_axis(1.0, 0.01, 0.1))
     assert mpt.Separate(of_any_dt, one).filter(np.zeros((2, 2))).shape == (2, 4)
