@@ -74,11 +74,6 @@ class JoinFilter(Filter):
         return self.first.model
 
     @property
-    def steps_ahead(self) -> int:
-        """The number of steps that both filters predict ahead."""
-        return self.first.steps_ahead
-
-    @property
     def P0(self) -> Array:
         """The mean of both P(0/0)."""
         return (self.first.P0 + self.second.P0) / 2
@@ -105,11 +100,6 @@ class JoinFilter(Filter):
             kinds = " and ".join(type(each).__name__ for each in self.parts)
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
-
-    @property
-    def optimal(self) -> bool:
-        """Say whether both filters are optimal: a filter of constant gain is not."""
-        return self.first.optimal and self.second.optimal
 
     def smooth(self, z: ArrayLike) -> Estimates:
         """Return the means of what both filters' `smooth` return."""
@@ -177,19 +167,9 @@ class Separate(Filter):
         return type(self), self.filters
 
     @property
-    def steps_ahead(self) -> int:
-        """The number of steps that all filters predict ahead."""
-        return self.filters[0].steps_ahead
-
-    @property
     def P0(self) -> Array:
         """The block diagonal P(0/0)."""
         return block_diag(*(each.P0 for each in self.filters))
-
-    @property
-    def optimal(self) -> bool:
-        """Say whether all filters are optimal: a filter of constant gain is not."""
-        return all(each.optimal for each in self.filters)
 
     @property
     def parts(self) -> Sequence[Filter]:

@@ -20,6 +20,7 @@ class _Ahead(Filter):
 
     estimator: Filter
     steps: int
+    optimal = False  # P is that of a prediction
 
     @property
     def model(self) -> LinearModel:
