@@ -19,8 +19,8 @@ from .lainiotis import LainiotisFilter
 from .model import LinearModel, stack
 from .steady import SteadyStateFilter
 
-# Two filters are stepped from one state while both return the same one, to this part of its size or of its standard
-# deviation: both Riccati equations give one gain to six digits at least.
+# Two filters are stepped from one state as long as both return the same state, to this share of its size or standard
+# deviation: the two Riccati equations give the same gain to at least six digits.
 SAME = 1e-6
 
 
@@ -88,8 +88,8 @@ class JoinFilter(Filter):
     ) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from one state, as in Filter.
 
-        Raises TypeError where the two return different states, as filters of different gains do: then each would need a
-        state of its own.
+        Raises TypeError where the two return different states, as with different gains: then each would need a state of
+        its own.
         """
         x_1, P_1 = self.first.step(x, P, z_k, dt, r)
         x_2, P_2 = self.second.step(x, P, z_k, dt, r)
@@ -102,7 +102,7 @@ class JoinFilter(Filter):
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return the means of what both filters' `smooth` return."""
+        """Return the means of both filters' smoothed states and covariances."""
         first, second = self.first.smooth(z), self.second.smooth(z)
         return Estimates((first.x + second.x) / 2, (first.P + second.P) / 2)
 
@@ -241,7 +241,7 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    of_first, of_second = first.leaves(), second.leaves()
+    of_first, of_second = first.leaves, second.leaves
     t = of_first[0].t
     if not all(same(t, leaf.t) for leaf in (*of_first, *of_second)):
         checks.refuse("second", "a filter of the same times as the first", "one of others")

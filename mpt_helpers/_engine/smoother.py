@@ -35,7 +35,7 @@ class StepBack(NamedTuple):
     D: np.ndarray
 
     def advance(self, x, P):
-        """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts."""
+        """Return x and P one epoch earlier, and no innovations: a step back takes no measurement."""
         return product(self.C, x) + self.z, product(product(self.C, P), transposed(self.C)) + self.D, x[:0]
 
 
@@ -59,7 +59,7 @@ def smoothed(prediction, epochs, x, P):
     """
     modes = _undriven(prediction.F, prediction.Q, P[0])
     if modes:
-        text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
+        text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and is ill-conditioned backwards"
         checks.warn(f"{text}: covariances may be wrong. Process noise of a millionth of the variances mends it")
     (N, n, M), width = x.shape, P.shape[3]
     x, P = x.copy(), P.copy()
