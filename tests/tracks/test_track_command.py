@@ -23,6 +23,15 @@ from mpt_helpers.tracks import cleaning, readers, report, writers
 from mpt_helpers.tracks import line as lines
 
 RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
+PNG = b"\x89PNG"
+
+
+@pytest.fixture(autouse=True)
+def no_pixels(monkeypatch):
+    """Pictures are built, and not drawn: only a whole process draws them."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda fig, file, **_: file.write(PNG))
+
+
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<gpx version="1.1" creator="test" xmlns="http://www.topografix.com/GPX/1/1">'
 
 
@@ -81,7 +90,7 @@ def test_the_report_needs_no_vocabulary_and_names_all_that_was_done(spoilt, caps
     assert "giro.png" in out
     assert "NIS" not in out
     assert "in 2 parts (pauses, or segments of the file)" in out
-    assert (spoilt.parent / "giro.png").read_bytes().startswith(b"\x89PNG")
+    assert (spoilt.parent / "giro.png").read_bytes() == PNG
 
 
 def test_json_is_one_object_with_the_promised_names(spoilt, capsys):
@@ -710,6 +719,9 @@ def test_the_track_of_the_guide_as_a_whole_process(tmp_path):
     assert "4,559 fixes in 1:15:58" in out
     assert re.search(r": 9[456]% of 2,\d\d\d fixes lay within", out)
     assert done.stderr == ""
+    picture = (tmp_path / "ride.png").read_bytes()
+    assert picture.startswith(PNG)
+    assert len(picture) > 20_000
 
 
 def test_the_moved_commands_are_still_named(capsys):
