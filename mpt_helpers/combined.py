@@ -261,18 +261,13 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    of_first, of_second = _leaves(first), _leaves(second)
+    of_first, of_second = first.leaves(), second.leaves()
     t = of_first[0].t
     if not all(same(t, leaf.t) for leaf in (*of_first, *of_second)):
         checks.refuse("second", "a filter of the same times as the first", "one of others")
     # The filters in a Separate see some columns of z each: their variances are comparable only one by one.
     if len(of_first) == len(of_second) and not all(same(a.r, b.r) for a, b in zip(of_first, of_second, strict=True)):
         checks.refuse("second", "a filter of the same variances as the first", "one of others")
-
-
-def _leaves(estimator):
-    """Return the filters that a filter is made of in the end, itself where it is made of none."""
-    return [leaf for part in estimator.parts for leaf in _leaves(part)] or [estimator]
 
 
 def six_filters(model: LinearModel) -> dict[str, Filter]:

@@ -19,17 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _checks as checks
-from ._base import RecursiveFilter
-from ._checks import Array, Seconds
+from ._base import RecursiveFilter, require_digits
+from ._checks import Array
 from ._engine.columns import Epochs, KalmanColumns, Rows
+from ._engine.pieces import VAGUE
 from ._engine.shared import Step
 from .equations import neutralised, unit_measurements
 from .model import LinearModel, missed_by_halves
 
-# How many times as large as the variance of a measurement that of its prediction may be. filterpy's P after the
-# measurement is wrong by some 1e-31 of the variance of the prediction. At this limit that is 1e-31 * 1e29 = 1 % of the
-# variance of the measurement, which P is then about.
-LARGEST = 1e29
 # By how much two half steps may miss the whole one before a filter warns that a transition loses its digits there.
 MISSED_ELSEWHERE = 1e-3
 
@@ -105,33 +102,10 @@ class KalmanFilter(RecursiveFilter):
     def next_step(
         self, P: Array, seen: np.ndarray, dt: float | None = None, r: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k), by filterpy.
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k) by filterpy, as in RecursiveFilter.
 
-        Parameters
-        ----------
-        P : ndarray (n, n)
-            The covariance P(k/k).
-        seen : ndarray (m,) of bool
-            Which measurements are there.
-        dt : float, optional
-            Length of the step in s; the model's where not given.
-        r : ndarray (m,), optional
-            Variances of the measurements; the model's R where not given.
-
-        Returns
-        -------
-        A : ndarray (n, n)
-            The coefficient of x(k/k) in x(k+1/k+1) = A x(k/k) + B z(k+1).
-        B : ndarray (n, m)
-            The coefficient of z(k+1).
-        P : ndarray (n, n)
-            The covariance P(k+1/k+1).
-
-        Raises
-        ------
-        ValueError
-            For a P that is no covariance, and for a step over which doubles do not hold the variances.
-
+        dt is the length of the step in s, r (m,) are the variances; the model's where not given. Raises ValueError for
+        a P that is no covariance, and for a step over which doubles do not hold the variances.
         """
         kf = copy.copy(self._filterpy)  # predict and update set its attributes, and other threads may take a step too
         kf.P = P
@@ -146,45 +120,13 @@ class KalmanFilter(RecursiveFilter):
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
-        if not (kf.S.max() < LARGEST and np.isfinite(kf.P).all()):
-            held = "whose variances doubles hold beside those of the measurements"
-            if dt is not None:
-                checks.refuse("dt", f"a time over which the state has a prediction {held}", f"{dt:.6g} s")
-            checks.refuse("P", f"a covariance with a prediction {held}", f"{kf.S.max():.2g} times as much")
-        return (np.eye(self.model.n) - kf.K @ kf.H) @ kf.F, kf.K @ W, kf.P
+        keep = np.eye(self.model.n) - kf.K @ kf.H
+        if not (kf.S.max() < VAGUE and np.isfinite(kf.P).all()):
+            require_digits(np.abs(keep) @ np.abs(kf.F), P, kf.P, kf.S.max(), dt)
+        return keep @ kf.F, kf.K @ W, kf.P
 
-    def step(
-        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
-    ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k), P(k/k) and one measurement z(k+1).
-
-        Parameters
-        ----------
-        x, P : array_like (n,), (n, n)
-            The estimate and its covariance; `model.x0` and `P0` at the start.
-        z_k : array_like (m,)
-            The measurement, NaN where one is missing.
-        dt : float or timedelta, optional
-            The time since x(k/k) in s. A filter with times needs it.
-        r : array_like (m,), optional
-            The variances of the measurements. A filter with variances needs them.
-
-        Returns
-        -------
-        x : ndarray (n,)
-            The estimate x(k+1/k+1).
-        P : ndarray (n, n)
-            Its covariance P(k+1/k+1).
-
-        Raises
-        ------
-        ValueError, TypeError
-            For other shapes, for numbers that are not finite, for a dt that is negative or so large that doubles do not
-            hold the step, and for a P that is no covariance.
-
-        """
-        x, P = checks.state(x, P, self.model.n)
-        z_k, seen = checks.one_measurement(z_k, self.model.m)
+    def _conditions_of_step(self, seen, dt, r):
+        """Return dt in seconds and r as an array, as `next_step` takes them, or raise."""
         if dt is None and self.t is not None:
             checks.refuse("dt", "the time since x, as the filter has times", "none")
         if r is None and self.r is not None:
@@ -194,9 +136,7 @@ class KalmanFilter(RecursiveFilter):
             dt = checks.not_negative("dt", checks.as_seconds(dt))
         if r is not None:
             r = checks.variances_of_one("r", r, seen)
-        with np.errstate(over="ignore", invalid="ignore"):  # the largest times are refused by what they make
-            A, B, P = self.next_step(P, seen, dt, r)
-        return A @ x + B @ np.where(seen, z_k, 0), P
+        return dt, r
 
     def epochs_of(self, z: Array) -> Epochs:
         """Return z (N, m, M) with its steps and variances; raises ValueError where those are of other epochs."""
@@ -228,8 +168,6 @@ class KalmanFilter(RecursiveFilter):
     def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, as in RecursiveFilter."""
         model = self.model
-        if not (self._units[0] @ model.P0 @ self._units[0].T).max() < LARGEST:
-            checks.refuse("P0", f"variances of what is measured below {LARGEST:g} times R", "larger ones")
         return KalmanColumns(self.prediction, model.H, model.R, model.P0, rows).advance
 
     @cached_property

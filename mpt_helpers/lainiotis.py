@@ -6,12 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ._base import RecursiveFilter
+from ._base import RecursiveFilter, require_digits
 from ._checks import Array
-from .equations import lainiotis_matrices, lainiotis_step, neutralised
-
-# Patterns of missing measurements whose constants a Lainiotis filter keeps.
-MOST_PATTERNS = 64
+from ._engine.pieces import VAGUE
+from .equations import gain_on_the_start, lainiotis_matrices, lainiotis_step, neutralised
 
 
 class LainiotisFilter(RecursiveFilter):
@@ -46,23 +44,33 @@ class LainiotisFilter(RecursiveFilter):
     """
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter; all three are stacks where P is one."""
-        return lainiotis_step(P, self._constants_of(seen))
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter; raises ValueError for a P of no digits."""
+        constants = self._constants_of(seen)
+        A, B, P_next = lainiotis_step(P, constants)
+        times_R = (constants.C.T @ P @ constants.C).max()
+        if not times_R < VAGUE:
+            keep = np.eye(len(P)) - gain_on_the_start(P, constants.C) @ constants.C.T
+            require_digits(np.abs(constants.Fn) @ np.abs(keep), P, P_next, times_R)
+        return A, B, P_next
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) of stacks (M, n, n), as in RecursiveFilter, all at once."""
-        return self.next_step(P, seen)
+        return lainiotis_step(P, self._constants_of(seen))
 
     def _constants_of(self, seen):
-        kept, pattern = self._constants, seen.tobytes()
-        constants = kept.get(pattern)
-        if constants is None:
-            constants = lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
-            if len(kept) >= MOST_PATTERNS:
-                kept.clear()
-            kept[pattern] = constants
-        return constants  # not what is kept: another thread may have cleared it
+        if seen.all():
+            return self._of_a_whole_row
+        if not seen.any():
+            return self._of_a_missed_row
+        return self._of_a_part(seen)
+
+    def _of_a_part(self, seen):
+        return lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
 
     @cached_property
-    def _constants(self):
-        return {}
+    def _of_a_whole_row(self):
+        return lainiotis_matrices(self.model)
+
+    @cached_property
+    def _of_a_missed_row(self):
+        return self._of_a_part(np.zeros(self.model.m, bool))

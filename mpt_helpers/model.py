@@ -220,6 +220,8 @@ def _checked(transition, dt):
         checks.refuse("transition", "a function of dt that returns F and Q", f"{both!r:.60}", TypeError)
     n = checks.rows("transition", both[0])
     F, Q = (checks.array("transition", each, (n, n)) for each in both)
+    if not all(isinstance(each, np.ndarray) for each in both):
+        checks.refuse("transition", "a function of dt that returns F and Q as arrays", "lists", TypeError)
     F_0, Q_0 = transition(0.0)
     if not np.array_equal(F_0, np.eye(n)) or np.any(Q_0):
         checks.refuse("transition", "F = I and Q = 0 over a step of zero", "others")

@@ -71,7 +71,9 @@ def save_figure(fig: Figure, name: str, folder: str | Path | None = None) -> Sav
 
 def _settled(fig):
     """Return a copy whose drawn values and places are rounded: last bits differ between processors and move pixels."""
-    fig = copy.deepcopy(fig)
+    units = [axis.get_units() for ax in fig.axes for axis in (ax.xaxis, ax.yaxis)]
+    # The units of an axis of words stay the same object: they hold an itertools.count, which Python 3.14 cannot copy.
+    fig = copy.deepcopy(fig, {id(each): each for each in units})
     for ax in fig.axes:
         scales = ax.get_xscale(), ax.get_yscale()
         for line in ax.lines:

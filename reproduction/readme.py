@@ -31,7 +31,10 @@ def row(key, count):
     tables = [f"[{n}]({notebook}#Table-{n})" for n in range(1, about.tables + 1)]
     figures = [f"[{n}]({FIGURES}/{key}_fig{n}.png)" for n in range(1, about.figures + 1)]
     counts = [count[name] for name in ("hold", "part", "fail")]
-    name = f"[{about.name} ({about.year})]({notebook})"
+    source = f"{about.authors}, {about.year}"
+    if about.doi:
+        source += f", [doi](https://doi.org/{about.doi})"
+    name = f"[{about.name}]({notebook})<br>{source}"
     return [name, about.question, about.answer, *counts, " ".join(tables) or "none", " ".join(figures) or "none"]
 
 
@@ -42,8 +45,8 @@ def on_what_is_lost(verdicts):
     lost = [each for each in of_copies if each.printed == "?" or each.kind == "figure"]
     return (
         f"Of the {len(unchecked)} items that cannot be checked, {len(lost)} are lost in our copies, which are texts "
-        f"extracted from PDF files; {len(of_copies) - len(lost)} are legible but doubted for a character; "
-        f"{len(unchecked) - len(of_copies)} lack something that the paper leaves out."
+        f"extracted from PDF files; {len(of_copies) - len(lost)} are legible except for one doubtful character; "
+        f"{len(unchecked) - len(of_copies)} depend on details that the paper leaves out."
     )
 
 

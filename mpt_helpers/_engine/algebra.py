@@ -8,8 +8,8 @@ import numpy as np
 
 
 def product(A, B):
-    """Return the products A B (a, c, ...) of the matrices in the columns of A (a, b, ...) and B (b, c, ...)."""
-    return np.einsum("ij...,jk...->ik...", A, B)
+    """Return the products A B (a, ...) of matrices A (a, b, M) and vectors B (b, M), or matrices B (b, c, M)."""
+    return np.einsum("ij...,j...->i...", A, B)
 
 
 def transposed(A):

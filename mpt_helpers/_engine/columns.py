@@ -6,10 +6,10 @@ columns. A filter on columns is one function,
 
     x, P, innovations = advance(epoch, x, P)
 
-- x comes out linear in x and in z, P depends on neither, and both are left as they were. So `pieces` may start
-  anywhere, a gate may call twice, and the gain B_k is what comes out from x = 0 and unit vectors for z.
-- innovations (m, c, M) are white and of unit variance, zero where nothing was measured: the sum of their squares is the
-  NIS. A filter whose P is not that of the best estimate returns none, (0, c, M).
+- x comes out linear in x and in z, P depends on neither, and both arguments are left as they were: so `pieces` of a
+  track may start anywhere.
+- innovations (m, c, M) are white and of unit variance, zero where nothing was measured. A filter whose P is not that of
+  the best estimate returns none, (0, c, M).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,35 +29,15 @@ from .shared import epochs_at_a_time
 
 
 class Steps(NamedTuple):
-    """F and Q (n, n, ...) of the steps of columns.
-
-    `entries` lists the (i, j) where F has an entry that is not zero in all columns. Where `unit` is true, the diagonal
-    is all ones, and is not listed.
-    """
+    """F and Q (n, n, ...) of steps whose lengths are their own."""
 
     F: np.ndarray
     Q: np.ndarray
-    entries: list[list[int]]
-    unit: bool
 
     @classmethod
-    def over(cls, transition: Callable[..., Any], dt: np.ndarray | None) -> Steps | None:
-        """Return the Steps (n, n, ...) of lengths dt (...), None where dt is None: the model's."""
-        if dt is None:
-            return None
-        F, Q = (np.moveaxis(each, (-2, -1), (0, 1)) for each in transition(dt))
-        unit = bool((F.diagonal() == 1).all())
-        listed = F.reshape(*F.shape[:2], -1).any(axis=2)
-        if unit:
-            np.fill_diagonal(listed, False)
-        return cls(F, Q, np.argwhere(listed).tolist(), unit)
-
-    def times(self, x: np.ndarray) -> np.ndarray:
-        """Return F x (n, ...) of x (n, ...)."""
-        moved = x.copy() if self.unit else np.zeros(x.shape)
-        for i, j in self.entries:
-            moved[i] += self.F[i, j] * x[j]
-        return moved
+    def over(cls, transition: Callable[..., Any], dt: np.ndarray) -> Steps:
+        """Return the Steps (n, n, ...) of lengths dt (...)."""
+        return cls(*(np.moveaxis(each, (-2, -1), (0, 1)) for each in transition(dt)))
 
 
 class Epoch(NamedTuple):
@@ -70,10 +51,6 @@ class Epoch(NamedTuple):
     steps: Steps | None
     r: np.ndarray | None
 
-    def without(self, refused: np.ndarray) -> Epoch:
-        """Return the Epoch with nothing measured in the columns that `refused` (M,) says."""
-        return self._replace(z=np.where(refused, 0, self.z), seen=self.seen & ~np.asarray(refused))
-
 
 @dataclass(frozen=True)
 class Rows:
@@ -86,14 +63,17 @@ class Rows:
     over: Callable[..., Any] | None = None
 
     def __iter__(self) -> Iterator[Epoch]:
-        """Yield one Epoch after the other; the steps of many are made at once."""
-        N = len(self.z)
-        for part in [slice(0, N)] if self.dt is None else epochs_at_a_time(N, self.seen[0].size):
-            many = None if self.dt is None else Steps.over(self.over, self.dt[part])
-            for k in range(part.start, part.stop):
-                at = k - part.start
-                steps = many and many._replace(F=many.F[:, :, at], Q=many.Q[:, :, at])
-                yield Epoch(self.z[k], self.seen[k], steps, None if self.r is None else self.r[k])
+        """Yield one Epoch after the other."""
+        steps = repeat(None) if self.dt is None else self._steps()
+        r = repeat(None) if self.r is None else self.r
+        return map(Epoch, self.z, self.seen, steps, r)
+
+    def _steps(self):
+        """Yield the Steps before each epoch; F and Q of many epochs are made at once."""
+        for part in epochs_at_a_time(len(self.dt), self.seen[0].size):
+            F, Q = Steps.over(self.over, self.dt[part])
+            for k in range(part.stop - part.start):
+                yield Steps(F[:, :, k], Q[:, :, k])
 
 
 @dataclass(frozen=True)
@@ -169,13 +149,13 @@ class Prediction:
 
     def state(self, x, steps=None):
         """Return F x."""
-        return self._map.of_state(x) if steps is None else steps.times(x)
+        return self._map.of_state(x) if steps is None else product(steps.F, x)
 
     def covariance(self, P, steps=None):
         """Return F P Fᵀ + Q, symmetric to the last bit where P is."""
         if steps is None:
             return self._map.of_covariance(P) + self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - 2))
-        P = steps.times(transposed(steps.times(P)))
+        P = product(steps.F, transposed(product(steps.F, P)))
         return (P + transposed(P)) / 2 + steps.Q
 
 
@@ -201,10 +181,11 @@ class KalmanColumns:
     """The Kalman filter on columns of Rows, for measurements H x (m, n) with noises of covariance R (m, m).
 
     Each measurement is taken in coordinates where it is one component of the state: for H = [1 dt] the state [s v]
-    becomes [s + v dt, v]. Where the Rows have variances of their own, those stand for R. Correlated noises v, with
-    R = L diag(variances) Lᵀ, are made uncorrelated: L⁻¹ z = L⁻¹ H x + L⁻¹ v. Where rows are partly missing, they become
-    states behind those of x instead: z = [H I] [x; v], and what is measured has no other noise. P0 (n, n) is the
-    covariance of the start.
+    becomes [s + v dt, v]. Where the Rows have variances of their own, those stand for R. P0 (n, n) is the covariance of
+    the start.
+
+    Correlated noises v, with R = L diag(variances) Lᵀ, are made uncorrelated: L⁻¹ z = L⁻¹ H x + L⁻¹ v. Where rows are
+    partly missing, the noises become states behind those of x instead: z = [H I] [x; v], without any other noise.
     """
 
     def __init__(self, prediction, H, R, P0, rows):
@@ -299,31 +280,27 @@ class ConstantGainColumns:
         seen = epoch.seen[0]
         x_seen, P_seen = self._keep(x, P)
         x_seen = x_seen + np.tensordot(self._B, epoch.z, axes=1)
-        none = np.zeros((0, *x.shape[1:]))
-        return np.where(seen, x_seen, x), np.where(seen, P_seen + self._noise, P), none
+        return np.where(seen, x_seen, x), np.where(seen, P_seen + self._noise, P), x[:0]
 
 
-class SteppedColumns:
-    """Any filter on columns, by its next_steps(P, seen): columns that see the same measurements go together.
+def advance_by_steps(estimator, epoch, x, P):
+    """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations, by the `next_steps` of any filter.
 
-    The innovations are those of the model's step, for a filter whose gain follows its covariance (`optimal`).
+    Columns that see the same measurements go together.
     """
+    innovations = _innovations_of_model(estimator, epoch, x, P) if estimator.optimal else x[:0]
+    x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, epoch.z))  # stacks of matrices
+    for seen in np.unique(epoch.seen, axis=1).T:
+        columns = np.flatnonzero((seen == epoch.seen.T).all(axis=1))
+        A, B, P[columns] = estimator.next_steps(P[columns], seen)
+        x[columns] = A @ x[columns] + B @ z[columns]
+    return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
 
-    def __init__(self, next_steps, optimal, prediction, H, R):
-        self._next_steps, self._optimal, self._predicted, self._H, self._R = next_steps, optimal, prediction, H, R
 
-    def advance(self, epoch, x, P):
-        """Return x(k+1/k+1) (n, c, M), P(k+1/k+1) (n, n, M) and the innovations."""
-        innovations = self._innovations(epoch, x, P) if self._optimal else np.zeros((0, *x.shape[1:]))
-        x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, epoch.z))  # stacks of matrices
-        for seen in np.unique(epoch.seen, axis=1).T:
-            columns = np.flatnonzero((seen == epoch.seen.T).all(axis=1))
-            A, B, P[columns] = self._next_steps(P[columns], seen)
-            x[columns] = A @ x[columns] + B @ z[columns]
-        return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
-
-    def _innovations(self, epoch, x, P):
-        x, P = self._predicted(x, P)
-        S = product(product(self._H, P), self._H.T) + self._R[..., None]
-        expected = np.tensordot(self._H, x, axes=1)
-        return whitened(np.where(epoch.seen[:, None], epoch.z - expected, np.nan), S[:, :, None])[0]
+def _innovations_of_model(estimator, epoch, x, P):
+    """Return the innovations (m, c, M) at unit variance that the model expects of a filter whose P is true."""
+    H, R = estimator.model.H, estimator.model.R
+    x, P = estimator.prediction(x, P)
+    S = product(product(H, P), H.T[..., None]) + R[..., None]
+    expected = np.tensordot(H, x, axes=1)
+    return whitened(np.where(epoch.seen[:, None], epoch.z - expected, np.nan), S[:, :, None])[0]

@@ -72,57 +72,6 @@ def _held(P, least_variance=0.0):
     return P
 
 
-def on_own_columns(estimator, z):
-    """Return the first arguments of `in_sequence` for measurements z (N, m, M), with a column for each track.
-
-    `as_tracks` of the filter makes such a z of one track too.
-    """
-    rows = estimator.epochs_of(z).rows(together=False)
-    return estimator.on_columns(rows), rows, *_start(estimator, rows)
-
-
-def in_sequence(advance, rows, x, P, takes):
-    """Yield x(k/k), P(k/k) and the innovations of one row after the other, from x(0/0) (n, c, M) and P(0/0) (n, n, M).
-
-    The innovations (m, c, M) are at unit covariance. takes(epoch, innovations) is a gate, called once for each row, in
-    order: it says in which columns the row is taken, (M,) or one truth value for all. A row that is not taken in a
-    column counts as missing there: x and P are those without it, and the innovations are still those that were seen.
-
-    Here is one, which refuses what lies further off than 25 variances; only the second track has such a row:
-
-    >>> import mpt_helpers as mpt
-    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, x0=[0, 1]))
-    >>> z = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 9.0], [4.0, 4.0]])[:, None]  # (N, m, M): one axis of two tracks
-    >>> def near(epoch, innovations):
-    ...     return (innovations**2).sum(axis=(0, 1)) < 25
-    >>> for x, P, innovations in in_sequence(*on_own_columns(kf, z), takes=near):
-    ...     print(x[0, 0].round(1), innovations[0, 0].round(1))
-    [1. 1.] [0. 0.]
-    [2. 2.] [0. 0.]
-    [3. 3.] [ 0.  14.5]
-    [4. 4.] [0. 0.]
-
-    Raises ValueError for tracks that share a column, as a row could only be refused in all of them, and for a gate that
-    says something of another shape; TypeError where there are no innovations.
-    """
-    if rows.z.shape[2] > 1:
-        checks.refuse("takes", "a column for each track (on_own_columns)", f"{rows.z.shape[2]} tracks in one")
-    for epoch in rows:
-        x_next, P_next, innovations = advance(epoch, x, P)
-        if not len(innovations):
-            got = "one whose P is not that of the best estimate (optimal = False)"
-            checks.refuse("takes", "a filter with innovations", got, TypeError)
-        taken = np.asarray(takes(epoch, innovations))
-        if taken.dtype == object or taken.shape not in ((), P.shape[2:]):
-            need = f"a gate that returns one truth value, or one for each of the {P.shape[2]} columns"
-            checks.refuse("takes", need, f"{taken.dtype} of shape {taken.shape}")
-        refused = np.logical_not(taken)
-        if refused.any():
-            x_next, P_next, _ = advance(epoch.without(refused), x, P)
-        x, P = x_next, P_next
-        yield x, P, innovations
-
-
 def innovations(estimator, epochs):
     """Return the innovations z(k) - H x(k/k-1) (N, m, M), NaN where z has NaN, and their covariances S (N, m, m, M).
 

@@ -100,7 +100,7 @@ def _coefficients(prediction, steps, x, P):
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
     FP = prediction.state(P, steps)
     C = transposed(solved(prediction.covariance(P, steps), FP))
-    d = x - np.einsum("ij...,j...->i...", C, prediction.state(x, steps))
+    d = x - product(C, prediction.state(x, steps))
     kept = P - product(C, FP)  # (I - C F) P
     Q = prediction.Q[..., None, None] if steps is None else steps.Q
     # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero but for the rounding of `kept`, which it takes back.

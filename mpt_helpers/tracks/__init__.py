@@ -7,7 +7,6 @@ the same with numbers. `gpx` only reads, and refuses a file whose times are not 
 from __future__ import annotations
 
 import bisect
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
@@ -22,6 +21,7 @@ from .. import _checks as checks
 from .._checks import Array, Seconds
 from . import geodesy
 from .cleaning import Cleaned, Source, clean
+from .doubts import way_of
 from .fixes import FEWEST, grid_of
 from .readers import NO_TIME, Recording, moment_of, read, read_frame, read_gpx
 
@@ -113,10 +113,10 @@ def gpx(
         origin = _origin(origin)
     recording = read_gpx(Path(path))
     if (recording.time == NO_TIME).all():
-        got = f"{recording.segments} track segments and {_no_times(recording)}"
+        got = f"{len(recording.time)} fixes and {_no_times(recording)}"
         raise ValueError(f"{path}: needs a recorded track, got {got}")
     kept, left_out = [], 0
-    for number in range(1, recording.segments + 1):
+    for number in np.unique(recording.segment).tolist():
         rows = np.flatnonzero(recording.segment == number)
         _check_degrees(path, recording, number, rows)
         in_order = longest_in_order(recording.time[rows])
@@ -259,14 +259,7 @@ def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) ->
 def _no_times(recording):
     """Say what stands in place of times."""
     unread = next(iter(recording.unread.values()), None)
-    if unread is None:
-        return "no times"
-    said = f"times that cannot be read, as {unread!a:.40}"
-    if re.match(r"\s*\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}", unread):
-        said += ": is the day first? frame['time'] = pandas.to_datetime(frame['time'], dayfirst=True)"
-    if re.match(r"\s*\d{1,2}:\d\d", unread):
-        said += ": a date is needed too: frame['time'] = pandas.to_datetime(frame['date'] + ' ' + frame['time'])"
-    return said
+    return "no times" if unread is None else f"times that cannot be read, as {way_of('time', unread)}"
 
 
 def _on_earth(lat, lon):
@@ -425,7 +418,7 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
     """Return the rows of a recording that can be used, and how many others there are by reason."""
     time, N = recording.time, len(recording.time)
     if N == 0:
-        raise ValueError(f"{path}: needs a recorded track, got {recording.segments} track segments and no fixes")
+        raise ValueError(f"{path}: needs a recorded track, got no fixes")
     if recording.metres is None:
         lat, lon = recording.lat, recording.lon
         somewhere = _on_earth(lat, lon)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .._checks import Array
 
 GPSBABEL = "gpsbabel -t -i {} -f FILE -o gpx -F track.gpx"
+XML = rb"(?i)(\xef\xbb\xbf)?\s*(<[?!][^>]*>\s*)*<"  # what stands before the name of the outermost element
 # How other files begin, what they are, and how a GPX or CSV file is made of them.
 KINDS = (
     (rb"PK\x03\x04", "a zip archive", "unpack it; a workbook: pandas.read_excel('FILE').to_csv('track.csv')"),
@@ -21,56 +22,52 @@ KINDS = (
     (rb"A[A-Z]{3}.*[\r\n]+H", "an IGC file", GPSBABEL.format("igc")),
     (rb".{60}(C?RINEX) VERS", "a RINEX file", "it holds ranges: make fixes of them first"),
     (rb"\s*[{[]", "a JSON file", "pandas.read_json('FILE').to_csv('track.csv')"),
-    (rb"PAR1", "a Parquet file", "pandas.read_parquet('FILE').to_csv('track.csv')"),
+    (XML + rb"TrainingCenterDatabase", "a TCX file", GPSBABEL.format("gtrnctr")),
+    (XML + rb"kml", "a KML file", GPSBABEL.format("kml")),
+    (XML + rb"html", "a web page", "was the download refused?"),
+    (XML + rb"(?![?!]|([\w.-]+:)?gpx)", "another kind of XML", "export it as GPX"),
     (rb"(?s).*\0", "a binary file, or UTF-16 without its mark", "export it as GPX or CSV"),
 )
-XML_KINDS = {
-    "TrainingCenterDatabase": f"a TCX file: {GPSBABEL.format('gtrnctr')}",
-    "kml": f"a KML file: {GPSBABEL.format('kml')}",
-    "html": "a web page: was the download refused?",
-}
+# How a COLUMN becomes numbers or times whose cells look so.
+WAYS = (
+    (r"[+-]?\d+,\d+", "pandas.read_csv(FILE, decimal=',')"),
+    (r"[\d.]+ *[NSEWnsew]", "COLUMN.str[:-1].astype(float) * COLUMN.str[-1].map({'N': 1, 'S': -1, 'E': 1, 'W': -1})"),
+    (r".*\d *[°º'd].*", "degrees + minutes / 60 + seconds / 3600, negative south and west"),
+    (r"\d{12}(\.\d*)?", "pandas.to_datetime(COLUMN, format='%y%m%d%H%M%S')"),
+    (r"\d{13}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms')"),
+    (r"\d{14}(\.\d*)?", "pandas.to_datetime(COLUMN, format='%Y%m%d%H%M%S')"),
+    (r"\d{16}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='us')"),
+    (r"\d{19}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ns')"),
+    (r"\d+(\.\d*)?", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
+    (r"\d{1,2}[/.-]\d{1,2}[/.-]\d+.*", "is the day first? pandas.to_datetime(COLUMN, dayfirst=True)"),
+    (r"\d{1,2}:\d\d.*", "a date is needed too: pandas.to_datetime(frame['date'] + ' ' + COLUMN)"),
+    (r"(?s).*", "of dates pandas.to_datetime(COLUMN) makes times"),
+)
 # Fixes of several mobiles lie so much farther from the line between any two neighbours than from that of their own.
 FARTHER, AT_LEAST = 2.5, 10
 
 
 def refuse_other_kinds(path: Path, data: bytes) -> None:
-    """Refuse a file that is neither XML nor a table, by how it begins."""
+    """Refuse a file of another kind, by how it begins."""
     for begins, kind, way in KINDS:
         if re.match(begins, data):
             raise ValueError(f"{path}: needs a GPX or CSV file, got {kind}: {way.replace('FILE', path.name)}")
 
 
-def refuse_other_xml(path: Path, root: str | None) -> None:
-    """Refuse an XML file by the name of its outermost element."""
-    if root not in ("gpx", None):
-        kind = XML_KINDS.get(root, f"another kind of XML, <{root}>")
-        raise ValueError(f"{path}: needs a GPX file, got {kind.replace('FILE', path.name)}")
-
-
-def is_clock_as_number(numbers: Array) -> bool:
-    """Tell whether numbers are clock times as hhmmss: digits are below 60, and the steps are more even if read so.
-
-    With parts of a second behind, or without seconds, they are found too; days and months may stand before them.
-    """
-    for unit in (0.01, 1, 100, 1000):  # of hhmm, hhmmss, hhmmsscc and hhmmssmmm
-        whole = np.floor(numbers / unit)
-        days, hours, minutes, seconds = whole // 10**6, whole // 10**4 % 100, whole // 100 % 100, numbers / unit % 100
-        if (whole < 0).any() or (seconds >= 60).any() or (minutes >= 60).any() or (hours >= 24).any():
-            continue
-        clock, plain = np.diff(86400 * days + 3600 * hours + 60 * minutes + seconds), np.diff(numbers / unit)
-        usual = [np.median(each) for each in (clock, plain) if len(each)]
-        if min(usual, default=0) > 0 and np.ptp(clock) / usual[0] < 0.9 * np.ptp(plain) / usual[1]:
-            return True
-    return False
+def way_of(column: str, text: str) -> str:
+    """Return a cell of a column and the way to mend the column."""
+    way = next(way for looks, way in WAYS if re.fullmatch(looks, text.strip()))
+    return f"{text!r:.40}: {way.replace('COLUMN', f'frame[{column!r}]')}"
 
 
 def refuse_signs(name: str, others: dict[str, list[str]], numbers: dict[str, Array]) -> None:
     """Refuse latitudes and longitudes, {column: degrees}, whose sign stands in a column of its own, as N or S."""
-    for what, plus, minus in zip(numbers, "NE", "SW", strict=True):
+    for (what, degrees), words in zip(numbers.items(), (("NORTH", "SOUTH"), ("EAST", "WEST")), strict=True):
+        plus, minus = (word[0] for word in words)
         for column, cells in others.items():
-            letters = np.array([cell.strip().upper()[:1] for cell in cells])
-            of_this = {cell.strip().upper() for cell in cells} <= {plus, minus, "NORTH", "SOUTH", "EAST", "WEST", ""}
-            if of_this and np.any(numbers[what][letters == minus] > 0):
+            cells = [cell.strip().upper() for cell in cells]
+            negative = np.array([cell.startswith(minus) for cell in cells], dtype=bool)
+            if set(cells) <= {*words, plus, minus, ""} and (degrees[negative] > 0).any():
                 way = f"frame[{what!r}] *= frame[{column!r}].str.upper().str[0].map({{{plus!r}: 1, {minus!r}: -1}})"
                 raise ValueError(f"{name}: needs signed degrees, got the sign of {what} in column {column!r}: {way}")
 
@@ -83,30 +80,27 @@ def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int
     """
     rows = np.flatnonzero((time != np.iinfo(np.int64).min) & np.isfinite(place).all(axis=1))
     rows = rows[np.argsort(time[rows], kind="stable")]
-    t, z = time[rows] / 1e6, place[rows]
-    if len(rows) < AT_LEAST:
-        return
-    apart = _off_the_line(t, z)
+    apart = _off_the_line(time[rows], place[rows], np.zeros(len(rows)))
     for column, cells in others.items():
-        codes: dict[str, int] = {}
-        value = np.array([codes.setdefault(cells[row], len(codes)) for row in rows])
-        if not 1 < len(codes) <= len(rows) / 3:
+        number = {cell: k for k, cell in enumerate(dict.fromkeys(cells))}
+        value = np.array([number[cells[row]] for row in rows])
+        if not 1 < len(number) <= len(rows) / 3:
             continue
-        by_value = np.argsort(value, kind="stable")
-        own = np.full(len(rows), math.nan)
-        inner = np.flatnonzero(value[by_value][2:] == value[by_value][:-2]) + 1
-        own[by_value[inner]] = _off_the_line(t[by_value], z[by_value])[inner]
+        own, by_value = np.empty(len(rows)), np.argsort(value, kind="stable")
+        own[by_value] = _off_the_line(time[rows][by_value], place[rows][by_value], value[by_value])
         mixed = np.isfinite(own) & np.isfinite(apart)
         mixed[1:-1] &= (value[1:-1] != value[:-2]) | (value[1:-1] != value[2:])
         if mixed.sum() >= AT_LEAST and np.median(apart[mixed]) > FARTHER * np.median(own[mixed]):
             one = f"frame[frame[{column!r}] == {cells[rows[0]]!r}]"
-            got = f"{len(codes)}, by their column {column!r}"
+            got = f"{len(number)}, by their column {column!r}"
             raise ValueError(f"{name}: needs one mobile, got {got}: take one: {one}, in quotes only if it is a text")
 
 
-def _off_the_line(t, z):
-    """Return how far each fix is from the line between the ones before and after it, (N,), NaN at both ends."""
-    off, long = np.full(len(t), math.nan), t[2:] - t[:-2]
+def _off_the_line(time, place, value):
+    """Return how far each fix is from the line between its neighbours (N,), NaN where these have other values."""
+    off, t = np.full(len(time), math.nan), time / 1e6
+    long = t[2:] - t[:-2]
     part = np.divide(t[1:-1] - t[:-2], long, out=np.full(len(long), 0.5), where=long > 0)
-    off[1:-1] = np.linalg.norm(z[1:-1] - z[:-2] - part[:, None] * (z[2:] - z[:-2]), axis=1)
+    off[1:-1] = np.linalg.norm(place[1:-1] - place[:-2] - part[:, None] * (place[2:] - place[:-2]), axis=1)
+    off[1:-1][value[2:] != value[:-2]] = math.nan
     return off

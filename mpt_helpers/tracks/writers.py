@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from typing import Any
@@ -11,8 +12,13 @@ import numpy as np
 from .readers import moment_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
-# The tag that a fix begins with. A value in quotes may hold a >.
-START_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
+# A fix of a GPX file, its tag and the rest of it; or a comment or text, in which there is none. Quotes may hold a >.
+FIX = re.compile(
+    rb"""<!--.*?--> | <!\[CDATA\[.*?\]\]>
+    | (?P<tag> <(?P<prefix>(?:[\w.-]+:)?)trkpt(?=[\s/>])(?:[^>"']|"[^"]*"|'[^']*')*> )
+      (?P<rest> (?<=/>) | .*?</(?P=prefix)trkpt\s*> )""",
+    re.DOTALL | re.VERBOSE,
+)
 
 
 def segment_of_rows(c: Cleaned) -> np.ndarray:
@@ -39,26 +45,22 @@ def gpx_bytes(c: Cleaned) -> bytes:
         raise ValueError("gpx: needs a track in degrees, from a file; this one has metres only")
     lat, lon = degrees_of(c)
     new_segments = set(c.starts.tolist())
-    if c.source.recording.places is None:
+    data = c.source.recording.data
+    count = sum(found["tag"] is not None for found in FIX.finditer(data))
+    if count != len(c.source.recording.time):  # of a file that is cut nothing else is kept
         return _plain_gpx(c, lat, lon, new_segments)
-    data, places = c.source.recording.data, c.source.recording.places
-    row_of = {int(fix): row for row, fix in enumerate(c.source.rows)}
-    pieces, at = [], 0
-    for fix, (begin, end) in enumerate(places.tolist()):
-        pieces.append(data[at:begin])
-        opening = START_TAG.match(data, begin)[0]
-        # Of an element without content, <trkpt .../>, the end is that of its tag.
-        at = begin + len(opening) if opening.endswith(b"/>") else data.index(b">", end) + 1
-        row = row_of.get(fix)
+    fixes, row_of = itertools.count(), {int(fix): row for row, fix in enumerate(c.source.rows)}
+
+    def smoothed(found):
+        if found["tag"] is None:
+            return found[0]
+        row = row_of.get(next(fixes))
         if row is None or math.isnan(lat[row]):
-            continue
-        if row in new_segments:
-            prefix = re.match(rb"<([\w.-]+:)?trkpt", opening)[1] or b""
-            pieces.append(b"</%strkseg><%strkseg>" % (prefix, prefix))
-        pieces.append(_with_number(_with_number(opening, b"lat", lat[row]), b"lon", lon[row]))
-        pieces.append(data[begin + len(opening) : at])
-    pieces.append(data[at:])
-    return _signed(b"".join(pieces))
+            return b""
+        between = b"</%strkseg><%strkseg>" % (found["prefix"], found["prefix"]) if row in new_segments else b""
+        return between + _with_number(_with_number(found["tag"], b"lat", lat[row]), b"lon", lon[row]) + found["rest"]
+
+    return _signed(FIX.sub(smoothed, data))
 
 
 def _with_number(tag, name, value):

@@ -8,7 +8,7 @@ left out first (`tested`), and each case says how many.
 """
 
 import gzip
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,11 +17,10 @@ from scipy.signal import correlate
 from scipy.stats import chi2
 
 from mpt_helpers._checks import refuse
-from mpt_helpers.fitting import fit
 from mpt_helpers.kalman import KalmanFilter
-from mpt_helpers.metrics import innovations, log_likelihood, rms
+from mpt_helpers.metrics import rms
 from mpt_helpers.model import constant_velocity, gps_ins
-from reproduction.lasting import LastingFit, fit_lasting, lasting_error
+from reproduction.lasting import lasting_error
 
 from . import positioning
 from .experiments import exact_moments
@@ -418,121 +417,10 @@ def white(step, r):
     return KalmanFilter(constant_velocity(dt=step, q=0.0, r=r, P0=UNKNOWN))
 
 
-def tracker(step, q, r):
-    """Return the filter that takes errors for independent, but wanders: constant velocity, process noise q (m²/s³)."""
-    return _Tracker(constant_velocity(dt=step, q=q, r=r, P0=UNKNOWN))
-
-
-class _Tracker(KalmanFilter):
-    """The Kalman filter of one axis, whose innovations of one track need no matrices: a fit runs it 70 times."""
-
-    def innovations_of(self, z):
-        """Return the innovations of z (N, 1, M), NaN where z has NaN, and their variances (N, 1, 1, M)."""
-        if z.shape[2] > 1:
-            return super().innovations_of(z)
-        (_, dt), _ = self.model.F.tolist()
-        (q_p, q_b), (_, q_v) = self.model.Q.tolist()
-        (p, b), (_, v) = self.model.P0.tolist()  # variances of position and velocity, and their covariance b
-        r, (position, velocity) = self.model.R.item(), self.model.x0.tolist()
-        found = []
-        for z_k in z[:, 0, 0].tolist():
-            position += dt * velocity
-            p, b, v = p + 2 * dt * b + dt * dt * v + q_p, b + dt * v + q_b, v + q_v
-            new, S = z_k - position, p + r
-            found.append((new, S))
-            if new == new:  # not NaN
-                K_p, K_v = p / S, b / S
-                position, velocity = position + K_p * new, velocity + K_v * new
-                p, b, v = K_p * r, K_v * r, v - K_v * b
-        values, S = np.array(found).T
-        return values[:, None, None], S[:, None, None, None]
-
-
 def with_lasting(step, r, sigma, tau):
     """Return the filter whose model has an error state besides: of sigma metres, that fades within tau seconds."""
     axis = constant_velocity(dt=step, q=0.0, r=r, P0=UNKNOWN)
     return KalmanFilter(lasting_error(axis, sigma=sigma, tau=tau))
-
-
-def fit_tracker(step, errors):
-    """Return the `Fit` of `tracker` to errors (N,): what makes its innovations most probable."""
-    return fit(partial(tracker, step), errors[:, None], q=1e-6, r=np.nanvar(errors))
-
-
-class Judged(NamedTuple):
-    """A filter judged over windows of errors: its error and stated sigma (n,), NEES, share within 2σ, NIS.
-
-    The NEES is that of the position alone: a filter that is right has 1. That of all states would hide it.
-    """
-
-    error: np.ndarray
-    stated: np.ndarray
-    nees: float
-    within: float
-    nis: float
-
-
-def judged(filter, tracks):
-    """Judge a filter over tracks (n, 1, M) of errors: its truth is zero. Stated is the root of the mean variance."""
-    found = filter.estimates(tracks)
-    position = found.x[:, 0]
-    variance = np.broadcast_to(found.P[:, 0, 0].reshape(len(tracks), -1), position.shape)
-    square = np.square(position)[SETTLED:] / variance[SETTLED:]
-    new = innovations(filter, tracks)
-    news = np.square(new.values[:, 0]) / new.S[:, 0, 0].reshape(len(tracks), -1)
-    return Judged(
-        rms(position, axis=1),
-        np.sqrt(variance.mean(axis=1)),
-        square.mean(),
-        float(np.mean(square < 4)),
-        np.nanmean(news[SETTLED:]),
-    )
-
-
-class Filtered(NamedTuple):
-    """Three axes of a case: the constants of `fit_lasting`, and three filters `judged` over windows.
-
-    The white filter takes the variance of the fixes for that of independent errors, the tuned one has the constants of
-    `fit_tracker`, the aware one those of `fit_lasting`. filters has all nine, three by each name. step is the time
-    between fixes in seconds. favour has the log-likelihood of the day by the aware filter less that by the tuned one.
-    """
-
-    step: float
-    fit: LastingFit
-    filters: dict
-    white: tuple
-    tuned: tuple
-    aware: tuple
-    favour: tuple
-
-
-def aware_filters(step, found):
-    """Return the filter with an error state of each axis, by the constants of a `LastingFit`."""
-    return [with_lasting(step, *each) for each in zip(found.r, found.sigma, found.tau, strict=True)]
-
-
-def filtered(case):
-    """Return the `Filtered` of a `Case`."""
-    return _kept_filtered(case.step, case.errors.shape, case.errors.tobytes())
-
-
-@lru_cache(maxsize=16)
-def _kept_filtered(step, shape, stored):
-    """Return the `Filtered` of errors that are stored as bytes, computed once in a process."""
-    errors = np.frombuffer(stored).reshape(shape)
-    found = fit_lasting((step * np.arange(len(errors)), errors))
-    filters = {
-        "white": [white(step, np.nanvar(axis)) for axis in errors.T],
-        "tuned": [fit_tracker(step, axis).filter for axis in errors.T],
-        "aware": aware_filters(step, found),
-    }
-    likely = {
-        word: [log_likelihood(*pair) for pair in zip(each, errors.T[..., None], strict=True)]
-        for word, each in filters.items()
-    }
-    favour = tuple(np.subtract(likely["aware"], likely["tuned"]).tolist())
-    tracks = [windows(axis) for axis in errors.T]
-    return Filtered(step, found, filters, *(tuple(map(judged, each, tracks)) for each in filters.values()), favour)
 
 
 def ins_model(step, r, q=0.0):

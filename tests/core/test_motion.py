@@ -12,7 +12,6 @@ from oracles import gaussian_conditioning_of_steps, plain_loop, van_loan
 
 import mpt_helpers as mpt
 from mpt_helpers import bands, metrics
-from mpt_helpers._engine import run as engine
 from mpt_helpers.model import ConstantVelocity, SideBySide
 
 
@@ -209,6 +208,7 @@ def of(transition, dt=1.0):
 REFUSED = {
     "no function": (lambda: of(3), TypeError, "transition: needs a function of dt that returns F and Q, got 3"),
     "no pair": (lambda: of(lambda dt: np.eye(1)), TypeError, "transition: needs a function of dt"),
+    "lists": (lambda: of(lambda dt: ([[1.0]], [[dt]])), TypeError, "returns F and Q as arrays, got lists"),
     "no dt": (lambda: of(wrong(), dt=None), TypeError, "dt: needs to be given beside transition"),
     "dt of zero": (lambda: of(wrong(), dt=0.0), ValueError, "dt: needs"),
     "Q of the square of the length": (lambda: of(wrong(power=2.0)), ValueError, "two steps of dt / 2 to be one"),
@@ -257,7 +257,8 @@ def test_an_advance_keeps_its_promises(make):
     t, z = np.cumsum(rng.uniform(0.1, 2.0, 30)), rng.standard_normal((30, model.m, 5))
     z[rng.random(z.shape) < 0.2] = np.nan
     kf = mpt.KalmanFilter(model, t=t)
-    advance, rows, x, P = engine.on_own_columns(kf, z)
+    rows = kf.epochs_of(z).rows(together=False)
+    advance, x, P = kf.on_columns(rows), np.tile(model.x0[:, None, None], 5), np.tile(model.P0[..., None], 5)
     nis = metrics.nis(kf, z)
     for k, row in enumerate(rows):
         before = x.copy(), P.copy()
@@ -276,25 +277,6 @@ def test_an_advance_keeps_its_promises(make):
         squares = (first[2] ** 2).sum(axis=(0, 1))
         np.testing.assert_allclose(squares, np.nan_to_num(nis[k]), rtol=1e-12, atol=1e-13)
         x, P, _ = first
-
-
-def test_a_row_that_is_refused_counts_as_missing():
-    """In one of three columns, with correlated noises: the run is that of measurements without it."""
-    model = mixed()
-    z = mpt.simulate(model, 25, np.random.default_rng(7), 3)[1]
-    z[4, 0, 2] = np.nan
-    far = z.copy()
-    far[10, :, 1] += 1000
-    gone = z.copy()
-    gone[10, :, 1] = np.nan
-    kf = mpt.KalmanFilter(model)
-    run = list(
-        engine.in_sequence(*engine.on_own_columns(kf, far), takes=lambda row, e: np.square(e).sum(axis=(0, 1)) < 1e4)
-    )
-    e = kf.estimates(gone)
-    np.testing.assert_allclose([x[: model.n, 0] for x, _, _ in run], e.x, **SAME)
-    np.testing.assert_allclose([P[: model.n, : model.n] for _, P, _ in run], e.P, **SAME)
-    assert np.square(run[10][2][..., 1]).sum() > 1e4  # the innovations are those of the row that was refused
 
 
 def textbook(dt, tau=20.0):

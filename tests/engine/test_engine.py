@@ -511,6 +511,13 @@ def test_wrappers_ask_for_the_conditions_of_their_filters(i):
                 function(z)
 
 
+@pytest.mark.parametrize("i", range(4), ids=["one", "join", "separate", "predictor"])
+def test_a_filter_of_filters_has_their_times(i):
+    """It had steps of dt, from which the length of the blocks of a fit was made."""
+    np.testing.assert_array_equal(wrappers(timed(t=3 * T))[i].times_of(5), 3 * T)
+    np.testing.assert_allclose(wrappers(timed())[i].times_of(5), 0.7 * T)
+
+
 def test_a_fit_with_times_of_its_own_whose_first_epochs_are_missed_is_not_refused():
     """What the mobile moved before the first measurement is motion, not a start that is far."""
     t = np.concatenate([np.arange(3.0), 600.0 + np.arange(97.0)])
@@ -759,6 +766,37 @@ def test_a_vague_start_costs_few_digits(model, r, gaps, rows):
             # Steps of 10 s make the first prediction 1e17 times as uncertain as R: that costs all but three digits.
             assert (np.abs(both.x - x) < 1e-2 * sigma).all()
             assert (np.abs(both.P - P) < 1e-2 * sigma[:, :, None] * sigma[:, None]).all()
+
+
+@pytest.mark.parametrize("power", [8, 12, 15, 16, 20, 27, 30, 40])
+@pytest.mark.parametrize("make", [mpt.gsm_axis, *MAKERS.values()])
+@pytest.mark.parametrize("kind", [mpt.KalmanFilter, mpt.LainiotisFilter])
+def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):
+    """Step by step, as `coefficients`, and as it runs; the Lainiotis filter was wrong by 1e8 sigma."""
+    axis = make(1.0, 0.01, 0.1)
+    model = replace(axis, P0=10.0**power * np.eye(axis.n))
+    z = np.random.default_rng(5).standard_normal((6, 1))
+    x, _, _, P, *_ = precise.kalman(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
+    x, P = x.astype(float), P.astype(float)
+    sigma = np.sqrt(np.einsum("kii->ki", P))
+
+    def is_right(each, within):
+        off_x = np.abs(each.x - x) / sigma
+        off_P = np.abs(each.P - P) / sigma[:, :, None] / sigma[:, None]
+        return off_x.max() < within and off_P.max() < within
+
+    each = kind(model)
+    if power < 28:
+        assert is_right(each.estimates(z), 0.1)
+    else:
+        with pytest.raises(ValueError, match=r"P0: needs variances of what is measured below 1e\+29 times R"):
+            each.estimates(z)
+    if power <= 12:
+        both = each.coefficients(6)
+        assert is_right(Estimates(recursion(both.A, both.B, model.x0, z), both.P), 0.01)
+    else:
+        with pytest.raises(ValueError, match="P: needs a covariance with a prediction whose variances doubles hold"):
+            each.coefficients(6)
 
 
 def test_a_variance_below_zero_is_refused():

@@ -91,10 +91,10 @@ class Case:
         r, own = self.variances(i), np.diag(self.model.R)
         return [self.model.R] * len(self.z) if r is None else [np.diag(np.where(row > 0, row, own)) for row in r]
 
-    def loop(self, i, **limit):
+    def loop(self, i, **alpha):
         """The plain loop over track i."""
         model = self.model
-        return plain_loop(self.steps(i), model.H, self.noises(i), model.x0, model.P0, self.z[..., i], **limit)
+        return plain_loop(self.steps(i), model.H, self.noises(i), model.x0, model.P0, self.z[..., i], **alpha)
 
 
 def spd(rng, n):
@@ -226,26 +226,6 @@ def test_one_step_after_the_other_is_the_plain_loop(case):
             x, P = kf.step(x, P, z_k, **given, r=None if r is None else r[k])
             np.testing.assert_allclose(x, loop.x[k], **SAME)
             np.testing.assert_allclose(P, loop.P[k], **SAME)
-
-
-@settings(max_examples=40)
-@given(cases(), st.floats(0.5, 9.0))
-def test_a_gate_in_sequence_is_the_plain_loop_that_refuses_the_same_rows(case, limit):
-    loops = [case.loop(i, limit=limit) for i in range(case.z.shape[2])]
-    x, P, nis, taken = [], [], [], []
-
-    def takes(epoch, innovations):
-        nis.append((innovations**2).sum(axis=(0, 1)))
-        taken.append(nis[-1] <= limit)
-        return taken[-1]
-
-    for x_k, P_k, _ in engine.in_sequence(*engine.on_own_columns(case.kf, case.z), takes=takes):
-        x.append(x_k[:, 0])
-        P.append(P_k)
-    agree(np.array(x), np.array(P), loops)
-    for i, loop in enumerate(loops):
-        np.testing.assert_allclose(np.array(nis)[:, i], np.nan_to_num(loop.nis), **SAME)
-        np.testing.assert_array_equal(np.array(taken)[:, i], loop.taken)
 
 
 @settings(max_examples=8)
@@ -431,7 +411,8 @@ def test_pieces_with_a_variance_below_zero_are_not_taken():
     kf = mpt.KalmanFilter(model)
     z = np.random.default_rng(0).standard_normal((60, 1, 1))
     z[7] = np.nan
-    advance, rows, x0, P0 = engine.on_own_columns(kf, z)
+    rows = kf.epochs_of(z).rows(together=False)
+    advance, x0, P0 = kf.on_columns(rows), np.zeros((2, 1, 1)), model.P0[..., None]
 
     def rounding(epoch, x, P):
         x, P, e = advance(epoch, x, P)

@@ -641,7 +641,7 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         f"| [Small (1960)](notebooks/small.ipynb) | Is it? | It is. | 3 | 0 | 1 | {tables} | {figure} |",
         "",
         "Of the 1 items that cannot be checked, 1 are lost in our copies, which are texts extracted from PDF files; "
-        "0 are legible but doubted for a character; 0 lack something that the paper leaves out.",
+        "0 are legible except for one doubtful character; 0 depend on details that the paper leaves out.",
         "",
         "<!-- end of papers -->",
         "below",

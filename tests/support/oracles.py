@@ -155,12 +155,11 @@ def van_loan(A, noise, T):
     return F, (Q + Q.swapaxes(-1, -2)) / 2
 
 
-def plain_loop(steps, H, Rs, x0, P0, z, limit=np.inf, alpha=1.0):
+def plain_loop(steps, H, Rs, x0, P0, z, alpha=1.0):
     """All that a filter tells of one track, one epoch after the other; each has its own (F, Q), and its own R.
 
-    x, P; the innovations and S of whole rows, the NIS of what is there, and the log density of all of it. A row whose
-    NIS is above `limit` is refused: `taken` (N,) says which were not. A filter of fading memory predicts P alpha² times
-    as large.
+    x, P; the innovations and S of whole rows, the NIS of what is there, and the log density of all of it. A filter of
+    fading memory predicts P alpha² times as large.
     """
     x, P, rows, log_density = np.array(x0), np.array(P0), [], 0.0
     for (F, Q), R, z_k in zip(steps, Rs, z, strict=True):
@@ -169,14 +168,13 @@ def plain_loop(steps, H, Rs, x0, P0, z, limit=np.inf, alpha=1.0):
         new, S = z_k - H @ x, H @ P @ H.T + R
         H_k, S_k = H[seen], S[np.ix_(seen, seen)]
         nis = new[seen] @ np.linalg.solve(S_k, new[seen]) if seen.any() else np.nan
-        taken = not nis > limit
-        if seen.any() and taken:
+        if seen.any():
             K = P @ H_k.T @ np.linalg.inv(S_k)
             keep = np.eye(len(x)) - K @ H_k
             x, P = x + K @ new[seen], keep @ P @ keep.T + K @ R[np.ix_(seen, seen)] @ K.T
             log_density -= (np.linalg.slogdet(2 * np.pi * S_k)[1] + nis) / 2
-        rows.append((x, P, new, S, nis, taken))
-    names = ("x", "P", "innovations", "S", "nis", "taken")
+        rows.append((x, P, new, S, nis))
+    names = ("x", "P", "innovations", "S", "nis")
     columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     return SimpleNamespace(**columns, log_density=log_density)
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-MINORS = (11, 12, 13)
+MINORS = (11, 12, 13, 14)
 CORES = ("Nehalem", "SkylakeX")  # OpenBLAS for an old processor and for a new one: other last bits
 LIBRARIES = ("numpy", "scipy", "matplotlib", "filterpy")
 # Another matplotlib draws other pixels: then nbval compares what a figure plots in words only.
@@ -48,7 +48,7 @@ def places():
     locked, there = ["--require-hashes", "-r", "environment.lock"], pythons()
     oldest = [each.replace(">=", "==") for each in PROJECT["dependencies"]]
     extras = PROJECT["optional-dependencies"]
-    others = [*extras["notebooks"], *extras["tracks"], *extras["test"]]
+    others = [*extras["notebooks"], *extras["test"]]
     newest = [re.split("[=<>]", each)[0] for each in [*PROJECT["dependencies"], *others]]
     first, last = there[min(there)], there[max(there)]
     return [

@@ -156,9 +156,15 @@ def test_where_nothing_can_be_installed_make_says_what_to_do(made):
 def test_the_pythons_that_were_tried_are_the_same_everywhere():
     """In the README, where make cannot install, and in the environments of `make test-all`."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert "(Python 3.11 to 3.13, git, make" in readme
+    assert "Python 3.11 to 3.13" in readme
     assert "a Python of 3.11 to 3.13, which were tried" in MAKEFILE
     assert shipped.metadata()["requires-python"] == ">=3.11"
+
+
+def test_before_a_commit_the_ruff_of_the_environment_runs():
+    repos = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    (ruff,) = (each["rev"] for each in repos if each["repo"].endswith("/ruff-pre-commit"))
+    assert f"ruff=={ruff.removeprefix('v')}\n" in (ROOT / "environment.txt").read_text(encoding="utf-8")
 
 
 def test_every_command_of_the_makefile_is_there():

@@ -182,10 +182,10 @@ def test_files_of_other_encodings_are_read(written, encoding, name):
     [
         ("t,x,y\n1,2,3\n", "needs a GPX file, got one that cannot be read"),
         ("", "needs a GPX file, got one that cannot be read"),
-        (f"{HEAD}</trk></gpx>", "needs a recorded track, got 0 track segments and no times"),
+        (f"{HEAD}</trk></gpx>", "needs a recorded track, got 0 fixes and no times"),
         (
             f"{HEAD}<trkseg>{fix(None)}</trkseg></trk></gpx>",
-            "needs a recorded track, got 1 track segments and no times",
+            "needs a recorded track, got 1 fixes and no times",
         ),
     ],
 )
