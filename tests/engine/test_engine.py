@@ -622,7 +622,7 @@ def test_a_fit_says_what_it_does_not_know(name):
 
 
 @pytest.mark.filterwarnings("ignore:fit. row 0 of z is far off")  # said too, where it is
-@pytest.mark.parametrize("away", [50.0, 300.0, 1000.0])
+@pytest.mark.parametrize("away", [50.0, 1000.0])
 def test_a_far_start_is_told_even_if_the_noise_takes_it(away):
     """A variance of the measurements may grow until the start seems near: it stands out from the later ones."""
     z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(11))[1] + away
@@ -649,11 +649,10 @@ def test_what_runs_to_zero_leaves_the_errors_of_the_others():
 def test_a_flat_direction_leaves_the_errors_of_the_others():
     z = mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11))[1]
     alone = mpt.fit(make_axis, z, q=1.0, r=1.0)
-    for a, q in ((1.0, 1.0), (2.0, 0.3)):
-        with pytest.warns(UserWarning, match="the likelihood is flat") as said:
-            found = mpt.fit(lambda q, r, a: make_axis(q * a, r), z, q=q, r=1.0, a=a)
-        assert sorted(str(each.message)[5] for each in said) == ["a", "q"]
-        assert found.log_errors["r"] == pytest.approx(alone.log_errors["r"], rel=0.02)
+    with pytest.warns(UserWarning, match="the likelihood is flat") as said:
+        found = mpt.fit(lambda q, r, a: make_axis(q * a, r), z, q=0.3, r=1.0, a=2.0)
+    assert sorted(str(each.message)[5] for each in said) == ["a", "q"]
+    assert found.log_errors["r"] == pytest.approx(alone.log_errors["r"], rel=0.02)
 
 
 def make_plane(q1, r1, q2, r2):

@@ -302,7 +302,13 @@ def gpx_file(path, segments):
     path.write_text(f"{head}{''.join(lines)}</trk></gpx>", encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", OTHER_STEPS)
+FEW_STEPS = [  # `make test-all` runs all
+    name if name.startswith(("a short", "segments", "25 fixes")) else pytest.param(name, marks=pytest.mark.slow)
+    for name in OTHER_STEPS
+]
+
+
+@pytest.mark.parametrize("name", FEW_STEPS)
 def test_the_blocks_run_as_they_stand_on_other_tracks(name, tmp_path):
     """From Read to Go live with nothing but the name of the file replaced: no refusal, no empty picture."""
     gpx_file(tmp_path / "other.gpx", OTHER_STEPS[name])

@@ -19,9 +19,15 @@ DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
 STARTUP = "startup.py"  # in this folder: what a kernel runs before its first cell
 # Each processor takes whole files, since the tests of a file share a kernel, or what takes seconds to make. First the
 # longest ones, that no processor has to wait for another at the end. The tests of some are spread one by one.
-LONGEST = ("test_guide.py", "what_averaging_leaves.ipynb", "test_paths.py", "test_types.py", "test_exact.py", ".ipynb")
-SPREAD = ("test_engine.py", "test_hard_numbers.py", "test_fit.py", "test_gate.py", "test_reported.py")
-SPREAD += ("test_track_command.py", "test_reproduce.py")
+LONGEST = ("test_guide.py", "test_track_command.py", "what_averaging_leaves.ipynb", "test_paths.py", ".ipynb")
+SPREAD = (
+    "test_engine.py",
+    "test_hard_numbers.py",
+    "test_fit.py",
+    "test_gate.py",
+    "test_reported.py",
+    "test_reproduce.py",
+)
 
 
 def pytest_configure(config):

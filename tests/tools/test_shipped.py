@@ -121,7 +121,7 @@ def test_make_test_runs_the_style_the_tests_and_the_bytes_and_says_at_its_end_wh
     assert calls[2].startswith("-m pytest ")
     # exact compares every byte; the sockets of its kernels are those of tests/conftest.py
     assert " -p tests.support.exact --nbval --nbval-current-env " in calls[2]
-    assert calls[2].endswith(" mpt_helpers reproduction docs/break_sensor.py tests notebooks")
+    assert calls[2].endswith(" -m not slow mpt_helpers reproduction docs/break_sensor.py tests notebooks")
     assert last.startswith("make test: all is well: ")
     for fails, count in (("check .", 1), ("format", 2), ("pytest", 3)):
         code, calls, last = made("test", fails)
