@@ -659,6 +659,7 @@ def make_plane(q1, r1, q2, r2):
     return mpt.stack(make_axis(q1, r1), make_axis(q2, r2))
 
 
+@pytest.mark.slow  # of two parameters test_fit sees the same
 def test_a_fit_from_a_process_noise_far_too_small_finds_the_same():
     """There the noise of the measurements explains the motion, and q changes nothing: the search alone stays there."""
     z = mpt.simulate(make_plane(0.04, 0.5, 3.0, 20.0), 120, np.random.default_rng(3))[1]

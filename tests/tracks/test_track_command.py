@@ -600,7 +600,7 @@ def fitted_by_turns(seed):
 
 def test_errors_of_q_hold_on_half_an_hour_that_is_calm_and_wild_by_turns():
     """Ten blocks of three minutes, with Student's factor, state five sixths of the scatter, blocks of 1 s a fifth."""
-    q, errors = np.transpose([fitted_by_turns(seed) for seed in range(12)])
+    q, errors = np.transpose([fitted_by_turns(seed) for seed in range(24)])
     assert 0.8 < np.std(np.log(q), ddof=1) / mpt.metrics.rms(errors) < 1.35
 
 
