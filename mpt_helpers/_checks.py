@@ -1,4 +1,4 @@
-"""Checks of models, measurements and counts, where a user passes something in. All behind that trusts what it gets.
+"""Checks of what a user hands in, at the door; all code behind it trusts what it gets.
 
 A check stands here where without it a wrong number would come out silently, or where the error would not name the
 argument.
@@ -12,7 +12,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from numbers import Real
 from typing import Any, NoReturn
 
@@ -27,16 +27,15 @@ ROUNDING = 1e-12
 # The same of a covariance that a solver has made, for a model at the edge of double precision.
 SOLVED = 1e-6
 LATEST_TIME = 1e11  # s, 3,000 years: larger numbers are Unix milli-, micro- or nanoseconds
-LONGEST_STEP = 1e60  # s: its fifth power, in the Q of constant acceleration, is a double
 
 
 def refuse(name: str, need: str, got: object, error: type[Exception] = ValueError) -> NoReturn:
-    """Raise an error that names the argument, what it needs and what it got, and hides the error that led here."""
+    """Raise an error that names the argument, what it needs and what it got."""
     raise error(f"{name}: needs {need}, got {got}") from None
 
 
 def warn(text: str) -> None:
-    """Warn a user (UserWarning) in the line of theirs that called into this package, however deep the call has come."""
+    """Warn a user in the line of theirs that called into this package, however deep the call has come."""
     frame, level = sys._getframe(1), 2
     while frame is not None and (frame.f_globals.get("__package__") or "").partition(".")[0] == __package__:
         frame, level = frame.f_back, level + 1
@@ -44,7 +43,7 @@ def warn(text: str) -> None:
 
 
 def instance(name: str, value: object, kind: type) -> None:
-    """Raise a TypeError if `value` is not a `kind`."""
+    """Refuse a value that is not a `kind`."""
     if not isinstance(value, kind):
         refuse(name, f"a {kind.__name__}", f"{type(value).__name__} {value!r:.40}", TypeError)
 
@@ -84,15 +83,17 @@ def level(value: object) -> float:
 
 
 def duration(name: str, value: object) -> float:
-    """Return a positive length of time, a number of seconds or a timedelta, in seconds.
+    """Return a positive length of time, a number of seconds or a timedelta, in seconds."""
+    return positive(name, as_seconds(value))
 
-    >>> duration("seconds", timedelta(minutes=1))
-    60.0
+
+def as_seconds(value: object) -> object:
+    """Return a timedelta of Python, numpy or pandas in seconds; anything else as it is.
+
+    >>> as_seconds(timedelta(minutes=1)), as_seconds(1.5)
+    (60.0, 1.5)
     """
-    seconds = positive(name, as_seconds(value))
-    if seconds > LONGEST_STEP:
-        refuse(name, f"at most {LONGEST_STEP:g} s", f"{seconds:g} s")
-    return seconds
+    return float(value / np.timedelta64(1, "s")) if isinstance(value, timedelta | np.timedelta64) else value
 
 
 def count(name: str, value: object, least: int = 1) -> int:
@@ -139,8 +140,6 @@ def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
         refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
     if values.dtype.kind not in "iuf":
         refuse(name, need, f"an array of {values.dtype} data", TypeError)
-    if values.dtype == np.float16:
-        refuse(name, need, "float16, which rounds 5000 to a multiple of 4", TypeError)
     return values
 
 
@@ -153,9 +152,7 @@ def rows(name: str, matrix: object) -> int:
 
 
 def covariance(name: str, value: object, size: int, definite: bool = False, rounding: float = ROUNDING) -> Array:
-    """Return a symmetric positive semidefinite (or definite) matrix of this size.
-
-    Its eigenvalues are looked at where its variances are one, so that variances of very different size pass.
+    """Return a symmetric positive semidefinite (or definite) matrix of this size, judged at unit variances.
 
     >>> covariance("R", [[0.0]], 1, definite=True)
     Traceback (most recent call last):
@@ -164,17 +161,12 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
     """
     need = f"a symmetric positive {'definite' if definite else 'semidefinite'} {size}×{size} matrix"
     matrix = array(name, value, (size, size))
-    variance = np.diag(matrix)
-    # A variance of -rounding² relative to the largest is a sigma wrong by `rounding`.
-    if variance.min() < -(rounding**2) * variance.max() or variance.max() < 0:
-        refuse(name, need, f"a variance of {variance.min():.6g}")
-    sigma = np.sqrt(np.maximum(variance, 0))
+    sigma = np.sqrt(np.maximum(matrix.diagonal(), 0))
     # Beside a variance of zero there is no covariance but rounding: up to `rounding` of the largest one possible.
     unit = np.where(sigma > 0, sigma, np.sqrt(rounding) * sigma.max() or np.finfo(float).tiny)
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = matrix / unit[:, None] / unit
-        symmetric = np.abs(scaled - scaled.T).max() <= rounding  # not where one overflows
-    if not symmetric:
+    with np.errstate(over="ignore"):
+        scaled = np.clip(matrix / unit[:, None] / unit, -1e9, 1e9)
+    if np.abs(scaled - scaled.T).max() > rounding:
         refuse(name, need, "a matrix that is not symmetric")
     lowest = np.linalg.eigvalsh(scaled)[0]
     if lowest < -rounding or (definite and lowest <= rounding):
@@ -182,36 +174,29 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
     return matrix
 
 
-def measurements(z: Any, m: int) -> Array:
-    """Return measurements as a float array of shape (N, m) or (N, m, M). NaN stands for a missing one.
+def measurements(z: Any, m: int, name: str = "z") -> Array:
+    """Return measurements, NaN where one is missing, as floats (N, m) or (N, m, M); (N,) of one sensor is (N, 1).
 
     Infinity is not looked for here: `no_infinity` does that where a result is not finite.
     """
-    z = _rows_of(m, "z", z, "numbers, NaN where one is missing")
-    with np.errstate(over="ignore"):  # a long double beyond the range of doubles becomes infinite
-        return z if z.dtype == float else z.astype(float)
-
-
-def variances(name: str, value: object, m: int) -> Array:
-    """Return variances (N, m) or (N, m, M) as a read-only float array; the numbers are not looked at."""
-    values = _rows_of(m, name, value, "variances").astype(float, order="C")
-    values.flags.writeable = False
-    return values
-
-
-def _rows_of(m, name, value, what):
-    """Return an array (N, m) or (N, m, M), or (N, 1) of a series (N,) of one sensor."""
-    need = f"an (N, {m}) or (N, {m}, M) array of {what}"
-    values = real_numbers(name, value, need)
+    need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
+    values = real_numbers(name, z, need)
     if m == 1 and values.ndim == 1:
         values = values[:, None]
     if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
+    return values.astype(float, copy=False)
+
+
+def variances(name: str, value: object, m: int) -> Array:
+    """Return variances (N, m) or (N, m, M) as a read-only float array; the numbers are not looked at."""
+    values = measurements(value, m, name).copy(order="C")
+    values.flags.writeable = False
     return values
 
 
 def no_infinity(z: np.ndarray, name: str = "z") -> None:
-    """Raise a ValueError if one of the measurements is infinite."""
+    """Refuse infinite measurements."""
     if np.isinf(z).any():
         refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
@@ -243,7 +228,7 @@ def are_variances(values: np.ndarray) -> np.ndarray:
 
 
 def used_variances(name: str, values: np.ndarray, of: str = "measurement that is there") -> None:
-    """Raise a ValueError if a variance that is used cannot be one; `of` says what has one."""
+    """Refuse variances of which one, that is used, cannot be one; `of` says what has one."""
     if not are_variances(values).all():
         refuse(name, f"a positive variance of every {of}", "another")
 
@@ -254,7 +239,7 @@ def state(x: Any, P: Any, n: int) -> tuple[np.ndarray, np.ndarray]:
     if not as_they_are or x.shape != (n,) or P.shape != (n, n) or not (np.isfinite(x).all() and np.isfinite(P).all()):
         x, P = array("x", x, (n,)), array("P", P, (n, n))
     sigma = np.sqrt(np.abs(P.diagonal()))
-    sigma += SOLVED * math.sqrt(SOLVED) * sigma.max() + np.finfo(float).tiny
+    sigma += SOLVED**1.5 * sigma.max() + np.finfo(float).tiny
     unit = P / sigma / sigma[:, None]
     try:
         np.linalg.cholesky(unit + SOLVED * np.eye(n))  # fails where an eigenvalue is below -SOLVED
@@ -266,44 +251,14 @@ def state(x: Any, P: Any, n: int) -> tuple[np.ndarray, np.ndarray]:
     return x, P
 
 
-def as_seconds(value: object) -> object:
-    """Return a length of time, a timedelta of Python, numpy or pandas, in seconds; anything else as it is.
-
-    >>> as_seconds(timedelta(minutes=1)), as_seconds(np.timedelta64(5, "m")), as_seconds(1.5)
-    (60.0, 300.0, 1.5)
-    """
-    if isinstance(value, timedelta):
-        return value.total_seconds()
-    if isinstance(value, np.timedelta64):
-        with suppress(TypeError):  # years and months have no length
-            return float(value / np.timedelta64(1, "s"))
-    return value
-
-
-def moment(name: str, value: object) -> float:
-    """Return a time in seconds, since 1970 where it is a date (datetime, Timestamp, datetime64).
-
-    >>> moment("t", np.datetime64("1970-01-02")), moment("t", 1.5)
-    (86400.0, 1.5)
-    """
-    if isinstance(value, datetime):
-        value = value - datetime(1970, 1, 1, tzinfo=value.tzinfo and UTC)
-    elif isinstance(value, np.datetime64):
-        value = value - np.datetime64("1970-01-01", "s")
-    return number(name, as_seconds(value), "a time in seconds, or a date", lambda _: True)
-
-
 def times(name: str, value: object) -> Array:
-    """Return times (N,) or (N, M) that do not decrease as a read-only float array in seconds.
-
-    Numbers are seconds already. Dates are taken for what they are, in seconds from the first: datetime64, datetimes and
-    pandas Timestamps, with or without a zone, in arrays, lists, a pandas index or Series. So are lengths of time.
+    """Return times (N,) or (N, M) that do not decrease as a read-only array in seconds; dates count from the first.
 
     >>> times("t", np.array(["2024-05-03T10:00", "2024-05-03T10:01"], "datetime64[m]"))
     array([ 0., 60.])
     """
     need = "an (N,) or (N, M) array of finite times that do not decrease"
-    values = real_numbers(name, _seconds_of_all(name, value), need)
+    values = real_numbers(name, _in_seconds(value), need)
     if values.ndim not in (1, 2) or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
     kind = values.dtype
@@ -317,34 +272,22 @@ def times(name: str, value: object) -> Array:
         refuse(name, "times in seconds", f"{largest:.15g}, as of Unix milli-, micro- or nanoseconds")
     if len(values) > 2 and not steps.any():
         refuse(name, "times of which some differ", f"{values.flat[0]:.15g} in all {len(values)} rows")
+    shortest = min(steps[steps > 0], default=np.inf)
     # Times of 1.7e9 s in single precision are multiples of 128 s.
-    if (
-        kind.kind == "f"
-        and kind.itemsize < 8
-        and 0 < min(steps[steps > 0], default=0) < 2 * np.spacing(kind.type(largest))
-    ):
+    if kind.kind == "f" and kind.itemsize < 8 and shortest < 2 * np.spacing(kind.type(largest)):
         refuse(name, "times as float64, or from the first", f"{kind}, which rounds {largest:.10g}")
     return values
 
 
-def _seconds_of_all(name, value):
-    """Return dates and lengths of time as arrays of seconds, dates from the first; anything else as it is."""
-    try:
-        values = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
-    except ValueError:  # rows of different lengths
-        return value
-    if values.size and values.dtype.kind == "M":
-        if np.datetime_data(values.dtype)[0] in ("Y", "M"):  # which have no length
-            values = values.astype("datetime64[s]")
-        return (values - values.flat[0]) / np.timedelta64(1, "s")
-    if values.size and values.dtype.kind == "m":
+def _in_seconds(value):
+    """Return dates, from the first of them, and lengths of time as arrays of seconds; anything else as it is."""
+    values = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+    first = next(values.flat, None)
+    if values.dtype.kind == "M" or isinstance(first, datetime):
+        values = values - values.flat[:1]
+        first = next(values.flat)
+    if values.dtype.kind == "m":
         return values / np.timedelta64(1, "s")
-    if values.dtype != object or not isinstance(next(values.flat, None), datetime | timedelta):
-        return value
-    each = list(values.flat)
-    try:
-        if isinstance(each[0], datetime):
-            each = [one - each[0] for one in each]
-        return np.reshape([one.total_seconds() for one in each], values.shape)
-    except (TypeError, AttributeError):
-        refuse(name, "dates of one kind, with a zone or without, or times in seconds", "several kinds")
+    if isinstance(first, timedelta):
+        return np.reshape([each.total_seconds() for each in values.flat], values.shape)
+    return value

@@ -1,36 +1,30 @@
 """Bands around predictions that hold as often as they say, because they follow their own checked errors.
 
-The covariance of a filter is a claim about measurements that it has not seen. `ahead` puts the claim to the test: it
-sets every later fix against its prediction, made some seconds before. `following` makes a band of it that has learnt,
-at every moment, from the predictions that had come due by then. Nothing in it looks ahead, so that `LiveBand` gives the
-same band fix by fix, wherever a fix comes exactly one horizon later.
+`ahead` predicts each fix some seconds before. `following` makes a band around these predictions that learns from the
+ones that have come due, and from nothing later. `LiveBand` gives that band fix by fix.
 
-The *horizon* is the time from a prediction to the fix that it is for, `seconds`, or h steps. The half-width of the band
-around a prediction is f · c · sigma on each axis:
+The *horizon* is the time from a prediction to its fix, `seconds`, or h steps. The half-width of the band is f c sigma
+on each axis:
 
     sigma   what the filter states: the root of H P(k+h/k) Hᵀ + R
-    c       of all axes: sqrt(0.2 + 0.8 a), with the recent average a of NIS / m: one where the model is right. A fifth
-            stays, so that a mobile at rest does not make the band vanish before it starts.
-    f       a factor that follows the misses of its own axis: up by 0.95 gamma after a miss, down by 0.05 gamma after a
-            hit, on the logarithm, for a band of 95 %. A fix that repeats the one it was predicted at is none of either:
-            the mobile rests, which says nothing of how it will move on
+    c       one for all axes: sqrt(0.2 + 0.8 a), where a is the recent average of NIS / m. It is one where the model is
+            right. A fifth stays, so that the band does not vanish while a mobile rests.
+    f       follows the misses of its axis: for a band of 95 %, log f rises by 0.95 gamma after a miss and falls by
+            0.05 gamma after a hit. A fix that repeats the one it was predicted at counts as neither.
 
-Both c and f remember as many fixes as fall into one horizon, and at least five: what is learnt is that old when it is
-used. With that memory, 1 / memory is the weight of the latest NIS in a, and gamma is 0.5 / memory. (For a it counts the
-fixes of the last horizon, for f those from the prediction to the fix that checks it.)
+Both remember the fixes of one horizon, and at least five: a new NIS has the weight 1 / memory, and gamma is 0.5 /
+memory. For a the memory is the number of fixes in the last horizon, for f that from the prediction to its check.
 
 The rule for f is quantile tracking, the proportional part of conformal PID control (Angelopoulos, Candes and Tibshirani
-2023). Over T predictions that count, its share of misses differs from 5 % by at most the range of log f over gamma T,
-whatever the mobile does, if gamma is the same for all, as on even steps. That holds for any sigma, even for random
-numbers (`placebo`), so that a right share proves little. What tells a good band from a bad one is its `interval_score`,
-and its `coverage` in states that are known beforehand.
+2023). With a constant gamma, the share of misses among T predictions differs from 5 % by at most the range of log f
+over gamma T, whatever the mobile does and whatever sigma is. So a right share proves little: a good band is told by its
+`interval_score`, and by its `coverage` in states that are known beforehand.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from datetime import date, datetime
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,28 +52,26 @@ __all__ = [
 SHORTEST_MEMORY = 5
 # The part of a prediction's variance that the recent innovations scale.
 LOCAL = 0.8
-# A fix further off than this many variances counts as that: one jump does not widen the band for a whole memory.
+# A larger NIS / m counts as this: one jump does not widen the band for a whole memory.
 CAP = 50.0
 # A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
 LATEST = 1.5
 # Times that should be one horizon apart may differ by their rounding, in horizons.
 TIME_ROUNDING = 1e-6
-# A share of fewer independent predictions than this is too uncertain to judge a band by: that of 30 has a standard
-# deviation of 4 % where it should be 95 %.
+# The share of 30 independent predictions has a standard deviation of 4 %: with fewer, `coverage` warns.
 FEW = 30
-# The horizon of a live band is too short if so many fixes, the first ones that could check a prediction, come later
-# than 1.5 horizons after it. On a track of uneven steps where two of five do not, 30 fail by chance once in four
-# million.
+# If so many fixes in a row, from the first on, are too late for a check, the horizon is shorter than the steps.
 UNCHECKED = 30
+FITTING = "a horizon with fixes 1 to 1.5 times as much later than others"
 
 
 class ForecastErrors(NamedTuple):
-    """The forecast errors of later fixes, each predicted some seconds before. All tracks follow one another along K.
+    """Errors of K predictions, each of a fix some seconds later. Tracks follow one another along K.
 
     Attributes
     ----------
     made, due : ndarray (K,)
-        Times of a prediction and of the fix that checks it, in s.
+        Times of the prediction and of the fix that checks it, in s.
     errors : ndarray (K, m)
         Measured minus predicted, NaN where nothing was measured.
     sigma : ndarray (K, m)
@@ -87,15 +79,15 @@ class ForecastErrors(NamedTuple):
     recent : ndarray (K,)
         c, the size of the recent innovations over the stated one, when the prediction was made.
     row, due_row : ndarray of int (K,)
-        Rows of z of both fixes.
+        Rows of z of both.
     fixes : ndarray of int (K,)
         How many fixes later the checking one is.
     track : ndarray of int (K,)
-        The track that they belong to, 0 where there is one.
+        The track.
     rests : ndarray of bool (K,)
-        Whether the checking fix repeats the one it was predicted at; `following` learns nothing from it.
+        Whether the checking fix repeats the one it was predicted at.
     left_out : int
-        How many fixes had no later one between 1 and 1.5 horizons: before a gap, and at the end.
+        How many fixes had no other one 1 to 1.5 horizons later: before a gap, and at the end.
     seconds : float
         The horizon.
 
@@ -153,15 +145,14 @@ class Expected(NamedTuple):
 
 
 def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
-    """Return the forecast errors: each fix against its prediction, made `seconds` before.
+    """Return the forecast errors of a filter: each fix minus its prediction, made `seconds` before.
 
-    After every fix the first one that is `seconds` later is predicted, if it is at most 1.5 times as much later. On a
-    grid the times count from the first row.
+    Each fix is checked by the first one that is 1 to 1.5 times `seconds` later. On a grid, times count from row 0.
 
     Parameters
     ----------
     estimator : Filter
-        A filter with covariances, on a grid or with times of its own, of a model with a transition.
+        A filter with covariances, of a model with a transition.
     z : array_like (N, m) or (N, m, M)
         Measurements, NaN where one is missing.
     seconds : float or timedelta
@@ -174,11 +165,9 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
 
     Raises
     ------
-    TypeError
-        For a predictor, and for a filter without covariances.
     ValueError
-        For a model without a transition, for a joint or separate filter whose parts have times, and for a horizon that
-        is not positive or that no fix is later by.
+        For a model without a transition, a joint or separate filter whose parts have times of their own, and a horizon
+        that fits no two fixes.
 
     Examples
     --------
@@ -207,23 +196,23 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     if not any(len(part[0]) for part in parts):
         steps = np.diff(t[np.isfinite(z[..., 0]).any(axis=1), 0])
         got = f"{seconds:g} with steps of {np.median(steps):g} s" if len(steps) else "fewer than two fixes"
-        checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
+        checks.refuse("seconds", FITTING, got)
     arrays = [np.concatenate(column) for column in zip(*[part[:-1] for part in parts], strict=True)]
     return ForecastErrors._make([*arrays, sum(part[-1] for part in parts), seconds])
 
 
 def following(a: ForecastErrors, before: ForecastErrors | None = None, level: float = 0.95) -> Array:
-    """Return the half-widths of a band that follows its own checked errors: f · c · sigma of this module.
+    """Return the half-widths of a band that follows its own checked errors, f c sigma of this module.
 
-    The band of a prediction has learnt from those of its own track that were due when it was made, and from no other.
+    The band of a prediction has learnt from the predictions of its track that were due when it was made.
 
     Parameters
     ----------
     a : ForecastErrors
         The errors of `ahead`.
     before : ForecastErrors, optional
-        Those of an earlier segment with the same horizon: the factor f starts from where it ends there, and from the
-        normal distribution where not given.
+        Those of an earlier segment with the same horizon: f goes on from their end. Without them it starts at the
+        quantile of the normal distribution.
     level : float
         The share of an axis' errors that its band is to hold, between 0 and 1.
 
@@ -231,13 +220,6 @@ def following(a: ForecastErrors, before: ForecastErrors | None = None, level: fl
     -------
     ndarray (K, m)
         The half-widths, in the units of the errors.
-
-    Raises
-    ------
-    TypeError
-        For anything but ForecastErrors.
-    ValueError
-        For a level outside (0, 1), and for another horizon or number of axes before.
 
     Examples
     --------
@@ -251,26 +233,25 @@ def following(a: ForecastErrors, before: ForecastErrors | None = None, level: fl
     """
     checks.instance("a", a, ForecastErrors)
     level = checks.level(level)
-    log_f = _start(a.seconds, a.errors.shape[1], before, level)
+    start = _start(a.seconds, a.errors.shape[1], before, level)
     band = np.empty_like(a.sigma)
     for rows in _each_track(a):
-        _follow(a, rows, log_f, level, band)
+        _follow(a, rows, start, level, band)
     return band
 
 
 def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None) -> Coverage:
     """Return the share of the errors inside a band, on each axis, with its standard error.
 
-    Predictions that overlap in time share most of their errors. Independent are the first one, and from then on each
-    that is made when the one counted before it is due, or later. The standard error is that of a share of so many, with
-    two hits and two misses added (Agresti and Coull 1998), so that it is not zero where all of them hit.
+    Predictions that overlap in time share most of their errors, so the standard error counts only those that do not,
+    with two hits and two misses added (Agresti and Coull 1998).
 
     Parameters
     ----------
     a : ForecastErrors
         The errors of `ahead`.
     band : array_like (K, m)
-        Half-widths of the band. Where one is NaN nothing was stated, which counts as neither a hit nor a miss.
+        Half-widths of the band; those that are NaN are left out.
     where : array_like of bool (K,), optional
         Which predictions to look at; all where not given.
 
@@ -279,16 +260,10 @@ def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None)
     Coverage
         The share, its standard error and the number of independent predictions.
 
-    Raises
-    ------
-    ValueError
-        For a band or a `where` of another shape, a negative half-width, and where an axis has no prediction left.
-
     Warns
     -----
     UserWarning
-        Of fewer than 30 independent predictions, and of errors left out since their band is NaN: a band that states
-        nothing in hard cases looks better than it is.
+        Of fewer than 30 independent predictions, and of errors that are left out since their band is NaN.
 
     Examples
     --------
@@ -299,7 +274,7 @@ def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None)
     Coverage(share=array([0.96825397]), error=array([0.02894597]), independent=63)
 
     """
-    band, judged = _checked_band("coverage", a, band, where)
+    band, judged = _judged("coverage", a, band, where)
     inside = np.where(judged, np.abs(a.errors) <= band, np.nan)
     of_axes = np.array([_independent(a, of_axis) for of_axis in judged.T])
     fewest = int(of_axes.min())
@@ -316,8 +291,7 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
 
         2 b + 2 / (1 - level) · max(|error| - b, 0),   b the half-width
 
-    It is smallest for the true quantiles (Gneiting and Raftery 2007, Eq. 43): a band that is too wide pays by its
-    width, one that is too narrow by 40 times what it misses (level 0.95).
+    It is least for the true quantiles (Gneiting and Raftery 2007, Eq. 43).
 
     Parameters
     ----------
@@ -335,11 +309,6 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
     ndarray (m,)
         The score of each axis, in the units of the errors.
 
-    Raises
-    ------
-    ValueError
-        As `coverage`.
-
     Examples
     --------
     >>> import mpt_helpers as mpt
@@ -351,7 +320,7 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
     array([18.38])
 
     """
-    band, judged = _checked_band("interval_score", a, band, where)
+    band, judged = _judged("interval_score", a, band, where)
     missed_by = np.maximum(np.abs(a.errors) - band, 0)
     return np.nanmean(np.where(judged, 2 * band + 2 / (1 - checks.level(level)) * missed_by, np.nan), axis=0)
 
@@ -359,8 +328,7 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
 def placebo(a: ForecastErrors, rng: np.random.Generator) -> ForecastErrors:
     """Return the errors with a sigma that tells nothing: the median of each axis times lognormal (0, 1) numbers.
 
-    A band that follows its errors holds as many of them with these. Its interval score and its coverage in states that
-    are known beforehand are what a true sigma must beat.
+    A band that follows its errors holds as many of them with this sigma; a true sigma must have a better score.
 
     Parameters
     ----------
@@ -383,9 +351,7 @@ def placebo(a: ForecastErrors, rng: np.random.Generator) -> ForecastErrors:
     array([0.54, 0.87])
 
     """
-    checks.instance("a", a, ForecastErrors)
-    checks.instance("rng", rng, np.random.Generator)
-    # Of the size of the true ones: on a short track a band has not yet learnt its size.
+    # The median, since a band on a short track has not yet learnt the size.
     sigma = np.median(a.sigma, axis=0) * np.exp(rng.standard_normal(a.sigma.shape))
     return a._replace(sigma=sigma, recent=np.ones(len(a.recent)))
 
@@ -393,10 +359,8 @@ def placebo(a: ForecastErrors, rng: np.random.Generator) -> ForecastErrors:
 class LiveBand:
     """The band of `following`, fix by fix, beside the `step` of a filter.
 
-    f and c are those of `following` at each fix, but sigma may differ. Here it belongs to a measurement exactly
-    `seconds` after the fix, of the variances r that the step is given (the model's, where it is given none or nothing
-    was measured). There it belongs to the fix that checks the prediction. That comes up to 1.5 times as late where
-    steps are uneven, so that sigma is larger, and it has its own variances.
+    It is for a measurement exactly `seconds` after a fix, with the variances of that fix. On uneven steps the band of
+    `following` is wider, as its prediction is for the fix that checks it.
 
     Parameters
     ----------
@@ -429,14 +393,13 @@ class LiveBand:
         self.model: LinearModel = _model_of_any_step(estimator)
         self.seconds: float = checks.duration("seconds", seconds)
         self.level: float = checks.level(level)
-        self._factor = _Factor(_start(self.seconds, self.model.m, before, self.level), self.level)
+        self.log_f: list[float] = _start(self.seconds, self.model.m, before, self.level)
         self.average: float = 1.0  # a: the recent average of NIS / m
         self.last: tuple[float, Array, Array] | None = None  # the estimate of the last call: time, x, P
-        self.kind: str | None = None  # of its time: a number, a date or a date with a zone
         self.first: tuple[Array, Array] = (self.model.x0, estimator.P0)
         self.times: deque[float] = deque()  # of the fixes within the last horizon
         self.fixes: int = 0
-        # How many fixes came too late; None once one did not.
+        # How many fixes came too late for a check; None once one did not.
         self.unchecked: int | None = 0 if before is None else None
         # Predictions that wait for their fix: time, x, P, f c, the number of their fix, its z.
         self.pending: deque[tuple[Any, ...]] = deque()
@@ -444,17 +407,15 @@ class LiveBand:
     @property
     def factor(self) -> Array:
         """The factor f of each axis, (m,): 1.96 where the filter's own band of 95 % was right."""
-        return np.exp(self._factor.log_f)
+        return np.exp(self.log_f)
 
-    def step(
-        self, t: float | datetime | np.datetime64, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None
-    ) -> Expected:
+    def step(self, t: float, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None) -> Expected:
         """Return the expected measurement `seconds` after t and its band.
 
         Parameters
         ----------
-        t : float or datetime
-            Time of this epoch, in s or as a date.
+        t : float
+            Time of this epoch in s.
         z : array_like (m,)
             The measurement at t, NaN where it is missing or was refused.
         x, P : array_like (n,), (n, n)
@@ -470,50 +431,36 @@ class LiveBand:
         Raises
         ------
         ValueError
-            For another shape, an infinite measurement, a variance that is not positive, a time before the last one, and
-            where none of the first 30 fixes that came late enough for a prediction was 1 to 1.5 horizons later: then
-            the steps are longer than the horizon, and the band would never learn.
+            For a time before the last one, and after 30 fixes of which none could check a prediction: the steps are
+            longer than the horizon.
 
         """
-        n, m = self.model.n, self.model.m
-        t = self._moment(t)
-        z = checks.measurements(np.reshape(z, (1, -1)), m)[0].copy()  # it is kept, and the caller may fill it anew
-        x, P = (each.copy() for each in checks.state(x, P, n))
+        t = checks.number("t", t, "a time in seconds", lambda _: True)
+        z = checks.measurements(np.reshape(z, (1, -1)), self.model.m)[0].copy()  # the caller may fill it anew
         checks.no_infinity(z)
+        x, P = (each.copy() for each in checks.state(x, P, self.model.n))
+        seen = ~np.isnan(z)
         R = self.model.R
         if r is not None:
-            seen = ~np.isnan(z)
             R = np.diag(np.where(seen, checks.variances_of_one("r", r, seen), np.diag(R)))
         if self.last is None:
             self.last = t - self.model.dt, *self.first
         if t < self.last[0]:
             checks.refuse("t", f"a time that is not before the last one, {self.last[0]:g}", f"{t:g}")
-        if not np.isnan(z).all():
+        if seen.any():
             self._check(t, z, R)
             self._learn(t, z, R)
         self.last = t, x, P
         scale = self.factor * _local(self.average)
-        if not np.isnan(z).all():
+        if seen.any():
             self.fixes += 1
             self.times.append(t)
             self.pending.append((t, x, P, scale, self.fixes, z))
         expected, sigma = self._predicted(x, P, self.seconds, R)
         return Expected(expected, scale * sigma)
 
-    def _moment(self, t):
-        """Return a time in seconds; all of them are numbers, or dates of one kind."""
-        kind = "numbers of seconds"
-        if isinstance(t, date | np.datetime64):
-            kind = "dates with a zone" if getattr(t, "tzinfo", None) is not None else "dates without a zone"
-        if isinstance(t, date) and not isinstance(t, datetime):
-            checks.refuse("t", "a time in seconds or a datetime", "a date without a time of day", TypeError)
-        if self.kind not in (None, kind):
-            checks.refuse("t", f"{self.kind}, as those before", kind)
-        self.kind = kind
-        return checks.moment("t", t)
-
     def _check(self, t, z, R):
-        """Let the factor learn from the predictions that have come due at the fix z."""
+        """Let f learn from the predictions that have come due at the fix z."""
         too_late = 0.0  # by how many seconds this fix came after predictions that it cannot check
         while self.pending and t - self.pending[0][0] >= self.seconds * (1 - TIME_ROUNDING):
             made, x, P, scale, number, z_made = self.pending.popleft()
@@ -521,18 +468,15 @@ class LiveBand:
                 too_late = t - made
                 continue
             self.unchecked = None
-            if _repeats(z, z_made):
-                continue
-            expected, sigma = self._predicted(x, P, t - made, R)
-            self._factor.learn(np.abs(z - expected).tolist(), (scale * sigma).tolist(), self.fixes + 1 - number)
+            if not _repeats(z, z_made):
+                expected, sigma = self._predicted(x, P, t - made, R)
+                fixes = self.fixes + 1 - number
+                self.log_f = _after(self.log_f, np.abs(z - expected), scale * sigma, fixes, self.level)
         if too_late and self.unchecked is not None:
-            self._refuse_steps_that_are_too_long(too_late)
-
-    def _refuse_steps_that_are_too_long(self, later):
-        self.unchecked += 1
-        if self.unchecked == UNCHECKED:
-            got = f"{self.seconds:g}, and none of {UNCHECKED} fixes came so soon; the last one was {later:g} s later"
-            checks.refuse("seconds", "a horizon with fixes 1 to 1.5 times as much later than others", got)
+            self.unchecked += 1
+            if self.unchecked == UNCHECKED:
+                got = f"{self.seconds:g}, and none of {UNCHECKED} fixes came so soon; the last was {too_late:g} s later"
+                checks.refuse("seconds", FITTING, got)
 
     def _learn(self, t, z, R):
         """Let the average of the recent innovations learn from the fix z."""
@@ -614,52 +558,46 @@ def _memory(fixes):
     return max(SHORTEST_MEMORY, fixes)
 
 
-class _Factor:
-    """log f of each axis, which learns from predictions when they come due.
+def _after(log_f, errors, half_widths, fixes, level):
+    """Return log f of each axis after errors (m,), NaN where none counts, checked so many fixes after the prediction.
 
-    The fixes that come while one prediction waits are no more than the memory. So they move log f by 0.5 at most: if
-    all of them are misses, the band becomes 1.6 times as wide.
+    The fixes that come while one prediction waits are no more than the memory, so they move log f by 0.5 at most.
     """
-
-    def __init__(self, log_f, level):
-        self.log_f, self.level = list(log_f), level
-
-    def learn(self, errors, half_widths, fixes):
-        """Learn from the sizes of errors, NaN where none counts, checked so many fixes after they were predicted."""
-        gain = 0.5 / _memory(fixes)
-        for axis, (error, half_width) in enumerate(zip(errors, half_widths, strict=True)):
-            if error == error:
-                self.log_f[axis] += gain * ((error > half_width) - (1 - self.level))
+    gain = 0.5 / _memory(fixes)
+    return [
+        f + gain * ((error > half_width) - (1 - level)) if error == error else f
+        for f, error, half_width in zip(log_f, errors, half_widths, strict=True)
+    ]
 
 
 def _follow(a, rows, log_f, level, band):
     """Write the half-widths of one track, a slice of rows, to band (K, m); return log f (m,) after the last fix."""
-    factor = _Factor(log_f, level)
     widths = (a.sigma[rows] * a.recent[rows, None]).tolist()
     errors = np.where(a.rests[rows, None], np.nan, np.abs(a.errors[rows])).tolist()
     made_row, due_row, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
-    half, checked = [], 0  # the half-widths so far; how many predictions the factor has learnt from
+    half, checked = [], 0  # the half-widths so far; how many predictions f has learnt from
     for k, row in enumerate([*made_row, math.inf]):  # those due after the last one was made are learnt from at the end
         while checked < k and due_row[checked] <= row:
-            factor.learn(errors[checked], half[checked], fixes[checked])
+            log_f = _after(log_f, errors[checked], half[checked], fixes[checked], level)
             checked += 1
         if k < len(widths):
-            half.append([math.exp(f) * width for f, width in zip(factor.log_f, widths[k], strict=True)])
+            half.append([math.exp(f) * width for f, width in zip(log_f, widths[k], strict=True)])
     band[rows] = half
-    return np.array(factor.log_f)
+    return log_f
 
 
 def _start(seconds, m, before, level):
-    """Return log f (m,) at the start of predictions `seconds` ahead: where those before end, if there are any."""
+    """Return log f of each axis at the start: where the errors before end, if there are any."""
+    normal = [math.log(ndtri((1 + level) / 2))] * m
     if before is None:
-        return np.full(m, math.log(ndtri((1 + level) / 2)))
+        return normal
     checks.instance("before", before, ForecastErrors)
     if before.seconds != seconds or before.errors.shape[1] != m:
         got = f"{before.seconds:g} s and {before.errors.shape[1]} axes"
         checks.refuse("before", f"predictions of {seconds:g} s and {m} axes, as those that follow", got)
-    band, start = np.empty_like(before.sigma), _start(seconds, m, None, level)
-    ends = [_follow(before, rows, start, level, band) for rows in _each_track(before)]
-    return np.mean(ends or [start], axis=0)
+    band = np.empty_like(before.sigma)
+    ends = [_follow(before, rows, normal, level, band) for rows in _each_track(before)]
+    return np.mean(ends or [normal], axis=0).tolist()
 
 
 def _each_track(a):
@@ -678,8 +616,6 @@ def _independent(a, where):
 
 
 def _model_of_any_step(estimator):
-    if not isinstance(estimator, Filter):
-        checks.refuse("estimator", "a filter", f"{estimator!r:.60}", TypeError)
     if estimator.model.dt is None:
         need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
         checks.refuse("estimator", need, "one whose F and Q are for one length only")
@@ -694,31 +630,22 @@ def _has_conditions(estimator):
     return estimator.t is not None or estimator.r is not None or any(map(_has_conditions, estimator.parts))
 
 
-def _checked_band(name, a, band, where):
+def _judged(name, a, band, where):
     """Return the band, and a mask (K, m) of the errors that judge it: measured, where `where` says, with a half-width.
 
-    `name` is that of the function that judges, for the warning of errors without a half-width.
+    `name` is that of the function that judges, for its warning.
     """
-    checks.instance("a", a, ForecastErrors)
     band = checks.real_numbers("band", band, "half-widths")
-    if band.shape != a.errors.shape:
-        checks.refuse("band", f"half-widths of shape {a.errors.shape}", f"shape {band.shape}")
-    if (band < 0).any():
-        checks.refuse("band", "half-widths that are not negative, NaN where nothing is stated", f"{np.nanmin(band):g}")
-    if isinstance(where, np.ma.MaskedArray):
-        checks.refuse("where", "truth values", "a masked array (its filled(False) has none that is masked)", TypeError)
-    where = np.ones(len(band), bool) if where is None else np.asarray(where)
-    if where.shape != (len(band),) or where.dtype != bool:
-        checks.refuse("where", f"{len(band)} truth values", f"shape {where.shape} of {where.dtype}")
+    if band.shape != a.errors.shape or (band < 0).any():
+        got = f"shape {band.shape}, the least is {np.nanmin(band):g}"
+        checks.refuse("band", f"half-widths of shape {a.errors.shape} that are not negative", got)
+    where = np.ones(len(band), bool) if where is None else np.asanyarray(where)
+    if type(where) is not np.ndarray or where.shape != (len(band),) or where.dtype != bool:
+        checks.refuse("where", f"an array of {len(band)} truth values", f"{type(where).__name__} {where.shape}")
     measured = ~np.isnan(a.errors) & where[:, None]
-    if not measured.any(axis=0).all():
-        checks.refuse("where", "at least one prediction that is checked on each axis", "none on some")
     judged = measured & ~np.isnan(band)
     if not judged.any(axis=0).all():
-        checks.refuse("band", "a half-width of at least one checked prediction on each axis", "none but NaN on some")
-    unstated = int((measured & ~judged).sum())
-    if unstated:
-        checks.warn(
-            f"{name}: left out {unstated} of {measured.sum()} errors, whose band is NaN: nothing was stated of them"
-        )
+        checks.refuse("band, where", "a half-width of at least one checked prediction on each axis", "none on some")
+    if unstated := int((measured & ~judged).sum()):
+        checks.warn(f"{name}: left out {unstated} of {measured.sum()} errors, whose band is NaN")
     return band, judged

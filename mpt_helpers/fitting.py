@@ -1,7 +1,6 @@
-"""The parameters of a model that make measurements most probable, with their errors.
+"""Maximum-likelihood parameters of a model, with their errors and with warnings of what looks wrong.
 
-`search` finds the parameters, the maximum of log L. The errors are here, and the warnings of all that looks wrong. A
-*point* is the vector of the natural logarithms of the parameters. In it, a distance is the logarithm of a factor.
+A *point* is the vector of the natural logarithms of the parameters; `search` finds the one of the largest log L.
 """
 
 from __future__ import annotations
@@ -23,10 +22,7 @@ from ._checks import Array, Seconds
 from ._immutable import same
 from .kalman import KalmanFilter
 from .model import LinearModel
-from .search import FARTHEST, FLAT, NOTHING, along_a_line, differences, lowest
-
-# A search that has ended within this factor of FARTHEST would have gone on.
-NEAR_THE_END = math.log(10)
+from .search import FLAT, NOTHING, along_a_line, by_newton, differences, lowest
 
 
 class Fit(NamedTuple):
@@ -43,7 +39,7 @@ class Fit(NamedTuple):
     log_likelihood : float
         log L.
     errors_from : str
-        What the errors were made from, as "15 blocks of 300 fixes", "40 tracks" or "curvature".
+        What they were made from, as "15 blocks of 300 fixes", "40 tracks" or "curvature".
 
     """
 
@@ -53,42 +49,24 @@ class Fit(NamedTuple):
     log_likelihood: float
     errors_from: str
 
-    def _rows(self):
-        """Return the lines of the table: name, value, standard error of its logarithm, 95 % interval."""
+    def __repr__(self) -> str:
         rows = [("", "value", "log error", "95 % interval")]
         for name, value in self.values.items():
             error = self.log_errors[name]
             low, high = value * np.exp([-1.96 * error, 1.96 * error]) if error < 300 else (0.0, math.inf)
             rows.append((name, f"{value:.4g}", f"{error:.2g}", f"{low:.3g} to {high:.3g}"))
-        return rows
-
-    def _foot(self):
-        return f"log L = {self.log_likelihood:.6g}; errors from {self.errors_from}"
-
-    def __repr__(self) -> str:
-        rows = self._rows()
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-        return "\n".join([*lines, self._foot()])
-
-    def _repr_html_(self) -> str:
-        lines = ["".join(f"<td>{cell}</td>" for cell in row) for row in self._rows()]
-        body = "".join(f"<tr>{line}</tr>" for line in lines)
-        return f"<table>{body}</table><p>{self._foot()}</p>"
+        return "\n".join([*lines, f"log L = {self.log_likelihood:.6g}; errors from {self.errors_from}"])
 
 
 def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float) -> Fit:
     """Return the positive parameters that make measurements z most probable, jointly for all tracks.
 
-    The search runs on logarithms and shows its progress on a terminal. Where all parameters scale Q and R alike, as q
-    and r do, it goes along their ratio first; elsewhere it is Nelder and Mead's. Newton's steps follow, and a look
-    further along each parameter.
-
-    `log_errors` hold for the data as they are, and not only if the model is right (White 1982): no recorded track
-    moves by one q, and the curvature of log L alone states errors five to twenty times too small there. So each track
-    is cut into blocks of 300 s, 6 to 20 of them in all (20 tracks or more are a block each), and the errors follow from
-    how much the scores of the blocks differ, by the sandwich H⁻¹ J H⁻¹ with Student's factor for few blocks. With fewer
-    than 12 fixes they are those of the curvature.
+    `log_errors` also hold where the model is wrong (White 1982), as every recorded track moves by more than one q: the
+    curvature of log L alone states errors five to twenty times too small there. Each track is cut into blocks of some
+    300 s, 6 to 20 of them in all, and the errors follow from how much the scores of the blocks differ. With fewer than
+    12 fixes they are those of the curvature.
 
     Parameters
     ----------
@@ -108,17 +86,14 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     Raises
     ------
     ValueError
-        For guesses that are not positive, no more measurements than parameters, a Kalman filter whose start is a
-        thousand standard deviations from the first measurement of a track, and guesses without a likelihood.
-    TypeError
-        Where make returns something else.
+        For no more measurements than parameters, a Kalman filter whose start is a thousand standard deviations from
+        the first measurements of a track, and guesses without a likelihood.
 
     Warns
     -----
     UserWarning
-        Where log L does not fall as a parameter goes to zero, where it is flat, where a value is so far from its guess
-        that units may differ, of what `metrics.suspicious` finds, and where the first measurements are far from the
-        start of the model, so that the fit explains the distance as motion or noise.
+        Of a parameter that z does not tell, or that is 1e5 times its guess, of first measurements far from the start of
+        the model, and of what `metrics.suspicious` finds.
 
     Examples
     --------
@@ -151,31 +126,32 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         if not math.isfinite(likelihood(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters under which z has a likelihood", guess)
-        near = _start_of_the_search(likelihood, origin)
-        best = lowest(likelihood, origin, near)
+        near = _best_ratio(likelihood, origin)
+        best = lowest(likelihood, origin) if near is None else by_newton(likelihood, near)
         to_zero = [_runs_to_zero(likelihood, best, i) for i in range(len(best))]
         blocks = blocks_of(estimator, z)
         errors = log_errors(likelihood, best, np.flatnonzero(np.logical_not(to_zero)), blocks)
-    errors = dict(zip(guess, errors.tolist(), strict=True))
-    ended = np.abs(best - (origin if near is None else near)) > FARTHEST - NEAR_THE_END
-    _warn_of_what_is_not_known(errors, dict(zip(guess, to_zero, strict=True)), dict(zip(guess, ended, strict=True)))
-    found = likelihood.filter_at(best)
-    if (distance := _distance_of_the_start(found, z)) > FAR:
-        away = f"{distance:.0f} standard deviations from what x0 and P0 expect"
-        _warn(f"the first measurements are {away}: the fit explains the distance as motion or noise")
-    _warn_of_data(metrics.suspicious(found, z), likelihood.values_at(best), errors, guess)
-    return Fit(likelihood.values_at(best), errors, found, -likelihood(best), blocks.name)
+    found = Fit(
+        likelihood.values_at(best),
+        dict(zip(guess, errors.tolist(), strict=True)),
+        likelihood.filter_at(best),
+        -likelihood(best),
+        blocks.name,
+    )
+    for text in _doubts(found, z, guess, to_zero):
+        checks.warn(f"fit: {text}")
+    return found
 
 
 class Blocks(NamedTuple):
-    """The parts of tracks whose scores are taken as independent: the block of each row (N, M), how many, and a name."""
+    """Parts of tracks whose scores are taken as independent: the block of each row (N, M), how many, and a name."""
 
     of_rows: np.ndarray
     count: int
     name: str
 
 
-# After so many rows for each state a start is forgotten, but for filters that smooth much.
+# A start is forgotten after so many rows for each state.
 ROWS_OF_A_START = 5
 # Measurements that never change would make all variances zero.
 LEAST_SCALE = 1e-9
@@ -230,16 +206,12 @@ class NegativeLogLikelihood:
     def with_best_scale(self, point: Array) -> tuple[float, float]:
         """Return the log c that makes z most probable with c Q, c R and c P0, and -log L then: the profile likelihood.
 
-        Gains and estimates stay as they are, all S become c S, and all NIS become NIS / c. So, for
-        `count` numbers that were measured,
+        Gains and estimates stay as they are, and all S become c S. So, for `count` numbers that were measured,
 
             -log L(c) = [Σ NIS / c + Σ log det S + count (log c + log 2π)] / 2
 
-        Its derivative is zero at c = Σ NIS / count. There Σ NIS / c is `count`, and what is left is
-
-            -log L = [Σ log det S + count (log c + 1 + log 2π)] / 2
-
-        Unless `counts` says which rows count, the first ones are left out: there P0 shows, which is not c P0.
+        is least at c = Σ NIS / count. Unless `counts` says which rows count, the first ones are left out: there P0
+        shows, which is not c P0.
         """
         first = min(ROWS_OF_A_START * self.filter_at(point).model.n, len(self.z) // 4) if self.counts is None else 0
         squares, log_det, count = (float(each[first:].sum()) for each in self._terms(point))
@@ -257,17 +229,13 @@ def _filter(make, values):
     return made
 
 
-def _start_of_the_search(likelihood, origin):
-    """Return a point near the lowest one, by a search along one line, or None where there is no such line.
+def _best_ratio(likelihood, origin):
+    """Return a point near the lowest one, by a search along the ratio of two parameters, as q and r, or None.
 
-    One parameter is its own line. Of two, as q and r, c times both give often c Q and c R. Then `with_best_scale` gives
-    the best c for each ratio of the two, and the line is that of the ratios. With c P0 in place of P0 this is only
-    nearly the likelihood. So c is computed anew whenever the search has come nearer, and the point found is but the
-    start of a search of the likelihood itself.
+    It needs c times both to give c Q and c R. `with_best_scale` then gives the best c for each ratio. With c P0 in
+    place of P0 this is only nearly the likelihood, so Newton's method goes on from there.
     """
-    if len(origin) == 1:
-        return along_a_line(lambda point: (0.0, likelihood(point)), origin, np.ones(1))
-    if len(origin) > 2 or not _covariances_scale(likelihood, origin):
+    if len(origin) != 2 or not _covariances_scale(likelihood, origin):
         return None
     point = along_a_line(likelihood.with_best_scale, origin, np.array([0.5, -0.5]))
     return point if math.isfinite(likelihood(point)) and _covariances_scale(likelihood, point) else None
@@ -285,21 +253,19 @@ def _covariances_scale(likelihood, point):
     return twice and same(one.t, two.t) and (one.r is None) == (two.r is None)
 
 
-# Errors come from so many blocks, of so many seconds where a track is long enough. Measured on recorded tracks: over
-# 10 s scores are far from independent, over 300 s nearly, on tracks of hours over 600 to 1200 s.
+# So many blocks, of so many seconds where a track is long enough. On recorded tracks scores over 10 s are far from
+# independent, over 300 s nearly.
 FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
 
 
 def blocks_of(estimator: Filter, z: Array) -> Blocks:
-    """Return the Blocks of measurements z: in each track the same number of blocks, of equal numbers of fixes.
-
-    Of M tracks each is cut into `parts`, the least number of them that makes `wanted` blocks in all or more.
-    """
+    """Return the Blocks of measurements z: in each track the same number of them, of equal numbers of fixes."""
     N, _, M = z.reshape(len(z), z.shape[1], -1).shape
     seen = np.isfinite(z).any(axis=1).reshape(N, M)
     fixes = seen.sum()
     if fixes < 2 * FEWEST_BLOCKS:
         return Blocks(np.zeros((N, M), int), 1, "curvature")
+    # The least number of parts of a track that makes as many blocks in all as are wanted, or more.
     wanted = np.clip(fixes * _usual_step(estimator, seen) / SECONDS_OF_A_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS)
     parts = math.ceil(wanted / M)
     before: np.ndarray = np.cumsum(seen, axis=0) - seen  # the fixes of a track before each row, (N, M)
@@ -353,12 +319,10 @@ def _runs_to_zero(likelihood, best, i):
 
 
 def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blocks: Blocks) -> Array:
-    """Return the standard errors of the logarithms of all parameters (d,), infinite but for those that are `known`.
+    """Return the standard errors of the logarithms (d,) of the parameters `known`, infinite for the others.
 
-    known are the indices of the parameters that are moved; the others stay at their best values. The errors are the
-    roots of the diagonal of H⁻¹ J H⁻¹, the sandwich: H are the second derivatives of -log L, J the covariance of its
-    gradient, as it shows in the scores of the blocks. Where the model is right, J is H, and the errors are the
-    curvature's.
+    They are the roots of the diagonal of H⁻¹ J H⁻¹, the sandwich: H are the second derivatives of -log L, J is the
+    covariance of its gradient, as it shows in the scores of the blocks.
     """
 
     def of_known(point):
@@ -383,43 +347,38 @@ OTHER_UNITS = 1e5
 VAGUE = math.log(10)
 
 
-def _warn_of_data(suspicions, values, log_errors, guess):
-    """Warn of what is wrong with z, and where a parameter lies so far from its guess that the units may differ."""
-    for kind in ("far off", "same time"):
-        if kind in suspicions:
-            _warn(suspicions[kind])
+def _doubts(found, z, guess, to_zero):
+    """Yield a sentence for each thing that a fit does not know, or that looks wrong."""
+    for (name, error), no_fall in zip(found.log_errors.items(), to_zero, strict=True):
+        if no_fall:
+            yield f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known"
+        elif error > VAGUE:
+            yield f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters"
+    if (distance := _distance_of_the_start(found.filter, z)) > FAR:
+        away = f"{distance:.0f} standard deviations from what x0 and P0 expect"
+        yield f"the first measurements are {away}: the fit explains the distance as motion or noise"
+    suspicions = metrics.suspicious(found.filter, z)
+    yield from (suspicions[kind] for kind in ("far off", "same time") if kind in suspicions)
     if "far off" in suspicions:  # then the values are those of one fix
         return
-    for name, error in log_errors.items():
-        times = values[name] / guess[name]
+    for name, error in found.log_errors.items():
+        times = found.values[name] / guess[name]
         if error < VAGUE and not 1 / OTHER_UNITS < times < OTHER_UNITS:
             units = "are z and t in the units of the guess (metres and seconds, not degrees, kilometres, milliseconds)?"
-            _warn(f"{name}: {values[name]:.3g} is {times:.0e} times its guess: {units}")
+            yield f"{name}: {found.values[name]:.3g} is {times:.0e} times its guess: {units}"
 
 
-def _warn_of_what_is_not_known(log_errors, to_zero, ended):
-    for name, error in log_errors.items():
-        if ended[name] and not to_zero[name]:
-            _warn(
-                f"{name}: the search ended {math.exp(FARTHEST):.0e} times its start away: give a guess that is nearer"
-            )
-        elif to_zero[name]:
-            _warn(f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known")
-        elif error > VAGUE:
-            _warn(f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters")
-
-
-# Standard deviations from the start to what the measurements say of it: a fit is refused from the first on, and warned
-# of from the second on, since it explains the distance by a wrong q and r.
+# Standard deviations from x0 to what the measurements say of it: from the first on a fit is refused, from the second on
+# it warns, since it explains the distance by a wrong q and r.
 ANOTHER_POSITION, FAR = 1e3, 10.0
 
 
 def _distance_of_the_start(estimator, z):
-    """Return how far x0 is from the start that the measurements of a track want, in standard deviations; the largest.
+    """Return how far x0 is from the start that a track wants, in standard deviations; the largest of all tracks.
 
     The innovations are linear in the start: e = e_0 - G d for x0 + d. Least squares weighted by S, with P0 = 0, gives d
     and its covariance V, and what is left of e its scale c: a fit to a far start makes S too large, but all of S alike.
-    The distance is the root of dᵀ (P0 + c V)⁻¹ d. Filters of other kinds than the Kalman filter are not looked at.
+    The distance is the root of dᵀ (P0 + c V)⁻¹ d. It is zero for a filter that is no Kalman filter.
     """
     if not isinstance(estimator, KalmanFilter):
         return 0.0
@@ -445,10 +404,6 @@ def _distance_of_the_start(estimator, z):
     return farthest
 
 
-def _warn(text):
-    checks.warn(f"fit: {text}")
-
-
 # Q is rescaled until the band changes by less than this, in logarithms of its variance, and so many times at most.
 CLOSE, MOST_RESCALINGS = 1e-2, 50
 
@@ -456,10 +411,8 @@ CLOSE, MOST_RESCALINGS = 1e-2, 50
 def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:
     """Return the filter with Q times a factor under which its own band holds a share `level` of the measurements.
 
-    The likelihood judges by the next fix, and recorded tracks turn and stop more than it expects: ten seconds ahead,
-    the fitted filter's own 95 % band is too narrow. Here the errors of `metrics.ahead` decide, all axes together: the
-    quantile of |error| / sigma becomes that of the normal distribution. R, and with it what is known of the noise,
-    stays. Fit, rescale, and judge on what neither has seen; `metrics.following` adapts further, and costs a call more.
+    The likelihood judges by the next fix; some seconds ahead a fitted filter's own band is often too narrow. Here the
+    quantile of |error| / sigma of `metrics.ahead`, all axes together, becomes that of the normal distribution.
 
     Parameters
     ----------
@@ -479,11 +432,8 @@ def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: flo
 
     Raises
     ------
-    TypeError
-        For another filter.
     ValueError
-        As `metrics.ahead`, and where no Q gives such a band: where the noise of the measurements alone, or an unknown
-        start, is more than the errors.
+        As `metrics.ahead`, and where no Q gives such a band, since R or an unknown start alone is more than the errors.
 
     Examples
     --------
@@ -507,6 +457,4 @@ def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: flo
         if abs(change) < CLOSE:
             return scaled
         log_c += change
-        if abs(log_c) > FARTHEST:
-            break
     checks.refuse("estimator", "a filter whose process noise decides how wide its band is", "one where it does not")

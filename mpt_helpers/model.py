@@ -1,7 +1,4 @@
-"""Linear models of how a mobile moves and what is measured of it, and tracks drawn from these models.
-
-The papers, cited by year: Kluga & Kluga 2007, Assimakis & Adam 2014 and 2015, Assimakis et al. 2016.
-"""
+"""Linear models of how a mobile moves and what is measured of it, and tracks drawn from these models."""
 
 from __future__ import annotations
 
@@ -21,11 +18,11 @@ from .equations import square_root
 
 # dt in s -> F and Q of a step of that length.
 Transition = Callable[[float], tuple[Array, Array]]
-# By how much two half steps of a transition may miss one whole step, relative to its size: a Q from a formula that
-# subtracts large numbers loses digits on short steps, and six of them should be left over the model's dt.
+# By how much two half steps of a transition may miss one whole step, relative to its size: six digits should be left
+# of a Q that subtracts large numbers.
 MISSED = 1e-6
-# Where F should have a zero, rounding leaves 1e-16 of its largest entry: entries below this part of it count as this
-# large. (Not of Q: over short steps an entry may rightly be 1e-18 of the largest.)
+# Rounding leaves 1e-16 of the largest entry of F where a zero should be: smaller entries than this part of it count as
+# this large. (Not of Q: over short steps an entry may rightly be 1e-18 of the largest.)
 LEAST_OF_F = 1e-9
 TINY = np.finfo(float).tiny
 
@@ -37,8 +34,8 @@ class LinearModel(Immutable):
         x(k+1) = F x(k) + w(k),     w ~ N(0, Q)
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
-    A model is immutable, also in copies and pickles, and equal to another of the same numbers. `dataclasses.replace`
-    makes another one; with another F or Q it knows steps of one length only.
+    A model is immutable, also in copies and pickles. `dataclasses.replace` makes another one; with another F or Q it
+    knows steps of one length only.
 
     Parameters
     ----------
@@ -56,24 +53,7 @@ class LinearModel(Immutable):
         Length of a step in s, for a model with a transition.
     transition : callable, optional
         transition(dt) returns F and Q of a step of dt seconds, for tracks with times of their own. Two steps of dt / 2
-        must be one of dt, and a step of zero changes nothing. A function of a module, or a frozen dataclass with
-        `__call__`, can be pickled and compared.
-
-    Attributes
-    ----------
-    F, H, Q, R, x0, P0 : ndarray
-        As given, read-only copies.
-    dt : float or None
-        Length of a step in s; None where the model knows steps of one length only.
-    transition : callable or None
-        As given.
-
-    Raises
-    ------
-    ValueError
-        For a wrong shape or value, naming the argument.
-    TypeError
-        For anything but real numbers, naming the argument.
+        must be one of dt. A function of a module, or a frozen dataclass with `__call__`, can be pickled.
 
     Examples
     --------
@@ -153,11 +133,6 @@ class LinearModel(Immutable):
         Q : ndarray (..., n, n)
             The covariance that it adds to the state.
 
-        Raises
-        ------
-        ValueError
-            For a model that knows steps of one length only.
-
         Examples
         --------
         >>> import mpt_helpers as mpt
@@ -233,10 +208,7 @@ def _checked(transition, dt):
 
 
 def missed_by_halves(transition: Transition, dt: float) -> tuple[float, float]:
-    """Return by how much two steps of dt / 2 miss one of dt, relative to the size of each entry: in F, and in Q.
-
-    It is infinite where numbers are not finite.
-    """
+    """Return by how much two steps of dt / 2 miss one of dt, in F and in Q, relative to the size of each entry."""
     with np.errstate(over="ignore", invalid="ignore"):
         (half, noise), (F, Q) = transition(dt / 2), transition(dt)
         twice = half @ half, half @ noise @ np.transpose(half) + noise
@@ -336,10 +308,10 @@ def _on_diagonal(parts):
 
 
 def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
-    """Return the papers' model of one axis of a GSM phone, which measures the next position: H = [1 dt].
+    """Return the papers' model of one axis of a GSM phone (2014 Eq. 3, model B of 2015 Section 2).
 
-    For positions that were measured where they stood, take `constant_velocity`: with this model they come out one step
-    late. It is 2014 Eq. 3, and model B of 2015 Section 2:
+    Its H measures the next position. For measurements of the position itself take `constant_velocity`: with this model
+    they come out one step late.
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
 
@@ -358,11 +330,6 @@ def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: A
     -------
     LinearModel
         The model, whose states are position and velocity.
-
-    Raises
-    ------
-    ValueError
-        For dt <= 0, q < 0 or r <= 0.
 
     Examples
     --------
@@ -399,11 +366,6 @@ def constant_velocity(
     -------
     LinearModel
         The model, whose states are position and velocity.
-
-    Raises
-    ------
-    ValueError
-        For dt <= 0, q < 0 or r <= 0.
 
     Examples
     --------
@@ -442,11 +404,6 @@ def constant_acceleration(
     -------
     LinearModel
         The model, whose states are position, velocity and acceleration.
-
-    Raises
-    ------
-    ValueError
-        For dt <= 0, q < 0 or r <= 0.
 
     Examples
     --------
@@ -487,11 +444,6 @@ def gps_ins(
     LinearModel
         The model, whose states are position, velocity and bias.
 
-    Raises
-    ------
-    ValueError
-        For dt <= 0, q < 0 or r <= 0.
-
     Examples
     --------
     >>> import mpt_helpers as mpt
@@ -529,13 +481,6 @@ def stack(*models: LinearModel) -> LinearModel:
     LinearModel
         The model of all axes.
 
-    Raises
-    ------
-    TypeError
-        For anything but models.
-    ValueError
-        For no model, and where two of them say another dt.
-
     Examples
     --------
     >>> import mpt_helpers as mpt
@@ -545,23 +490,22 @@ def stack(*models: LinearModel) -> LinearModel:
            [0., 0., 1., 0.]])
 
     """
+    if not models:
+        checks.refuse("models", "at least one model", "none")
     for i, model in enumerate(models):
         checks.instance(f"models[{i}]", model, LinearModel)
-    known = {i: model.dt for i, model in enumerate(models) if model.dt is not None}
-    for i, dt in known.items():
-        first, dt_0 = next(iter(known.items()))
-        if dt != dt_0:
-            need = f"a model that says the same dt as models[{first}], {dt_0:g} s"
-            checks.refuse(f"models[{i}].dt", need, f"{dt:g} s")
+    steps = {model.dt for model in models}
+    if len(steps - {None}) > 1:
+        checks.refuse("models", "models of the same dt", " and ".join(f"{model.dt} s" for model in models))
     F, H, Q, R, P0 = (block_diag(*[getattr(model, name) for model in models]) for name in ("F", "H", "Q", "R", "P0"))
     x0 = np.concatenate([model.x0 for model in models])
-    if len(known) < len(models):
+    if None in steps:
         return LinearModel(F=F, H=H, Q=Q, R=R, x0=x0, P0=P0)
-    axes = [each for model in models for each in axes_of(model.transition)]
-    return LinearModel(F=F, H=H, Q=Q, R=R, x0=x0, P0=P0, dt=dt_0, transition=SideBySide(tuple(axes)))
+    axes = [each for model in models for each in _axes_of(model.transition)]
+    return LinearModel(F=F, H=H, Q=Q, R=R, x0=x0, P0=P0, dt=steps.pop(), transition=SideBySide(tuple(axes)))
 
 
-def axes_of(transition: Transition) -> tuple[Transition, ...]:
+def _axes_of(transition):
     """Return the transitions of the axes that a model was stacked of."""
     return transition.transitions if isinstance(transition, SideBySide) else (transition,)
 
@@ -580,11 +524,6 @@ def exact_motion(model: LinearModel, x0: ArrayLike) -> LinearModel:
     -------
     LinearModel
         The model with this x0, and with P0 = 0 and Q = 0.
-
-    Raises
-    ------
-    TypeError, ValueError
-        For anything but a model and such a vector.
 
     Examples
     --------
@@ -612,11 +551,6 @@ def mean_track(model: LinearModel, N: int) -> Array:
     -------
     ndarray (N, n)
         The states; row k is x(k+1).
-
-    Raises
-    ------
-    TypeError, ValueError
-        For anything but a model and a positive count.
 
     Examples
     --------
@@ -655,11 +589,6 @@ def simulate(model: LinearModel, N: int, rng: Any, tracks: int | None = None) ->
         True states. Row k is x(k+1); x(0), drawn from N(x0, P0), is not returned.
     z : ndarray (N, m) or (N, m, M)
         Measurements. Row k is z(k+1).
-
-    Raises
-    ------
-    TypeError, ValueError
-        For anything but a model and positive counts.
 
     Examples
     --------

@@ -26,34 +26,28 @@ def study(
     *,
     workers: int | Callable[..., Iterable[Any]] = 1,
 ) -> np.ndarray:
-    """Return the statistics of many runs of an experiment.
+    """Return the results of many runs of an experiment.
 
     Each block of 200 runs has its own stream of the seed, so that no result depends on the workers, and the first runs
-    of a longer study are those of a shorter one. A progress bar is shown only on a terminal. An interrupt ends the
-    study at once, or, with threads, when the running blocks are done.
+    of a longer study are those of a shorter one.
 
     Parameters
     ----------
     experiment : callable
         experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs; M
-        is always 200.
+        is 200.
     runs : int
         Number of runs; columns beyond it are dropped.
     seed : int
         Seed of the random numbers, not negative.
     workers : int or callable
-        Number of threads, or a callable like `map` that keeps the order, such as the `map` of a `concurrent.futures`
-        executor or of a dask cluster; for processes, the experiment must be picklable.
+        Number of threads, or a callable like `map` that keeps the order, as that of a `concurrent.futures` executor or
+        of a dask cluster. For processes, the experiment must be picklable.
 
     Returns
     -------
     ndarray (..., runs)
         The results of the runs.
-
-    Raises
-    ------
-    TypeError, ValueError
-        For bad arguments, and for an experiment that does not return M columns of numbers.
 
     Examples
     --------
@@ -66,8 +60,6 @@ def study(
     if not callable(experiment):
         checks.refuse("experiment", "a callable of (rng, M)", type(experiment).__name__, TypeError)
     runs, seed = checks.count("runs", runs), checks.count("seed", seed, least=0)
-    if runs > 1e10:
-        checks.refuse("runs", "at most 1e10, whose results fit into memory", f"{runs:.0e}")
     streams = np.random.SeedSequence(seed).spawn(-(-runs // BLOCK))
     parts = []
     with _mapper(workers) as mapper, tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
@@ -83,11 +75,9 @@ def study(
 
 
 def _let_the_process_keep_memory():
-    """Let the C library keep up to 32 MB that are freed, as the arrays of one block are before the next.
+    """Let glibc keep freed arrays of up to 32 MB for the next block: from now on it keeps what is no larger than this.
 
-    glibc gives freed memory back to the system, and the next block pays for having it mapped and zeroed anew. It raises
-    the size from which it does so to the largest single array that was ever freed, 32 MB at most: so one of nearly 32
-    MB is made, not written to, and freed here. Elsewhere it changes nothing.
+    Otherwise it returns them to the system, and the next block has them mapped and zeroed anew.
     """
     np.empty(2**25 - 2**16, np.uint8)
 

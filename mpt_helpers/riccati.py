@@ -1,10 +1,8 @@
-"""Steady-state covariances, from the Riccati equation of the Kalman filter (REKF) and that of Lainiotis' (RELF).
+"""Steady-state covariances, from the Riccati equations of the Kalman filter (REKF) and of the Lainiotis filter (RELF).
 
-`rekf` takes scipy's solution, by a generalized Schur decomposition, and refines it; `relf` doubles the number of steps.
-As one finds P without the other, their agreement is a real check. Each checks its solution against its own equation; a
-model without a steady state is refused by the same test, the rank test of Popov, Belevitch and Hautus (PBH), for both.
-
-2014 and 2015 are papers of Assimakis & Adam.
+`rekf` refines scipy's solution, `relf` doubles the number of steps: neither knows of the other, so that their agreement
+is a real check. Each checks its solution against its own equation. A model without a steady state is refused by the
+rank test of Popov, Belevitch and Hautus (PBH).
 """
 
 from __future__ import annotations
@@ -27,11 +25,11 @@ from .model import LinearModel
 
 __all__ = ["rekf", "relf"]
 
-# A mode whose distance from being undetectable or unstabilizable is below this, relative to the matrix, counts as such:
-# the rounding of an eigenvalue of F, loose enough for n of a few hundred.
+# A mode nearer than this to being undetectable or unstabilizable, relative to the matrix, counts as such: the rounding
+# of an eigenvalue of F.
 MODE_ROUNDING = 1e-12
-# Rounding turns a double eigenvalue into two at a relative distance of 1e-8, a triple one into three at 6e-6. Computed
-# eigenvalues that are nearer than this may be one: their mean, as accurate as a simple eigenvalue, is tried too.
+# Rounding splits a double eigenvalue by 1e-8 of it, a triple one by 6e-6. Computed eigenvalues that are nearer than
+# this may be one: their mean, as accurate as a simple eigenvalue, is tried too.
 ONE_EIGENVALUE = 1e-4
 # Rounding moves a double eigenvalue on the unit circle by up to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
@@ -47,8 +45,6 @@ def rekf(model: LinearModel) -> Array:
     """Return the steady-state prediction error covariance P_p (2014 Eq. 11, 2015 Eq. 9).
 
         P_p = Q + F P_p Fᵀ - F P_p Hᵀ [H P_p Hᵀ + R]⁻¹ H P_p Fᵀ
-
-    Solved by scipy, then refined by two steps of Newton's method.
 
     Parameters
     ----------
@@ -81,8 +77,7 @@ def relf(model: LinearModel) -> Array:
 
         P_e = P_n + F_n [I + P_e O_n]⁻¹ P_e F_nᵀ
 
-    From P = 0, each round composes the Lainiotis steps so far with themselves, so that round i covers 2^i steps
-    (D. G. Lainiotis, N. D. Assimakis and S. K. Katsikas, J. Math. Anal. Appl. 186, 1994).
+    Round i composes 2^i Lainiotis steps (Lainiotis, Assimakis and Katsikas, J. Math. Anal. Appl. 186, 1994).
 
     Parameters
     ----------
@@ -111,10 +106,7 @@ def relf(model: LinearModel) -> Array:
 
 
 def _steady_state(model, solve):
-    """Return the P that solve(model) finds, or raise a ValueError that says why there is none.
-
-    `solve` returns P and whether it solves its equation.
-    """
+    """Return the P that solve(model) finds, if it solves its equation; else raise a ValueError that says why."""
     checks.instance("model", model, LinearModel)
     nearest = _require_the_conditions(model)
     try:
@@ -143,9 +135,8 @@ def _require_the_conditions(model):
 
 
 def _solve_rekf(model):
-    # scipy is silently wrong where R is very small or very large, and fails where the variances of the states differ
-    # much, so it gets states and measurements of unit variance. Where the filter converges slowly it loses digits, so
-    # its solution is refined.
+    # scipy needs states and measurements of unit variance: it is silently wrong where R is very small or very large. A
+    # filter that converges slowly costs it digits, so its solution is refined.
     unit = _units(model)
     F = model.F * unit / unit[:, None]
     Q = model.Q / unit[:, None] / unit
@@ -156,8 +147,7 @@ def _solve_rekf(model):
     P = P + change
     sigma = np.sqrt(np.maximum(np.diag(P), 1))  # no less than 1, the noise of n steps in these units
     solved = (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all()
-    # A state that nothing drives is known exactly in the end: what is left of its variance is the rounding of zero. In
-    # these units that of a standard deviation is eps, so that of a variance is the square of it.
+    # A state that nothing drives is known exactly in the end. Its standard deviation is rounded by eps in these units.
     known = np.diag(P) <= np.finfo(float).eps ** 2
     P = np.where(known[:, None] | known, 0.0, (P + P.T) / 2)
     return P * unit[:, None] * unit, solved
@@ -166,8 +156,7 @@ def _solve_rekf(model):
 def require_resolved(model: LinearModel, P: Array) -> None:
     """Raise a ValueError where P (n×n), a steady-state estimation error covariance, has no digit left in doubles.
 
-    The equation that P solves cannot tell that, since it is rounded as P is. So two more things are asked of P. A step
-    of the Kalman filter, (I - K H) P_p (I - K H)ᵀ + K R Kᵀ with P_p = F P Fᵀ + Q, must leave P nearly as it is. And the
+    The equation that P solves is rounded as P is. So a step of the Kalman filter must leave P nearly as it is, and the
     rounding of that step must be small beside P.
     """
     P_p = predicted_covariance(model, P)
@@ -190,8 +179,7 @@ def _rounding_of_a_step(H, K, sigma, eps):
         P_p      by at most eps sigma_i sigma_j, which adds         eps (|I - K H| sigma)²
         I - K H  by at most D = eps (I + |K| |H|), which adds       (D sigma)²
 
-    So the error of I - K H counts by its square. It adds a linear term too, D P_p (I - K H)ᵀ, but with the best gain
-    that is D P, which is small beside P.
+    The term that is linear in D is D P with the best gain, which is small beside P.
     """
     identity = np.eye(len(K))
     keep = identity - K @ H
@@ -200,10 +188,9 @@ def _rounding_of_a_step(H, K, sigma, eps):
 
 
 def _newton_step(P, F, H, Q):
-    """Return what Newton's method adds to P, a solution of the REKF with R = I.
+    """Return what Newton's method adds to P, a solution of the REKF with R = I: the sum of Aⁱ D Aᵀⁱ over i.
 
-    It is the sum of Aⁱ D Aᵀⁱ, i = 0, 1, ..., where D is what P misses in the equation. After j rounds, `total` has 2^j
-    terms and `A` is the power 2^j.
+    D is what P misses in the equation. After j rounds, `total` has 2^j terms and `A` is the power 2^j.
     """
     identity = np.eye(len(H))
     K = gain(P, H, identity)
@@ -223,7 +210,6 @@ def _solve_relf(model):
         longer = (longer + longer.T) / 2
         if np.array_equal(longer, P):  # no entry moves: one of a small variance may be the last to settle
             break
-        # All of these are made of the matrices of 2^i steps, and cover 2^(i+1).
         O_i = O_i + F_i.T @ O_i @ np.linalg.solve(np.eye(model.n) + P @ O_i, F_i)
         P, F_i = longer, A @ F_i
     A = lainiotis_transition(P, Fn, On)
@@ -237,10 +223,7 @@ def _solve_relf(model):
 
 
 def _units(model):
-    """Return the distance that the noise of n steps moves each state, rounded to a power of two: then scaling is exact.
-
-    In these units the entries of a matrix can be compared.
-    """
+    """Return how far the noise of n steps moves each state, rounded to a power of two, so that scaling is exact."""
     variance = np.diag(predicted_covariance(model, model.Q, model.n - 1))
     moved = variance > 0
     exponent = np.log2(variance, out=np.zeros(model.n), where=moved) / 2

@@ -1,27 +1,16 @@
-"""The search for the parameters of `fitting`: the lowest point of -log L.
+"""The search for the lowest point of -log L, for `fitting`.
 
-A point (d,) is the vector of the natural logarithms of d parameters. In it, a distance is the logarithm of a factor.
-The search has three parts, one after the other:
-
-1. Where one line leads near the lowest point, `along_a_line`. Elsewhere Nelder and Mead's simplex, which needs no
-   derivatives.
-2. Newton's steps, with derivatives by central differences. A few of them reach the lowest point nearby.
-3. A look further along each parameter, since log L may be flat over decades. From a lower point there, the simplex and
-   Newton's steps go on.
+A point (d,) is the vector of the natural logarithms of d parameters, so that a distance is the logarithm of a factor.
+The search looks along lines, over many decades, and goes on from the best point by Newton's method.
 """
 
 import math
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize_scalar
 
-# How near to the lowest point the search must come: a hundredth of the error of a parameter that a thousand
-# measurements tell to some percent.
-NEAR = 1e-4
-# How near parts 1 and 3 come. Newton's steps, which go on from there, need no more.
+# How near to the lowest point a line is searched; Newton's method goes on from there.
 NEAR_ENOUGH = 0.1
-# A search changes no parameter by more than this factor.
-FARTHEST = math.log(1e12)
 # A log L that falls by less than this says nothing against a parameter: so much it falls at one standard error.
 NOTHING = 0.5
 # A direction in which log L curves by less than this part of its largest curvature is flat, by the second differences'
@@ -61,48 +50,36 @@ def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH, nothin
     return origin + s * direction + known[round(s, 9)][0]
 
 
-# A search goes on from a lower point further on so many times at most.
-MOST_SEARCHES = 10
+# Each round of `lowest` but the last leads to a lower point; one or two are usual.
+MOST_ROUNDS = 10
 
 
-def lowest(function, origin, start):
-    """Return the lowest point (d,) of function(point) that is found, by parts 1 to 3 of this module.
+def lowest(function, point):
+    """Return the lowest point (d,) that is found: along each parameter in turn, then by Newton's method.
 
-    start is a point that `along_a_line` found near it. Where it is None, the search begins at the origin.
+    While there is a lower point far along a parameter, it begins again: with a q far too small r explains the motion,
+    and only then a larger q is better.
     """
-    if start is not None:
-        origin = start
-
-    def within(point):
-        return function(point) if np.abs(point - origin).max() <= FARTHEST else math.inf
-
-    point = _by_simplex(within, origin) if start is None else start
-    for _ in range(MOST_SEARCHES):
-        point = _by_newton(within, point)
-        further = _lower_further_on(within, point)
-        if further is None:
+    units = np.eye(len(point))
+    for _ in range(MOST_ROUNDS):
+        for unit in units:
+            point = along_a_line(lambda each: (0.0, function(each)), point, unit)
+        point = by_newton(function, point)
+        if min(function(point + s * unit) for unit in units for s in LINE) > function(point) - NOTHING:
             break
-        point = _by_simplex(within, further)
     return point
 
 
-def _by_simplex(function, point):
-    """Return the lowest point that Nelder and Mead's search finds, from each guess to e times it."""
-    d = len(point)
-    simplex = point + np.vstack([np.zeros(d), np.eye(d)])
-    options = {"initial_simplex": simplex, "xatol": NEAR_ENOUGH, "fatol": NEAR_ENOUGH, "maxfev": 400 * d}
-    return minimize(function, point, method="Nelder-Mead", options=options).x
+# Newton's steps are at most a factor of e long. They end at a step of NEAR, a hundredth of the error of a parameter
+# that a thousand measurements tell to some percent.
+LONGEST_STEP, MOST_STEPS, MOST_HALVINGS, NEAR = 1.0, 30, 8, 1e-4
 
 
-# Newton's steps are at most so long, a factor of e, and so many at most. Each is shortened so many times.
-LONGEST_STEP, MOST_ITERATIONS, MOST_HALVINGS = 1.0, 30, 8
-
-
-def _by_newton(function, point):
-    """Return the lowest point that Newton's steps lead to."""
-    for _ in range(MOST_ITERATIONS):
+def by_newton(function, point):
+    """Return the lowest point (d,) that Newton's steps lead to."""
+    for _ in range(MOST_STEPS):
         value, gradient, H = differences(function, point)
-        step = _step_downhill(gradient, H)
+        step = step_downhill(gradient, H)
         for _ in range(MOST_HALVINGS):
             if np.abs(step).max() < NEAR:
                 return point
@@ -115,12 +92,12 @@ def _by_newton(function, point):
     return point
 
 
-def _step_downhill(gradient, H):
+def step_downhill(gradient, H):
     """Return the step (d,) to where the gradient (d,) vanishes, by the second derivatives H (d, d).
 
     It goes downwards where H curves the other way, not along a flat direction, and not too far.
     """
-    if not (np.isfinite(H).all() and np.isfinite(gradient).all()):
+    if not (np.isfinite(H).all() and np.isfinite(gradient).all()):  # beside a point that has no likelihood
         return np.zeros(len(H))
     curvatures, directions = np.linalg.eigh(H)
     sizes = np.abs(curvatures)
@@ -130,29 +107,9 @@ def _step_downhill(gradient, H):
     return step * min(1.0, LONGEST_STEP / max(np.abs(step).max(), NEAR))
 
 
-# A search that has ended looks further along each parameter, by these factors, as long as log L does not change: with
-# a process noise far too small, the noise of the measurements explains the motion, and q changes nothing.
-FURTHER = tuple(math.log(factor) for factor in (3, 1e3, 1e6, 1e9, 1e12, 1e15, 1e18, 1e21, 1e24))
-
-
-def _lower_further_on(function, point):
-    """Return a point along one parameter that is lower than this one, or None."""
-    value = function(point)
-    for unit in np.eye(len(point)):
-        for sign in (1, -1):
-            for far in FURTHER:
-                moved = point + sign * far * unit
-                change = function(moved) - value
-                if change < -NOTHING:
-                    return moved
-                if change > NOTHING:
-                    break
-    return None
-
-
 # Differences of log L are taken between points 2 % of a parameter apart. The rounding of the second ones,
 # 1e-16 |log L| / step², is below 1e-6 of them up to a million measurements. The bias of the first ones, step² / 6 of
-# the third, moves the maximum by less than NEAR.
+# the third, moves the maximum by less than 1e-4.
 DIFFERENCE = 0.02
 
 

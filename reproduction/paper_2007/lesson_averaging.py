@@ -24,11 +24,13 @@ def cases(tables=None):
 
 
 def memories(cases):
-    """Return a row for each case: what the mean and the newest point of a line leave, over one span."""
+    """Return a row for each case: what the mean of a window and the newest point of a line through it leave."""
     rows = []
     for name, case in cases.items():
-        found = lasting.memory((case.seconds, case.errors), recorded.WINDOW * case.step)
-        rows.append([name, *(f"{each:.2f}" for each in (found.mean, found.newest))])
+        newest = np.transpose([recorded.line_errors(axis, recorded.WINDOW)[1] for axis in case.errors.T])
+        fixes = case.errors[recorded.WINDOW - 1 :]
+        left = [recorded.ratio_of(each, fixes) for each in (recorded.means(case.errors, recorded.WINDOW), newest)]
+        rows.append([name, *(f"{each:.2f}" for each in left)])
     return rows
 
 
@@ -117,28 +119,38 @@ def judged(cases, fits, kalman):
     return rows
 
 
-def carried(cases, fits):
-    """Return what means of the height make over what the formula states, by constants from elsewhere, {where: ratios}.
+def carried(cases, fits, kalman):
+    """Return a row for each origin of the constants: made over stated of the mean of a window, and of the filter.
 
     They are those of the other half of the day, of the same kind of range at each other station, and for a mean of four
     hours those of the same day.
     """
-    halves = []
+
+    def of_filter(z, step, constants):
+        return made_over_stated(kalman, z, step, **dict(zip(("r", "sigma", "tau"), constants, strict=True)))
+
+    halves, stations = [], []
     for name, case in cases.items():
         parts = np.array_split(case.errors[:, UP], 2)
-        for part, constants in zip(parts, reversed(fits[name].halves[:, 0]), strict=True):
-            halves.append(mean_over_stated(part, constants, case.step))
-    stations = [
-        mean_over_stated(cases[name].errors[:, UP], constants_of(fits[other]), cases[name].step)
-        for name, other in permutations(cases, 2)
-        if cases[name].kind == cases[other].kind
-    ]
+        halves += [(part, case.step, each) for part, each in zip(parts, reversed(fits[name].halves[:, 0]), strict=True)]
+    for name, other in permutations(cases, 2):
+        if cases[name].kind == cases[other].kind:
+            stations.append((cases[name].errors[:, UP], cases[name].step, constants_of(fits[other])))
+    rows = []
+    for where, some in {"another half day": halves, "another station": stations}.items():
+        if some:  # a reader's own may be the only station
+            of_mean = [mean_over_stated(z, constants, step) for z, step, constants in some]
+            rows.append([where, to_and_fro(of_mean), to_and_fro([of_filter(*each) for each in some])])
     hours = [
         mean_over_stated(case.errors[:, UP], constants_of(fits[name]), case.step, n=round(4 * 3600 / case.step))
         for name, case in cases.items()
     ]
-    found = {"another half day": halves, "another station": stations, "the same day, over four hours": hours}
-    return {where: ratios for where, ratios in found.items() if ratios}  # a reader's own may be the only station
+    return [*rows, ["the same day, over four hours", to_and_fro(hours), ""]]
+
+
+def to_and_fro(ratios):
+    """Return the least and the largest of some ratios as text."""
+    return f"{min(ratios):.1f} to {max(ratios):.1f}"
 
 
 # What smoothing and corrections do

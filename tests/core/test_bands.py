@@ -1,7 +1,7 @@
 """Bands that follow their own errors: what they rest on, what they guarantee, that they know nothing of the future."""
 
 from dataclasses import replace
-from datetime import UTC, date, datetime
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -348,7 +348,7 @@ def test_each_axis_is_covered_by_its_own_predictions():
         found = coverage(a, following(a))
     assert found.independent == 10
     assert found.error[1] > 4 * found.error[0]
-    with pytest.raises(ValueError, match="where: needs at least one prediction that is checked on each axis"):
+    with pytest.raises(ValueError, match="band, where: needs a half-width of at least one checked prediction"):
         coverage(a, following(a), where=a.row < 3)
 
 
@@ -477,11 +477,9 @@ def test_coverage_and_score_leave_out_what_has_no_band_and_say_how_much():
         np.testing.assert_allclose(score, 2 + 40 * np.array(missed))
     band[:, 1] = np.nan
     for judge in (coverage, interval_score):
-        with pytest.raises(
-            ValueError, match="band: needs a half-width of at least one checked prediction on each axis"
-        ):
+        with pytest.raises(ValueError, match="band, where: needs a half-width of at least one checked prediction"):
             judge(a, band)
-        with pytest.raises(ValueError, match=r"band: needs half-widths that are not negative, .* got -1"):
+        with pytest.raises(ValueError, match=r"band: needs half-widths of .* not negative, got .* least is -1"):
             judge(a, -a.sigma)
 
 
@@ -504,7 +502,7 @@ def test_an_axis_that_is_never_measured_has_no_score():
     a = ahead(mpt.KalmanFilter(PLANE, t=t), z, seconds=1.0)
     band = following(a)
     for judged in (coverage, interval_score):
-        with pytest.raises(ValueError, match="where: needs at least one prediction that is checked on each axis"):
+        with pytest.raises(ValueError, match="band, where: needs a half-width of at least one checked prediction"):
             judged(a, band)
 
 
@@ -527,8 +525,6 @@ def test_a_model_of_one_step_length_and_a_horizon_without_fixes_are_refused():
     for predictor in (mpt.Predictor(mpt.KalmanFilter(AXIS), 2), mpt.FIRFilter(AXIS, np.ones((3, 2, 1)))):
         with pytest.raises(TypeError, match="needs a filter with P0"):
             ahead(predictor, np.zeros((9, 1)), 1.0)
-    with pytest.raises(TypeError, match="estimator: needs a filter"):
-        ahead(AXIS.F, np.zeros((9, 1)), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -540,11 +536,10 @@ def test_a_model_of_one_step_length_and_a_horizon_without_fixes_are_refused():
         (lambda a: following(a, before=an_ahead(a.errors[:, :1])), "before: needs predictions of 1 s and 2 axes"),
         (lambda a: LiveBand(mpt.KalmanFilter(PLANE), 2.0, before=a), "before: needs predictions of 2 s and 2 axes"),
         (lambda a: coverage(a, a.sigma[:1]), r"band: needs half-widths of shape \(40, 2\)"),
-        (lambda a: coverage(a, a.sigma, where=[True]), "where: needs 40 truth values"),
-        (lambda a: coverage(a, a.sigma, where=np.arange(40)), "where: needs 40 truth values"),
-        (lambda a: coverage(a, a.sigma, where=np.zeros(40, bool)), "where: needs at least one prediction"),
+        (lambda a: coverage(a, a.sigma, where=[True]), "where: needs an array of 40 truth values"),
+        (lambda a: coverage(a, a.sigma, where=np.arange(40)), "where: needs an array of 40 truth values"),
+        (lambda a: coverage(a, a.sigma, where=np.zeros(40, bool)), "band, where: needs a half-width of at least one"),
         (lambda a: interval_score(a, a.sigma, level=0), "level: needs"),
-        (lambda a: placebo(a, 1), "rng: needs a Generator"),
         (lambda a: ahead(mpt.KalmanFilter(PLANE), a.errors, 0.0), "seconds: needs a positive number"),
     ],
 )
@@ -562,30 +557,22 @@ def test_the_live_band_refuses_a_time_that_runs_back():
 
 
 @pytest.mark.parametrize(
-    ("times", "P", "said"),
+    ("t", "P", "said"),
     [
-        (
-            (datetime(2024, 5, 3), datetime(2024, 5, 3, 0, 0, 1, tzinfo=UTC)),
-            np.eye(2),
-            "t: needs dates without a zone, as",
-        ),
-        ((0.0, datetime(2024, 5, 3)), np.eye(2), "t: needs numbers of seconds, as those before"),
-        ((date(2024, 5, 3),), np.eye(2), "t: needs a time in seconds or a datetime"),
-        ((0.0,), -np.eye(2), "P: needs a symmetric"),
-        ((0.0,), np.array([[1.0, 50.0], [0.0, 1.0]]), "P: needs a symmetric"),
+        (datetime(2024, 5, 3), np.eye(2), "t: needs a time in seconds"),
+        (0.0, -np.eye(2), "P: needs a symmetric"),
+        (0.0, np.array([[1.0, 50.0], [0.0, 1.0]]), "P: needs a symmetric"),
     ],
 )
-def test_the_live_band_refuses_times_of_two_kinds_and_what_is_no_covariance(times, P, said):
+def test_the_live_band_refuses_dates_and_what_is_no_covariance(t, P, said):
     live = LiveBand(mpt.KalmanFilter(AXIS), 1.0)
-    for t in times[:-1]:
-        live.step(t, [0.0], [0.0, 1.0], np.eye(2))
     with pytest.raises((ValueError, TypeError), match=said):
-        live.step(times[-1], [0.0], [0.0, 1.0], P)
+        live.step(t, [0.0], [0.0, 1.0], P)
 
 
 def test_a_mask_of_a_masked_array_is_refused():
     a = an_ahead(np.zeros((40, 1)))
-    with pytest.raises(TypeError, match="where: needs truth values, got a masked array"):
+    with pytest.raises(ValueError, match="where: needs an array of 40 truth values, got MaskedArray"):
         coverage(a, a.sigma, where=np.ma.array(np.ones(40, bool), mask=np.arange(40) < 30))
 
 

@@ -222,10 +222,11 @@ REFUSED = {
         TypeError,
         "transition: needs to be given beside dt",
     ),
+    "a stack of none": (mpt.stack, ValueError, "models: needs at least one model, got none"),
     "a stack of two dt": (
         lambda: mpt.stack(mpt.gsm_axis(1, 1, 1), forgetful(), forgetful(dt=0.5)),
         ValueError,
-        r"models\[2\].dt: needs a model that says the same dt as models\[1\], 0.7 s, got 0.5 s",
+        "models: needs models of the same dt, got None s and 0.7 s and 0.5 s",
     ),
 }
 

@@ -415,7 +415,7 @@ REFUSED_TIMES = {
     "another Q": (lambda: timed(replace(plane(), Q=np.eye(4)), t=T), "t: needs a model with a transition"),
     "axes of other dt": (
         lambda: timed(mpt.stack(*(mpt.constant_velocity(dt, 1, 1) for dt in (1, 2))), t=T),
-        "dt: needs a model that says the same dt",
+        "models: needs models of the same dt",
     ),
     "backwards": (lambda: timed(t=[0, 2, 1]), "t: needs .* do not decrease, got 1 after 2, in row 2"),
     "NaN": (lambda: timed(t=[0, np.nan]), "t: needs .* got NaN or infinity"),
@@ -789,7 +789,7 @@ def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):
     if power < 28:
         assert is_right(each.estimates(z), 0.1)
     else:
-        with pytest.raises(ValueError, match=r"P0: needs variances of what is measured below 1e\+29 times R"):
+        with pytest.raises(ValueError, match=r"P0: needs variances of what is measured below 1e\+29 R"):
             each.estimates(z)
     if power <= 12:
         both = each.coefficients(6)

@@ -639,7 +639,7 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         "",
         "| paper | what it asks | does it hold? | hold | in part | fail | tables | figures |",
         "|---|---|---|---|---|---|---|---|",
-        f"| [Small (1960)](notebooks/small.ipynb) | Is it? | It is. | 3 | 0 | 1 | {tables} | {figure} |",
+        f"| [Small](notebooks/small.ipynb)<br>A, 1960 | Is it? | It is. | 3 | 0 | 1 | {tables} | {figure} |",
         "",
         "Of the 1 items that cannot be checked, 1 are lost in our copies, which are texts extracted from PDF files; "
         "0 are legible except for one doubtful character; 0 depend on details that the paper leaves out.",
