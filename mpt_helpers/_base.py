@@ -42,12 +42,12 @@ from ._immutable import Immutable
 from .equations import unit_measurements
 from .model import LinearModel
 
-# Numbers in the covariances of a tile of tracks whose innovations, or way back, are computed together: 32 MB.
+# Numbers in the covariances of the tracks that are smoothed, or whose innovations are computed, together: 32 MB.
 MOST_NUMBERS = 4_000_000
-# How many times as large as the variance of a measurement that of its prediction may be. Rounding of I - K H makes P
-# after the measurement wrong by some 1e-31 of the variance of the prediction: at this limit by 1 % of R.
+# The largest variance of the prediction of a measurement, in units of R. Rounding of I - K H makes P after the
+# measurement wrong by some 1e-31 of it: here by 1 % of R.
 LARGEST = 1e29
-# The largest part of a variance that may be rounding after a step.
+# The largest share of a variance that may be rounding after a step.
 MOST_ROUNDING = 0.1
 
 
@@ -81,14 +81,15 @@ def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, A
     return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
 
 
-def require_digits(T: Array, P: Array, after: Array, times_R: float, dt: float | None = None) -> None:
-    """Raise a ValueError if a step from P (n, n), over dt if it has one of its own, leaves no digits in P `after` it.
+def require_digits(T_size: Array, P: Array, after: Array, times_R: float, dt: float | None = None) -> None:
+    """Raise a ValueError if a step from P (n, n) leaves no digit in the covariance `after` it.
 
-    T P Tᵀ is a part of `after`, and |T| are the sizes of its factors: an entry P_ij, rounded by ε σ_i σ_j, may nearly
-    cancel the others. times_R is the variance of the prediction of a measurement, in units of its noise.
+    T P Tᵀ is a part of `after`. Doubles round P_ij by ε σ_i σ_j, and so this part by up to ε (|T| σ)². T_size is |T|,
+    or |T_1| |T_2| for T = T_1 T_2. times_R is the variance of the prediction of a measurement, in units of its noise.
+    The error names dt where it is given.
     """
     sigma = np.sqrt(np.abs(P.diagonal()))
-    rounding = np.finfo(float).eps * (T @ sigma) ** 2
+    rounding = np.finfo(float).eps * (T_size @ sigma) ** 2
     if times_R < LARGEST and np.isfinite(after).all() and (rounding <= MOST_ROUNDING * after.diagonal()).all():
         return
     held = "whose variances doubles hold beside those of the measurements"
@@ -99,16 +100,29 @@ def require_digits(T: Array, P: Array, after: Array, times_R: float, dt: float |
 
 
 class Filter(Immutable):
-    """A filter of measurements z of its `model`. A subclass defines `run`, and what else it has.
+    """A filter of measurements z of its `model`. A subclass defines `run`, and whatever else it offers.
 
-    t and r are the times and the variances that it was given, None where it was not.
+    t and r are the times and variances that it was given, or None.
     """
 
     model: LinearModel
     t: Array | None = None
     r: Array | None = None
-    optimal = False  # whether its gain is that of the covariance P, so that P says all that is known
-    steps_ahead = 0  # how far an estimate lies past its last measurement: 0, or N in a predictor
+
+    @property
+    def parts(self) -> Sequence[Filter]:
+        """The filters that it is made of; none but for joint and separate filters and predictors."""
+        return ()
+
+    @property
+    def optimal(self) -> bool:
+        """Say whether its gain is that of its covariance P, so that P says all that is known, in all its parts."""
+        return bool(self.parts) and all(each.optimal for each in self.parts)
+
+    @property
+    def steps_ahead(self) -> int:
+        """The number of steps from the last measurement that is used to the state that is estimated."""
+        return self.parts[0].steps_ahead if self.parts else 0
 
     @property
     def P0(self) -> Array:
@@ -250,20 +264,16 @@ class Filter(Immutable):
         raise self._not_recursive()
 
     @property
-    def parts(self) -> Sequence[Filter]:
-        """The filters that it is made of; none but for joint and separate filters and predictors."""
-        return ()
-
     def leaves(self) -> list[Filter]:
-        """Return the filters that it is made of in the end, itself where it is made of none."""
-        return [leaf for part in self.parts for leaf in part.leaves()] or [self]
+        """The filters that it is made of in the end, itself where it is made of none."""
+        return [leaf for part in self.parts for leaf in part.leaves] or [self]
 
     def times_of(self, N: int) -> Array:
         """Return the times of N epochs in s: t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
 
         t is that of the filter, or of the first of its parts that has one. A model without a dt has steps of 1 s.
         """
-        given = [leaf.t for leaf in self.leaves() if leaf.t is not None]
+        given = [leaf.t for leaf in self.leaves if leaf.t is not None]
         if given:
             return given[0]
         return (1.0 if self.model.dt is None else self.model.dt) * np.arange(N)
@@ -309,11 +319,10 @@ class Filter(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RecursiveFilter(Filter):
-    """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else works.
+    """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else follows from it.
 
-    Its gain is taken for the Kalman filter's for its P, so that P is all that is known. A subclass of another gain must
-    say `optimal = False`, and then has no smoother. If it forgets that, `smooth` goes by a P that is not that of the
-    best estimate, and nothing tells that it is wrong.
+    Its gain is assumed to be the Kalman gain for its P. A subclass with another gain must say `optimal = False`, and
+    has no smoother. A wrong `True` silently gives wrong results.
     """
 
     model: LinearModel
@@ -353,7 +362,7 @@ class RecursiveFilter(Filter):
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k (M, n, n), B_k (M, n, m) and P(k+1/k+1) (M, n, n) of each P(k/k) of a stack (M, n, n).
 
-        It is `next_step` of one after the other. A subclass may make all of them at once.
+        It calls `next_step` for one after the other. A subclass may make all of them at once.
         """
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
@@ -361,7 +370,7 @@ class RecursiveFilter(Filter):
     def on_columns(self, rows: Rows) -> Callable[..., Any]:
         """Return the filter on columns, its `advance` (`_engine.columns`), for Rows that start at x0 and P0.
 
-        It is made of `next_steps`, a matrix for each column. A subclass may do the same in fewer operations.
+        It calls `next_steps`, with a matrix for each column. A subclass may do the same in fewer operations.
         """
         return partial(advance_by_steps, self)
 
@@ -376,16 +385,19 @@ class RecursiveFilter(Filter):
 
         Raises ValueError where it is so large that none is left.
         """
-        F, H, Q, R = self.model.F, self.model.H, self.model.Q, self.model.R
+        H, Q, R = self.model.H, self.model.Q, self.model.R
+        largest = self._variance_of_a_first_measurement(R)
+        if not largest < LARGEST:
+            checks.refuse("P0", f"variances of what is measured below {LARGEST:g} R", f"{largest:.2g} R")
         if self.r is not None:
             given = np.where(self.r > 0, self.r, np.inf).reshape(*self.r.shape[:2], -1)
             R = np.diag(np.minimum(np.diag(R), given.min(axis=(0, 2))))
-        of_R, of_Q_and_R = (unit_measurements(H, noise)[0] @ F for noise in (R, H @ Q @ H.T + R))
-        times_R = (of_R @ self.P0 @ of_R.T).max()
-        if not times_R < LARGEST:
-            need = f"variances of what is measured below {LARGEST:g} times R"
-            checks.refuse("P0", need, f"{times_R:.2g} times as much")
-        return self.optimal and bool((of_Q_and_R @ self.P0 @ of_Q_and_R.T).max() > VAGUE)
+        return self.optimal and self._variance_of_a_first_measurement(H @ Q @ H.T + R) > VAGUE
+
+    def _variance_of_a_first_measurement(self, noise):
+        """Return the largest variance that P0 gives to a first measurement, in units of the noise (m, m)."""
+        G = unit_measurements(self.model.H, noise)[0] @ self.model.F
+        return float((G @ self.P0 @ G.T).max())
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.
@@ -415,12 +427,12 @@ class RecursiveFilter(Filter):
         x, P = checks.state(x, P, self.model.n)
         z_k, seen = checks.one_measurement(z_k, self.model.m)
         conditions = self._conditions_of_step(seen, dt, r)
-        with np.errstate(over="ignore", invalid="ignore"):  # the largest times are refused by what they make
+        with np.errstate(over="ignore", invalid="ignore"):  # of too long a dt, which is refused
             A, B, P = self.next_step(P, seen, *conditions)
         return A @ x + B @ np.where(seen, z_k, 0), P
 
     def _conditions_of_step(self, seen, dt, r):
-        """Return what else `next_step` takes: nothing, so that dt and r are refused."""
+        """Return the further arguments of `next_step`: none, so dt and r are refused."""
         for name, given in (("dt", dt), ("r", r)):
             if given is not None:
                 need = "to be left out, as the steps and variances of this filter are those of its model"
@@ -449,8 +461,8 @@ class RecursiveFilter(Filter):
         return self._in_tiles(partial(engine.innovations, self), self.epochs_of(z), self.model.m)
 
     def shared_steps(self, N: int, tracks: int) -> tuple[list[Step], list[Array]] | None:
-        """Return steps and products of tracks without gaps, None where too many differ; kept for the next call."""
-        # Read once and returned from here: another thread may write to `_kept` meanwhile.
+        """Return steps and products for tracks without gaps, None for too many steps; kept for the next call."""
+        # Read once: another thread may write to `_kept` meanwhile.
         kept_for, kept = self._kept.get("last", (None, None))
         if kept_for != (N, tracks):
             kept = steps.make_shared_steps(self.next_step, self.P0, self.model.m, N, tracks)
@@ -459,7 +471,7 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def _kept(self):
-        """The memory of `shared_steps`, empty at first: a frozen filter takes no new value, but its dict does."""
+        """The memory of `shared_steps`: a frozen filter takes no new value, but a dict does."""
         return {}
 
     def _smoothed(self, epochs):
@@ -469,7 +481,7 @@ class RecursiveFilter(Filter):
         return smoothed(self.prediction, epochs, x, P)
 
     def _in_tiles(self, function, epochs, d):
-        """Return function(epochs): values (N, d, M) and covariances (N, d, d, M or 1), so many tracks at a time."""
+        """Return function(epochs), values (N, d, M) and covariances (N, d, d, M or 1), computed in tiles of tracks."""
         N, _, M = epochs.z.shape
         parts = steps.tiles(M, max(1, MOST_NUMBERS // (N * self.model.n**2)))
         if len(parts) == 1:

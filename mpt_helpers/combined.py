@@ -19,8 +19,8 @@ from .lainiotis import LainiotisFilter
 from .model import LinearModel, stack
 from .steady import SteadyStateFilter
 
-# Two filters are stepped from one state while both return the same one, to this part of its size or of its standard
-# deviation: both Riccati equations give one gain to six digits at least.
+# Two filters are stepped from one state as long as both return the same state, to this share of its size or standard
+# deviation: the two Riccati equations give the same gain to at least six digits.
 SAME = 1e-6
 
 
@@ -74,11 +74,6 @@ class JoinFilter(Filter):
         return self.first.model
 
     @property
-    def steps_ahead(self) -> int:
-        """The number of steps that both filters predict ahead."""
-        return self.first.steps_ahead
-
-    @property
     def P0(self) -> Array:
         """The mean of both P(0/0)."""
         return (self.first.P0 + self.second.P0) / 2
@@ -93,8 +88,8 @@ class JoinFilter(Filter):
     ) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from one state, as in Filter.
 
-        Raises TypeError where the two return different states, as filters of different gains do: then each would need a
-        state of its own.
+        Raises TypeError where the two return different states, as with different gains: then each would need a state of
+        its own.
         """
         x_1, P_1 = self.first.step(x, P, z_k, dt, r)
         x_2, P_2 = self.second.step(x, P, z_k, dt, r)
@@ -106,13 +101,8 @@ class JoinFilter(Filter):
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
-    @property
-    def optimal(self) -> bool:
-        """Say whether both filters are optimal: a filter of constant gain is not."""
-        return self.first.optimal and self.second.optimal
-
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return the means of what both filters' `smooth` return."""
+        """Return the means of both filters' smoothed states and covariances."""
         first, second = self.first.smooth(z), self.second.smooth(z)
         return Estimates((first.x + second.x) / 2, (first.P + second.P) / 2)
 
@@ -177,19 +167,9 @@ class Separate(Filter):
         return type(self), self.filters
 
     @property
-    def steps_ahead(self) -> int:
-        """The number of steps that all filters predict ahead."""
-        return self.filters[0].steps_ahead
-
-    @property
     def P0(self) -> Array:
         """The block diagonal P(0/0)."""
         return block_diag(*(each.P0 for each in self.filters))
-
-    @property
-    def optimal(self) -> bool:
-        """Say whether all filters are optimal: a filter of constant gain is not."""
-        return all(each.optimal for each in self.filters)
 
     @property
     def parts(self) -> Sequence[Filter]:
@@ -261,7 +241,7 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    of_first, of_second = first.leaves(), second.leaves()
+    of_first, of_second = first.leaves, second.leaves
     t = of_first[0].t
     if not all(same(t, leaf.t) for leaf in (*of_first, *of_second)):
         checks.refuse("second", "a filter of the same times as the first", "one of others")

@@ -22,7 +22,7 @@ def predicted_covariance(model, P, steps=1):
 
 
 def several_steps(F, Q, steps):
-    """Return the F and Q of so many steps in a row, by doubling.
+    """Return F and Q of `steps` steps in a row, by doubling.
 
     >>> several_steps(np.eye(1), np.eye(1), steps=5)
     (array([[1.]]), array([[5.]]))
@@ -126,9 +126,9 @@ def lainiotis_matrices(model, H=None, R=None):
 def gain_on_the_start(P, C):
     """Return G (n×p) with [I + P O]⁻¹ = I - G Cᵀ for O = C Cᵀ; P (n×n) and C (n×p) may be stacks.
 
-    It is the Kalman gain of measurements Cᵀ x of unit noise: what the measurements of an epoch, or of many, tell about
-    the state before them. With it, [I + P O]⁻¹ P is Joseph's form, which keeps its digits where P is large: the
-    inverse itself loses them, after long gaps and from vague starts.
+    It is the Kalman gain of measurements Cᵀ x of unit noise, which stand for the information O that one epoch, or many,
+    have about the state before them. With it, [I + P O]⁻¹ P is Joseph's form, which keeps its digits where P is large:
+    the inverse itself loses them, after long gaps and from vague starts.
 
     >>> gain_on_the_start(P=np.eye(1), C=np.array([[2.0]]))
     array([[0.4]])

@@ -37,7 +37,8 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    Tracks without gaps share filterpy's gains and covariances; all others are columns.
+    Tracks without gaps share filterpy's gains and covariances. All others are filtered side by side, as columns of
+    arrays.
 
     Parameters
     ----------
@@ -176,9 +177,9 @@ class KalmanFilter(RecursiveFilter):
 
     @cached_property
     def _filterpy(self):
-        # filterpy 2.0: a scalar R would be added to all of S, so R is a matrix; x has one dimension, as z has. It gets
+        # filterpy 2.0: a scalar R would be added to all of S, so R is a matrix; x has one dimension, like z. It gets
         # measurements of unit noise, since its S = H P Hᵀ + R rounds a precise sensor away beside a large P. Its
-        # function `update` returns the gain only together with a density, which takes longer than all else.
+        # function `update` returns the gain only together with a density, which takes most of the time.
         H_1, _ = self._units
         kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=len(H_1))
         kf.x = np.zeros(self.model.n)

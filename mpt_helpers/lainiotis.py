@@ -17,10 +17,10 @@ class LainiotisFilter(RecursiveFilter):
 
         A_k = F_n [I + P(k/k) O_n]⁻¹,   B_k = K_n + A_k P(k/k) K_m,   P(k+1/k+1) = P_n + A_k P(k/k) F_nᵀ
 
-    F_n, K_n and P_n are those of a step from an exactly known x(k/k); O_n and K_m add what the measurement tells about
-    x(k/k). That composes: many steps have matrices of the same form, by which every filter here runs a long track in
-    pieces. As a filter of its own it computes what the Kalman filter computes, many times as slowly where tracks have
-    gaps of their own.
+    F_n, K_n and P_n describe a step from an exactly known x(k/k); O_n and K_m add the information of the measurement
+    about x(k/k). Such steps compose: many steps in a row have matrices of the same form, and every filter here uses
+    that to run a long track in pieces. The results are the Kalman filter's; where tracks have gaps of their own they
+    take many times as long.
 
     Parameters
     ----------
@@ -44,7 +44,10 @@ class LainiotisFilter(RecursiveFilter):
     """
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
-        """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter; raises ValueError for a P of no digits."""
+        """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter.
+
+        Raises ValueError for a P so large that doubles hold no digit of the next one.
+        """
         constants = self._constants_of(seen)
         A, B, P_next = lainiotis_step(P, constants)
         times_R = (constants.C.T @ P @ constants.C).max()

@@ -16,10 +16,11 @@ from .steady import SteadyStateFilter
 
 
 class _Ahead(Filter):
-    """The state of an `estimator` some `steps` ahead: what both predictors share."""
+    """The base of both predictors: the state of an `estimator`, `steps` steps ahead."""
 
     estimator: Filter
     steps: int
+    optimal = False  # P is that of a prediction
 
     @property
     def model(self) -> LinearModel:
@@ -28,7 +29,7 @@ class _Ahead(Filter):
 
     @property
     def steps_ahead(self) -> int:
-        """The number of steps from the last measurement used to the state that is predicted."""
+        """The number of steps from the last measurement to the state that is predicted."""
         return self.estimator.steps_ahead + self.steps
 
     @property

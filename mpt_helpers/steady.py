@@ -34,8 +34,9 @@ class SteadyStateFilter(RecursiveFilter):
         x(k+1/k+1) = A x(k/k) + B z(k+1),   A = (I - B H) F
 
     Made by `from_kalman` or `from_lainiotis`, which solve different Riccati equations: their agreement (2014 Eq. 15) is
-    a real check. While nothing is missing, the covariance stays P. It grows through a gap, and afterwards returns to P
-    as that of the true error does. A row of z that is partly NaN is refused: the gain is that of a whole row.
+    a real check. While nothing is missing, the covariance stays P. Through a gap it grows, and afterwards it returns to
+    P: it is the covariance of the true error all the time. A row of z that is partly NaN is refused, since the gain is
+    that of a whole row.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class SteadyStateFilter(RecursiveFilter):
         The coefficients.
     P : array_like (n, n)
         P(0/0), the covariance of the steady state. It is not compared with A and B: from any other start the
-        covariances go to that of the steady state.
+        covariances converge to it.
 
     Raises
     ------
@@ -72,8 +73,7 @@ class SteadyStateFilter(RecursiveFilter):
     B: Array
     P: Array
 
-    # The gain stays when P does not: after a gap P is not that of the best estimate. So it has no smoother and no gate.
-    optimal = False
+    optimal = False  # after a gap P changes and the gain does not: P is not that of the best estimate
 
     def __init__(self, model: LinearModel, A: ArrayLike, B: ArrayLike, P: ArrayLike):
         super().__init__(model)
@@ -293,7 +293,7 @@ class FIRFilter(Filter):
 
     @property
     def order(self) -> int:
-        """The paper's M: how many measurements an estimate takes."""
+        """The paper's M: the number of measurements in an estimate."""
         return len(self.taps)
 
     def run(self, z: Array, x: Array, covariances: bool) -> None:
@@ -312,7 +312,7 @@ class FIRFilter(Filter):
         for k in np.flatnonzero(missed.any(axis=1)):
             predicted = F @ (x[k - 1] if k > 0 else x0)
             predicted_z = np.where(missed[k], H @ predicted, 0)
-            # It counts from epoch k on; x[k] itself is the prediction, in place of what the taps make of it.
+            # The predicted measurement counts from epoch k on; x[k] itself is the predicted state.
             x[k : k + self.order] += self.taps[: len(x) - k] @ predicted_z
             x[k] = np.where(missed[k], predicted, x[k])
 

@@ -77,8 +77,7 @@ def _settled(fig):
     for ax in fig.axes:
         scales = ax.get_xscale(), ax.get_yscale()
         for line in ax.lines:
-            if not hasattr(line, "get_data_3d"):
-                line.set_data(*map(_nine_digits, line.get_xydata().T, scales))
+            line.set_data(*map(_nine_digits, line.get_xydata().T, scales))
         for drawn in ax.collections:
             for path in drawn.get_paths():
                 path.vertices = np.column_stack([*map(_nine_digits, path.vertices.T, scales)])
@@ -187,10 +186,9 @@ def _describe_legend(legend):
 
 
 def _drawn(ax):
-    """Yield all that axes show: its kind, its label, its points (n, 2) or (n, 3), and the values shown by colours."""
+    """Yield all that axes show: its kind, its label, its points (n, 2), and the values shown by colours."""
     for line in ax.lines:
-        points = np.transpose(line.get_data_3d()) if hasattr(line, "get_data_3d") else line.get_xydata()
-        yield "line", line.get_label(), points, []
+        yield "line", line.get_label(), line.get_xydata(), []
     for drawn in ax.collections:
         if isinstance(drawn, PathCollection):
             kind, points = "points", drawn.get_offsets()
@@ -209,7 +207,7 @@ def _describe_drawn(kind, label, points, values):
     points = np.ma.filled(np.ma.asarray(points, float), np.nan)
     values = np.ma.filled(np.ma.asarray(values, float), np.nan).ravel()
     text = f"{kind} {label!r}: {len(points)} points"
-    columns = dict(zip("xyz", points.T, strict=False)) | {"value": values}
+    columns = dict(zip("xy", points.T, strict=True)) | {"value": values}
     for name, column in columns.items():
         finite = column[np.isfinite(column)]
         if finite.size:

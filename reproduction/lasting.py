@@ -1,4 +1,4 @@
-"""Errors that last: a model that has them, their size and duration from fixes at rest, and what averaging leaves."""
+"""Errors that last: a model that has them, and their size and duration from fixes at rest."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ LEAST_FIXES = 100  # a log of fewer says nothing of three unknowns
 SEEN = 3.0
 # Means over so many tau, of which there are so many or more, scatter as the fit says but once in a thousand times.
 SLOW, FEWEST_MEANS, UNLIKELY = 10, 5, 1e-3
-LEAST_SPANS = 10  # of a log beside the span of `memory`
 STILL = LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[1.0]])  # a position at rest, for the shapes of its fixes
 
 
@@ -327,79 +326,6 @@ class _AtRest(Filter):
 def _of_lasting(errors, r):
     """Return the size of what lasts in errors (N,) of which r (m²) is new at each fix, 0 where that explains them."""
     return math.sqrt(max(float(np.nanmean(np.square(errors))) - r, 0.0))
-
-
-class Memory(NamedTuple):
-    """The part of an error that is left after a span: the result of `memory`.
-
-    correlation is that of two errors a span apart. mean is the error of the mean of the fixes of a span, newest that of
-    the newest point of a line through them, both over the error of one fix.
-    """
-
-    correlation: float
-    mean: float
-    newest: float
-
-
-def memory(log: tuple[ArrayLike, ArrayLike], span: float) -> Memory:
-    """Return the part of the errors of a receiver at rest that an average over `span` seconds leaves, as a Memory.
-
-    The log is a pair (t, z) as in `fit_lasting`; errors count from its mean, all axes together. A span of n fixes whose
-    errors are independent has a correlation of 0, a mean of 1/√n and a newest point of nearly 2/√n. One whose errors
-    last has 1 for all three: then no average of that length gains anything. The log should be ten times as long as the
-    span, or its own mean has taken a part of the error along and all three come out too small: a UserWarning says so.
-    Averages use stretches without a missing fix.
-
-    Raises ValueError for a span of fewer than two fixes, and for a log without two fixes that are a span apart or
-    without a stretch of that length.
-
-    >>> t, rng = np.arange(5000.0), np.random.default_rng(1)
-    >>> new = memory((t, rng.standard_normal(5000)), 100.0)
-    >>> slow = memory((t, np.sin(t / 800)), 100.0)
-    >>> [(round(each.correlation, 1), round(each.mean, 1), round(each.newest, 1)) for each in (new, slow)]
-    [(0.0, 0.1, 0.2), (1.0, 1.0, 1.0)]
-    """
-    step, z = _on_a_grid(log)
-    n = round(checks.positive("span", span) / step)
-    if n < 2:
-        checks.refuse("span", f"at least two fixes, of {step:g} s each", f"{span:g} s")
-    errors = z - np.nanmean(z, axis=0)
-    if not _are_apart(errors, n):
-        checks.refuse("log", f"two fixes {n * step:g} s apart", "none")
-    spans = _fixes_on_an_axis(z) / n
-    if spans < LEAST_SPANS:
-        checks.warn(
-            f"memory: the log holds {spans:.1f} spans, fewer than {LEAST_SPANS}: its own mean has taken a part of what "
-            "lasts along, so that correlation, mean and newest are too small where errors last"
-        )
-    # A line through n fixes at i = -(n - 1) / 2 ... (n - 1) / 2 has their mean at 0 and the slope Σ i e / Σ i², where
-    # Σ i² = n (n² - 1) / 12; its newest point is that of the last i.
-    i = np.arange(1, n + 1) - (n + 1) / 2
-    weights = {"mean": np.full(n, 1 / n), "newest": 1 / n + 12 * i[-1] * i / (n * (n**2 - 1))}
-    ratios = {name: _averaged(errors, each) for name, each in weights.items()}
-    return Memory(_correlation(errors, n), **ratios)
-
-
-def _are_apart(errors, lag):
-    """Tell whether two errors (N, m) of one axis are that many steps apart."""
-    there = np.isfinite(errors)
-    return bool((there[:-lag] & there[lag:]).any())
-
-
-def _averaged(errors, weights):
-    """Return the size of weighted sums of successive errors (N, m) over that of their last ones."""
-    sums = np.transpose([np.convolve(axis, weights[::-1], "valid") for axis in errors.T])  # "valid": of whole spans
-    whole = np.isfinite(sums).all(axis=1)
-    if not whole.any():
-        checks.refuse("log", f"a stretch of {len(weights)} fixes without a gap", "none")
-    last = errors[len(weights) - 1 :]
-    return float(np.linalg.norm(sums[whole]) / np.linalg.norm(last[whole]))
-
-
-def _correlation(errors, lag):
-    """Return the correlation of errors (N, m) that many steps apart, of all axes together."""
-    pairs = errors[:-lag] * errors[lag:]
-    return float(np.nanmean(pairs) / np.nanmean(np.square(errors)))
 
 
 def _on_a_grid(log):

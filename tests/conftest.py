@@ -95,9 +95,9 @@ PAPER = """
 items = [
   { id = "count", where = "Table 1", kind = "number", printed = "17" },
   { id = "ratio", where = "Table 2", kind = "number", printed = "1.290" },
-  { id = "wrong", where = "Table 3", kind = "number", printed = "326" },
+  { id = "wrong", where = "Table 3", kind = "number", printed = "326", cause = "one-missing", against = ["count"] },
   { id = "equal", where = "Section 1", kind = "claim", printed = "A equals B" },
-  { id = "lost", where = "Table 4", kind = "number", printed = "?" },
+  { id = "lost", where = "Table 4", kind = "number", printed = "?", cause = "our-copy" },
 ]
 [[causes]]
 id = "one-missing"
@@ -120,9 +120,9 @@ from reproduction.ledger import read_paper
 paper = read_paper("small", Path("small.toml").read_text())
 paper.check("count", 17)
 paper.check("ratio", 1.3, basis="simulation", band=(1.28, 1.31))
-paper.check("wrong", 336, cause="one-missing", against=["count"])
+paper.check("wrong", 336)
 paper.claim("equal", random.random() < 2, "always", basis="simulation")
-paper.cannot_check("lost", "a cell", cause="our-copy")
+paper.cannot_check("lost", "a cell")
 paper.report()"""
 
 

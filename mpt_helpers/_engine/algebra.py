@@ -1,7 +1,7 @@
 """Linear algebra on columns: many small matrices at once.
 
-The last axes count the columns, and each column holds a matrix of its own: A (a, b, M) are M matrices (a, b). numpy
-takes one row of numbers for all columns in each call, which is much faster than a call for each matrix.
+The last axis counts the columns, and each column holds a matrix of its own: A (a, b, M) are M matrices (a, b). One call
+of numpy works on all columns, which is much faster than one call for each matrix.
 """
 
 import numpy as np
@@ -20,8 +20,7 @@ def transposed(A):
 def solved(S, X):
     """Return S⁻¹ X (n, c, ...) for covariances S (n, n, ...), which may be singular, and X (n, c, ...).
 
-    A direction without variance, known exactly, gets zeros: no multiple of it says anything. Its pivot is the rounding
-    of zero.
+    A direction without variance is known exactly and gets zeros; its pivot is only the rounding of zero.
     """
     n = len(S)
     S, X = S.copy(), X.copy()
@@ -41,9 +40,8 @@ def solved(S, X):
 def whitened(values, C):
     """Return values (d, ...) at unit covariance, and log det C (...), from their covariances C (d, d, ...).
 
-    Of a value that is NaN nothing is known: it becomes zero, and adds nothing to the determinant. One component is
-    taken after the other, each freed of what those before it say of it. Where C is not positive definite, a pivot is
-    not positive, and the results are not finite.
+    A value that is NaN is unknown: it becomes zero, and adds nothing to the determinant. One component after the other
+    is decorrelated from the preceding ones. Where C is not positive definite the results are not finite.
 
     >>> whitened(np.array([3.0, np.nan]), np.array([[4.0, 1.0], [1.0, 1.0]]))
     (array([1.5, 0. ]), array(1.38629436))

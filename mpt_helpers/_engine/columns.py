@@ -96,7 +96,7 @@ class Epochs:
 
     @property
     def complete(self) -> bool:
-        """Say whether nothing is missing: a NaN makes the sum NaN, sooner seen than a mask (so do two infinities)."""
+        """Say whether nothing is missing: a NaN, or two infinities, makes the sum NaN, which is faster than a mask."""
         return not math.isnan(self.z.sum())
 
     @cached_property
@@ -127,7 +127,7 @@ class Epochs:
         seen = ~self.missing[..., :1] if together else ~self.missing
         z = as_columns(np.where(self.missing, 0, self.z), together)
         dt = None if self.dt is None else np.broadcast_to(self.dt, (len(z), seen.shape[-1]))
-        r = None if self.r is None else np.where(seen, self.r, 1)  # what is not used must not spread
+        r = None if self.r is None else np.where(seen, self.r, 1)  # a NaN that is not used must not spread
         return Rows(z, seen, dt, r, self.over)
 
 
@@ -239,9 +239,9 @@ def _coordinates(F, Q, H, variances, P0):
     Each is (LinearMap, index of the row of H, component). Also returns T (n, n), which takes the state to the last
     coordinates.
 
-    In exact numbers any choice gives the same estimates. Which component a measurement replaces decides the digits that
-    are left: it is the one that contributes most to it, since one that contributes little would come back as a small
-    difference of large numbers. So rough sizes will do: those after n steps of the model, within which the noise has
+    In exact arithmetic any choice gives the same estimates, but the digits that are left depend on the component that a
+    measurement replaces. It is the one that contributes most, since one that contributes little would come back as a
+    small difference of large numbers. Rough sizes suffice: those after n steps of the model, within which the noise has
     reached every state that it reaches.
     """
     n, P = len(F), P0

@@ -21,32 +21,32 @@ import numpy as np
 from ..equations import gain_on_the_start
 from .shared import FEW_TRACKS
 
-# Fewer rows than this are not worth cutting, nor are tracks by the hundred, which fill the processor without. Measured
-# on one processor, with the rows "one track" of benchmarks/bench.py.
+# Shorter tracks are not cut, nor are more than FEW_TRACKS. Measured on one processor, with the rows "one track" of
+# benchmarks/bench.py.
 LEAST_ROWS = 30
 # The starts of pieces lose digits where a piece holds several long gaps. So each piece must start where the one before
 # it ends, to this part of a sigma (tracks with pauses of an hour reach 1e-7), or to the rounding of the largest state:
 # a simulated constant acceleration is 1e11 sigmas from its origin after 100,000 rows.
 AGREED = 1e-6
 STATE_ROUNDING = 16 * np.finfo(float).eps
-# Where pieces do not fit together, all of them run again from where the ones before ended, so many times in all. Then
-# the track is not cut.
+# The largest number of runs: where pieces do not fit together, all of them run again from where the ones before ended.
+# After the last run the track is not cut.
 MOST_PASSES = 3
-# A start is vague, and its first rows are taken in another way, where it makes a first measurement so many times as
-# uncertain as the noises do: rounding would leave some three digits in P. After so many rows it is vague no more.
+# A start is vague where its P0 gives a first measurement more than this times the variance of the noises: rounding
+# would leave some three digits in P.
 VAGUE = 1e12
+# The largest number of rows that are taken in another way after a vague start.
 MOST_OF_A_START = 32
-# The floor of the eigenvalues of a correlation matrix, whose squares are some 1e-14: below it differences are rounding,
-# and no disagreement.
+# The least eigenvalue that a correlation matrix counts as having: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
 
 
 def through(advance, rows, x0, P0, x, P, vague=False):
     """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
 
-    They start from x0 (n, c, M) and P0 (n, n, M), which may be vague. Rows are cut into pieces where that is sooner
-    done, and costs no digits. Returns the last P, of each piece where there are several, in which an overflow shows,
-    and the least variance of all.
+    They start from x0 (n, c, M) and P0 (n, n, M), which may be vague. Rows are cut into pieces where that is faster and
+    costs no digits. Returns the last P, of each piece if there are several, in which an overflow shows, and the least
+    variance of all.
     """
     if vague:
         k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
@@ -57,11 +57,11 @@ def through(advance, rows, x0, P0, x, P, vague=False):
     K = rows_per_piece(N, c * M)
     with np.errstate(invalid="ignore"):  # the root of an S that rounding took below zero: NaN, which is refused
         found = _in_pieces(advance, rows, K, x0, P0, x, P) if K < N else None
-        return found or _in_sequence(advance, rows, x0, P0, x, P)[1:]
+        return found or _in_sequence(advance, rows, x0, P0, x, P)
 
 
 def _in_sequence(advance, rows, x_k, P_k, x, P):
-    """Write x and P as `through` does, one row after the other; return the last of both and the least variance."""
+    """Do what `through` does, one row after the other."""
     least_variance = np.inf
     for k, epoch in enumerate(rows):
         x_k, P_k, _ = advance(epoch, x_k, P_k)
@@ -69,7 +69,7 @@ def _in_sequence(advance, rows, x_k, P_k, x, P):
         least_variance = min(least_variance, P_k.diagonal().min())
         if P is not None:
             P[k] = P_k
-    return x_k, P_k, least_variance
+    return P_k, least_variance
 
 
 def _in_pieces(advance, rows, K, x0, P0, x, P):
@@ -83,9 +83,9 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
     x_pieces = np.empty((K, *x_start.shape))
     P_pieces = None if P is None else np.empty((K, *P_start.shape))
     for _ in range(MOST_PASSES):
-        x_last, P_last, least_variance = _in_sequence(advance, pieces, x_start, P_start, x_pieces, P_pieces)
+        P_last, least_variance = _in_sequence(advance, pieces, x_start, P_start, x_pieces, P_pieces)
         # Each piece starts where the one before it ends, the first one at x0 and P0.
-        x_next = np.concatenate([x0, x_last[..., :-M]], axis=-1)
+        x_next = np.concatenate([x0, x_pieces[-1, ..., :-M]], axis=-1)
         P_next = np.concatenate([P0, P_last[..., :-M]], axis=-1)
         if least_variance >= 0 and agree(x_start, P_start, x_next, P_next):
             x[...] = uncut(x_pieces, N, M)
@@ -150,20 +150,13 @@ def starts(advance, pieces, x0, P0):
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, M = x0.shape
-    innovations = []
-    for last in _exactly_started(advance, pieces, n, c):
-        innovations.append(last[2])
-    x, P, e = (_as_matrices(each, M) for each in (last[0], last[1], np.concatenate(innovations)))
+    x, P, innovations = zip(*_exactly_started(advance, pieces, n, c), strict=True)
+    x, P, e = (_as_matrices(each, M) for each in (x[-1], P[-1], np.concatenate(innovations)))
     L, y = _compressed(-e[..., c:], e[..., :c])
-    x_k, P_k = _as_matrices(x0, M)[0], _as_matrices(P0, M)[0]
-    found = [(x_k, P_k)]
-    pieces = [x[..., c:], x[..., :c], P, L, y]
-    if M == 1:  # products of single matrices are much faster than those of stacks
-        x_k, P_k, pieces = x_k[0], P_k[0], [each[:, 0] for each in pieces]
-    for piece in zip(*(each[:-1] for each in pieces), strict=True):
-        x_k, P_k = _next_start(x_k, P_k, *piece)
-        found.append((x_k, P_k))
-    return tuple(_as_columns([each.reshape(M, n, -1) for each in every]) for every in zip(*found, strict=True))
+    found = [(_as_matrices(x0, M)[0], _as_matrices(P0, M)[0])]
+    for piece in zip(x[:-1, ..., c:], x[:-1, ..., :c], P, L, y, strict=False):
+        found.append(_next_start(*found[-1], *piece))
+    return tuple(_as_columns(every) for every in zip(*found, strict=True))
 
 
 def _exactly_started(advance, rows, n, c):
@@ -184,8 +177,8 @@ def _exactly_started(advance, rows, n, c):
 def _from_a_vague_start(advance, rows, x0, P0, x, P):
     """Write the first rows as `through` does, and return how many, x and P after the last.
 
-    In the first updates of a vague start all digits of P0 / R are lost, and without process noise for good. So each of
-    these rows takes one Lainiotis step over all rows up to it, which keeps them. Then the start no longer matters.
+    From row to row, the first updates of a vague start would lose the digits of P0 / R, and without process noise for
+    good. So each of these rows takes one Lainiotis step from the start, over all rows up to it.
     """
     n, c, M = x0.shape
     x_0, P_0 = (_as_matrices(each, M)[0] for each in (x0, P0))
@@ -220,8 +213,8 @@ def _compressed(L, y):
     """Return L (..., p, n) and y (..., p, c) of p <= n rows that tell as much of x: y = L x + noise of unit variance.
 
     Those given have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays white,
-    and what Qᵀ drops of y is noise alone, independent of what is kept. Lᵀ L and Lᵀ y would tell the same, but sums of
-    squares lose digits that R keeps.
+    and the part of y that Qᵀ drops is noise alone, independent of the rest. Lᵀ L and Lᵀ y would tell the same, but sums
+    of squares lose digits that R keeps.
     """
     Q, R = np.linalg.qr(L)
     return R, Q.swapaxes(-1, -2) @ y

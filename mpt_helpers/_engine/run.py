@@ -1,11 +1,9 @@
 """The run of a filter over tracks: from `Epochs` to states x, covariances P and innovations.
 
-A track goes one of two ways:
-
-1. *Tracks without gaps, at steps and with variances of the model.* They share A_k, B_k and P, which are made once, and
-   all of them go through several steps in one product (`shared`).
-2. *All others* are columns (`columns`): one row is taken after the other, or, where a few long tracks would leave the
-   processor idle, pieces of them run side by side (`pieces`).
+1. *Tracks without gaps, with the steps and variances of the model,* share A_k, B_k and P. These are made once, and
+   several steps are taken in one product (`shared`).
+2. *All others* are columns (`columns`), one epoch after the other. A few long tracks are cut into pieces, which are
+   columns side by side (`pieces`).
 """
 
 import numpy as np
@@ -24,8 +22,8 @@ def estimates(estimator, epochs, x, covariances):
     """
     N, _, M = x.shape
     shared = None
-    # Many tracks are not searched for gaps where no covariance is wanted: they go the first way, and a gap is NaN,
-    # which spreads to all that follows. Tracks whose last state is NaN run again as columns.
+    # Many tracks are not searched for gaps where no covariance is wanted: they go the first way, where the NaN of a gap
+    # spreads to the last state. The tracks whose last state is NaN run again as columns.
     unsearched = M > FEW_TRACKS and not covariances
     equal = epochs.dt is None and epochs.r is None and not estimator.vague
     if equal and (unsearched or epochs.complete):
@@ -45,7 +43,7 @@ def estimates(estimator, epochs, x, covariances):
 
 
 def _by_columns(estimator, epochs, x, covariances):
-    """Do what `estimates` does by the second way, so many columns at a time."""
+    """Do what `estimates` does by the second way, one tile of tracks after the other."""
     (N, n, M), together = x.shape, epochs.alike
     P = np.empty((N, n, n, 1 if together else M)) if covariances else None
     for part in tiles(M, TILE if together else TILE_OF_COVARIANCES):

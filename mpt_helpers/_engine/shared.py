@@ -3,12 +3,12 @@
     x(k+1) = A_k x(k) + B_k z(k+1)
 
 For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so the tracks
-without gaps share them. `recursion` is the plain loop. `run_shared`, which the engine calls, gives the same numbers
-sooner, but for rounding: L steps in a row are one matrix product, and that product is the same for all tracks,
+without gaps share them. `recursion` is the plain loop. `run_shared` computes the same, but for rounding, in less time:
+L steps in a row are one matrix product, which is the same for all tracks,
 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
 
-`make_shared_steps` makes the steps of a filter, as long as few of them differ.
+`make_shared_steps` makes the steps of a filter until it has converged.
 """
 
 from itertools import pairwise
@@ -20,18 +20,18 @@ import numpy as np
 TILE = 16_384
 # Tracks per tile where each track has a covariance of its own, which takes more room.
 TILE_OF_COVARIANCES = 4_096
-# Numbers of an array of which some ten are made and used at once: they stay in the cache together. Measured on one
-# processor, as the sizes below are, with the works of benchmarks/bench.py.
+# Numbers in one array where some ten arrays are in use at once: together they fit into the cache. Measured on one
+# processor with benchmarks/bench.py, like the sizes below.
 IN_CACHE = 16_384
-# (size, L): how many steps to take in one product when the states of a tile hold at least `size` numbers. Small
-# products cost calls, large ones leave the cache.
+# (size, L): take L steps in one product where the states of a tile hold at least `size` numbers. Short products need
+# many calls, long ones do not fit into the cache.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
-# A filter makes and keeps at most so many different steps for tracks without gaps; where it has not converged by then,
-# as one without process noise, columns are sooner done. On the models of 2014 to 2016 it converges within some 50.
+# The largest number of different steps that a filter makes and keeps for tracks without gaps. One that has not yet
+# converged, as without process noise, runs faster on columns. The papers' models converge within some 50 steps.
 MOST_STEPS = 256
-# The same for at most FEW_TRACKS tracks: as columns these are cut into pieces, and sooner done.
+# The same for at most FEW_TRACKS tracks, which run faster on columns, as pieces.
 MOST_STEPS_OF_FEW = 64
-# Fewer tracks than these do not fill the processor: a call of numpy costs more than its numbers.
+# With at most so many tracks a call of numpy takes longer than its arithmetic.
 FEW_TRACKS = 64
 # A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
 CONVERGED = 2e-16
@@ -80,15 +80,14 @@ def product_of_steps(A, B):
 
 
 def make_shared_steps(next_step, P0, m, N, tracks):
-    """Return the Step of each of N epochs without gaps, and their products for `run_shared`.
+    """Return the Step of each of N epochs without gaps, and their products for `run_shared`; None for too many steps.
 
-    None where too many of them differ. next_step(P, seen) is that of a filter, P0 its P(0/0), m the number of its
-    measurements.
+    next_step(P, seen) is a filter's method, P0 its P(0/0) and m the number of its measurements.
     """
     most = MOST_STEPS if tracks > FEW_TRACKS else MOST_STEPS_OF_FEW
     steps = list(steps_without_gaps(next_step, P0, m, min(N, most)))
     if most < N:
-        # `steps_without_gaps` repeats one object as soon as a filter has converged. Two objects: this one has not.
+        # A filter that has converged repeats one object.
         if steps[-1] is not steps[-2]:
             return None
         steps += steps[-1:] * (N - most)
@@ -114,9 +113,9 @@ def _has_not_moved(before, after):
 
 
 def products_for(steps, tracks):
-    """Return the W of each block of steps, for `run_shared` on this number of tracks.
+    """Return W of each block of L Steps in a list, for `run_shared` on this number of tracks.
 
-    steps is a list of Steps. Where a filter has converged it repeats one Step, and its blocks share one W.
+    Blocks of the same objects, as after a filter has converged, share one W.
     """
     L = steps_per_product(len(steps[0].A) * min(tracks, TILE))
     blocks = [steps[k : k + L] for k in range(0, len(steps), L)]
@@ -134,8 +133,8 @@ def _objects(block):
 def run_shared(products, x0, z, x):
     """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
 
-    products are those of `products_for`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. NaN in z spreads
-    to the whole block of steps it is in, and to everything after it.
+    products are made by `products_for`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. A NaN in z spreads
+    to its whole block of steps and to all later ones.
     """
     (_, n, M), m = x.shape, z.shape[1]
     x0 = np.broadcast_to(x0, (n, M))
@@ -143,7 +142,7 @@ def run_shared(products, x0, z, x):
     for tracks in tiles(M, TILE):
         width = tracks.stop - tracks.start
         inputs, outputs = np.empty((n + L * m, width)), np.empty((L * n, width))
-        state, measured = inputs[:n], inputs[n:].reshape(L, m, width)  # views: what is written to them are the inputs
+        state, measured = inputs[:n], inputs[n:].reshape(L, m, width)  # views
         state[:] = x0[:, tracks]
         k = 0
         for W in products:
@@ -157,7 +156,7 @@ def run_shared(products, x0, z, x):
 
 
 def steps_per_product(size):
-    """Return the number of steps to take in one product when the state of all tracks holds `size` floats.
+    """Return the number of steps L to take in one product when the states of all tracks hold `size` numbers.
 
     >>> [steps_per_product(size) for size in (2, 200, 400, 20_000, 200_000)]
     [32, 16, 8, 4, 2]
@@ -166,7 +165,7 @@ def steps_per_product(size):
 
 
 def epochs_at_a_time(N, numbers):
-    """Return slices that cover N epochs, each with so many numbers, so many at a time that they stay in the cache.
+    """Return slices that cover N epochs of `numbers` numbers each; those of one slice fit into the cache.
 
     >>> epochs_at_a_time(5, numbers=8_000)
     [slice(0, 1, None), slice(1, 3, None), slice(3, 5, None)]

@@ -4,10 +4,8 @@
     P(k/N) = C_k [P(k+1/N) + Q] C_kᵀ + (I - C_k F) P(k/k) (I - C_k F)ᵀ
 
 A step back is x <- C x + d, P <- C P Cᵀ + D, with d = (I - C F) x(k/k) and D = C Q Cᵀ + (I - C F) P(k/k) (I - C F)ᵀ.
-C, d and D depend on the filter's results alone: they are computed first, of many epochs in each call. Then the steps
-are taken one after the other, and a long track is cut into pieces, as by the filter.
-
-So the way back is a filter on columns, too (`columns`): one `advance` for each epoch, the last one first.
+C, d and D depend on the filter's results alone, and are computed first, many epochs in one call. Then the steps back
+are a filter on columns (`columns`): one `advance` for each epoch, the last one first, and a long track in pieces.
 """
 
 from dataclasses import dataclass
@@ -37,7 +35,7 @@ class StepBack(NamedTuple):
     D: np.ndarray
 
     def advance(self, x, P):
-        """Return x and P one epoch earlier, and no innovations: nothing on the way back corrects where it starts."""
+        """Return x and P one epoch earlier, and no innovations: a step back takes no measurement."""
         return product(self.C, x) + self.z, product(product(self.C, P), transposed(self.C)) + self.D, x[:0]
 
 
@@ -57,12 +55,11 @@ class RowsBack:
 def smoothed(prediction, epochs, x, P):
     """Return x(k/N) (N, n, M) and P(k/N) (N, n, n, M or 1) from x(k/k) and P(k/k) of the same shapes.
 
-    prediction is that of the states, epochs are the Epochs that x and P are estimates of. P has one covariance for all
-    tracks (1) or one for each.
+    prediction is the filter's, epochs are its Epochs. P has one covariance for all tracks (1) or one for each.
     """
     modes = _undriven(prediction.F, prediction.Q, P[0])
     if modes:
-        text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and going back undoes damping"
+        text = f"smooth: F has damped modes without process noise, {', '.join(modes)}, and is ill-conditioned backwards"
         checks.warn(f"{text}: covariances may be wrong. Process noise of a millionth of the variances mends it")
     (N, n, M), width = x.shape, P.shape[3]
     x, P = x.copy(), P.copy()
@@ -94,8 +91,8 @@ def _undriven(F, Q, P):
 def _coefficients(prediction, steps, x, P):
     """Return C (N, n, n, M or 1), d = (I - C F) x (N, n, M) and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ of N epochs.
 
-    They are those of the step back to each epoch, from its x (N, n, M) and P (N, n, n, M or 1). steps are the Steps
-    that follow the epochs, None where all are the model's.
+    x (N, n, M) and P (N, n, n, M or 1) are the filter's at these epochs. steps are the Steps that follow them, None
+    where all are the model's.
     """
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
     FP = prediction.state(P, steps)

@@ -56,6 +56,11 @@ def read_paper(key: str, text: str) -> Paper:
         if twice:
             raise ValueError(f"{file}: needs each id once, got {', '.join(twice)} again")
     known = {item.id for item in items}
+    for item in items:
+        if item.cause and item.cause not in {cause.id for cause in causes}:
+            raise ValueError(f"{file}, {item.id!r}: needs a cause of this file, got {item.cause!r}")
+        if not set(item.against) <= known:
+            raise ValueError(f"{file}, {item.id!r}: needs a list of ids in `against`, got {item.against!r}")
     for layout in layouts:
         if not set(layout.ids) <= known:
             unknown = ", ".join(id for id in layout.ids if id not in known)

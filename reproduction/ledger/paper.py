@@ -58,18 +58,14 @@ class Paper:
         *,
         basis: str = "arithmetic",
         band: tuple[float, float] | None = None,
-        cause: str | None = None,
-        against: Iterable[str] = (),
         reason: str = "",
-        beyond: str = "",
     ) -> Verdict:
         """Compare a computed number with the printed one, and return the Verdict.
 
         Without a band it is `reproduced` when it rounds to the printed digits. With a band (low, high), the spread of
         simulations, it is `within band` when the printed number lies inside. Otherwise it `differs`, or is an `erratum`
-        if `against` names items of the paper from which the value follows and which were reproduced: then the paper
-        contradicts itself. A failing verdict needs a cause; its sentence serves as the reason unless you give one.
-        beyond says what was found outside the paper's setting: it stands beside the verdict, and never changes it.
+        if the item is `against` others of the paper from which the value follows and which were reproduced: then the
+        paper contradicts itself. An item that fails needs a cause; its sentence is the reason unless you give one.
         Raises ValueError for an argument that makes no sense, naming the item.
         """
         item = self._item(id, ["number"])
@@ -86,7 +82,7 @@ class Paper:
             low, high = band
             verdict = WITHIN_BAND if low <= float(item.printed) <= high else DIFFERS
             computed += f" [{low:.6g}, {high:.6g}]"
-        return self._give(item, computed, verdict, basis, reason, cause, against, beyond=beyond)
+        return self._give(item, computed, verdict, basis, reason)
 
     def claim(
         self,
@@ -95,8 +91,6 @@ class Paper:
         evidence: str,
         *,
         basis: str = "",
-        cause: str | None = None,
-        against: Iterable[str] = (),
         reason: str = "",
         beyond: str = "",
     ) -> Verdict:
@@ -125,22 +119,22 @@ class Paper:
             prefix += f"Holds: {where_it_holds}. "
         if where_it_fails:
             prefix += f"Fails: {where_it_fails}. "
-        return self._give(item, evidence, verdict, basis, reason, cause, against, prefix, beyond)
+        return self._give(item, evidence, verdict, basis, reason, prefix, beyond)
 
-    def cannot_check(self, id: str, missing: str, *, cause: str | None = None, counted: float | None = None) -> Verdict:
+    def cannot_check(self, id: str, missing: str, *, counted: float | None = None) -> Verdict:
         """Record that an item cannot be checked, and what is missing.
 
-        A cause is given where our copy of the paper has lost the item, and only there: it is of kind "copy". counted is
-        the number that should stand there, where it is known.
+        An item that our copy of the paper has lost has a cause of kind "copy", and no other. counted is the number that
+        should stand there, where it is known.
         """
         item = self._item(id)
         if counted is not None and not _is_finite(counted):
             raise self._error(id, f"needs a finite number for counted, got {counted!r}")
         lost_by_us = [each.id for each in self.causes.values() if each.kind == "copy"]
-        if (item.lost or cause is not None) and cause not in lost_by_us:
-            raise self._error(id, f'needs a cause of kind "copy", or none if our copy has the item, got {cause!r}')
+        if (item.lost or item.cause) and item.cause not in lost_by_us:
+            raise self._error(id, f'needs a cause of kind "copy", or none if our copy has the item, got {item.cause!r}')
         computed = "-" if counted is None else f"{counted:.6g}"
-        return self._give(item, computed, CANNOT_BE_CHECKED, "reading", missing, cause)
+        return self._give(item, computed, CANNOT_BE_CHECKED, "reading", missing)
 
     def table(
         self, id: str, computed, *, basis: str = "", reason: str = "", extra: Mapping[str, Iterable] | None = None
@@ -193,7 +187,7 @@ class Paper:
         """Record what cannot be checked, {id: what is missing}, and show it in a table, folded under a text if any."""
         rows = []
         for id, what in missing.items():
-            given = self.cannot_check(id, what, cause=self._item(id).cause or None)
+            given = self.cannot_check(id, what)
             rows.append([place(given), given.printed, what])
         return self._shown(Grid(["", "what cannot be checked", "why"], rows, sentences=True), folded=folded)
 
@@ -202,10 +196,10 @@ class Paper:
         if callable(value):
             value = value(item.printed)
         if isinstance(value, str):
-            given, right = self.cannot_check(item.id, value, cause=item.cause or None), ""
+            given, right = self.cannot_check(item.id, value), ""
         elif item.lost:
             right = f"{value:.{decimals}f}"
-            given = self.cannot_check(item.id, "our copy has lost this cell", cause=item.cause, counted=float(right))
+            given = self.cannot_check(item.id, "our copy has lost this cell", counted=float(right))
         elif isinstance(value, tuple) and isinstance(value[0], (bool, np.bool_, Mapping)):
             holds, right, how = value
             evidence = how if right == item.printed else f"{right}: {how}"
@@ -297,38 +291,36 @@ class Paper:
             raise self._error(id, "our copy has lost this item: use cannot_check")
         return item
 
-    def _give(self, item, computed, verdict, basis, reason, cause, against=(), prefix="", beyond=""):
+    def _give(self, item, computed, verdict, basis, reason, prefix="", beyond=""):
         """Return the Verdict and keep it for the report; what holds has no cause, what fails has its sentence."""
         basis = basis or item.basis
-        if verdict in FAILS:
-            cause, against = cause or item.cause or None, against or item.against
         if basis not in BASES:
             raise self._error(item.id, f"needs one of the bases {', '.join(BASES)}, got {basis!r}")
-        if cause is not None and cause not in self.causes:
-            known = ", ".join(self.causes) or "none"
-            raise self._error(item.id, f"needs a cause of {self.key}.toml ({known}), got {cause!r}")
-        if verdict in FAILS and cause is None:
-            raise self._error(item.id, f"needs a cause, since the verdict is {verdict!r} (computed: {computed})")
-        if verdict in FAILS and self.causes[cause].kind == "copy":
-            raise self._error(item.id, f"needs another cause: what our copy has lost cannot be checked, got {cause!r}")
-        if isinstance(against, str):
-            raise self._error(item.id, f"needs a list of ids in `against`, got {against!r}")
-        for id in against:
-            if self._outcomes.get(id) != REPRODUCED:
-                raise self._error(item.id, f"needs items in `against` that were reproduced before, got {id!r}")
-        if verdict in HOLDS:
-            cause = None
-        elif cause is not None:
+        if verdict in FAILS:
+            self._require_cause(item, verdict, computed)
+        cause = "" if verdict in HOLDS else item.cause
+        if cause:
             reason = reason or self.causes[cause].sentence
-        if verdict == DIFFERS and against:
+        if verdict == DIFFERS and item.against:
             verdict = ERRATUM
-            sides = "; ".join(f"{self.items[id].where}: {self.items[id].printed}" for id in against)
+            sides = "; ".join(f"{self.items[id].where}: {self.items[id].printed}" for id in item.against)
             reason = f"{reason} Against {sides}."
         reason = (prefix + reason).strip()
-        given = Verdict(self.key, *printed_of(item), computed, verdict, reason, basis, cause or "", beyond)
+        given = Verdict(self.key, *printed_of(item), computed, verdict, reason, basis, cause, beyond)
         self._outcomes[item.id] = verdict
         self._to_report.append(given)
         return given
+
+    def _require_cause(self, item, verdict, computed):
+        """Raise unless an item that fails has a cause of ours, and what it is against was reproduced before."""
+        if not item.cause:
+            raise self._error(item.id, f"needs a cause, since the verdict is {verdict!r} (computed: {computed})")
+        if self.causes[item.cause].kind == "copy":
+            need = "needs another cause: what our copy has lost cannot be checked"
+            raise self._error(item.id, f"{need}, got {item.cause!r}")
+        for id in item.against:
+            if self._outcomes.get(id) != REPRODUCED:
+                raise self._error(item.id, f"needs items in `against` that were reproduced before, got {id!r}")
 
     def _error(self, id, problem):
         return ValueError(f"{self.key}, {id!r}: {problem}")

@@ -24,11 +24,13 @@ def cases(tables=None):
 
 
 def memories(cases):
-    """Return a row for each case: what the mean and the newest point of a line leave, over one span."""
+    """Return a row for each case: what the mean of a window and the newest point of a line through it leave."""
     rows = []
     for name, case in cases.items():
-        found = lasting.memory((case.seconds, case.errors), recorded.WINDOW * case.step)
-        rows.append([name, *(f"{each:.2f}" for each in (found.mean, found.newest))])
+        newest = np.transpose([recorded.line_errors(axis, recorded.WINDOW)[1] for axis in case.errors.T])
+        fixes = case.errors[recorded.WINDOW - 1 :]
+        left = [recorded.ratio_of(each, fixes) for each in (recorded.means(case.errors, recorded.WINDOW), newest)]
+        rows.append([name, *(f"{each:.2f}" for each in left)])
     return rows
 
 

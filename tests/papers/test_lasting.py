@@ -10,7 +10,7 @@ from conftest import AXIS
 
 import mpt_helpers as mpt
 from reproduction import lasting
-from reproduction.lasting import fit_lasting, lasting_error, memory
+from reproduction.lasting import fit_lasting, lasting_error
 
 CV = mpt.constant_velocity(dt=30.0, q=0.0, r=0.04, P0=np.diag([100.0, 1.0]))
 GPS_INS = mpt.gps_ins(30.0, 0.0, (1.0, 1e-4), P0=np.diag([100.0, 1.0, 1.0]))
@@ -191,42 +191,6 @@ def test_a_long_log_is_thinned(monkeypatch):
     np.testing.assert_allclose(found.tau, every_third.tau, rtol=1e-3)
 
 
-def test_what_an_average_leaves_is_what_theory_says():
-    rng = np.random.default_rng(6)
-    t = np.arange(200_000.0)
-    new = memory((t, rng.standard_normal((len(t), 3))), span=50)
-    assert new.correlation == pytest.approx(0, abs=0.01)
-    assert new.mean == pytest.approx(1 / np.sqrt(50), rel=0.05)
-    assert new.newest == pytest.approx(np.sqrt(1 / 50 + 3 * 49 / (50 * 51)), rel=0.05)  # the closed form at the end
-    _, slow = mpt.simulate(lasting_error(replace(STILL, R=[[1e-6]]), 1.0, 50.0, dt=1.0), 200_000, rng)
-    found = memory((t, slow), span=50)
-    assert found.correlation == pytest.approx(np.exp(-1), abs=0.04)
-    age = np.abs(np.subtract.outer(np.arange(50), np.arange(50)))
-    assert found.mean == pytest.approx(np.sqrt(np.exp(-age / 50).mean()), rel=0.03)
-
-
-@pytest.mark.parametrize("spans", [1.2, 3, 9.9])
-def test_memory_warns_where_the_log_holds_fewer_than_ten_spans(spans):
-    t = np.arange(round(100 * spans))
-    with pytest.warns(UserWarning, match=f"memory: the log holds {spans:.1f} spans, fewer than 10: .* are too small"):
-        memory((t, np.random.default_rng(8).standard_normal(len(t))), span=100)
-
-
-@pytest.mark.parametrize("spans", [10, 28])  # 28: a day of fixes at 30 s, as the article takes it
-def test_memory_is_silent_from_ten_spans_on(spans):
-    t, z = log_at_rest(9, N=100 * spans, dt=30.0)
-    memory((t, z), span=3000.0)
-
-
-@pytest.mark.filterwarnings("ignore:memory")
-def test_short_logs_make_what_lasts_look_shorter():
-    """Forty logs of two spans each, of errors that fade within one: on the average all three values are too small."""
-    logs = [log_at_rest(seed, tau=3000.0, N=200, dt=30.0) for seed in range(40)]
-    short = np.mean([memory(log, span=3000.0) for log in logs], axis=0)
-    long = memory(log_at_rest(40, tau=3000.0, N=40_000, dt=30.0), span=3000.0)
-    assert (short < 0.85 * np.array(long)).all()
-
-
 def said_of(z, dt=60.0):
     """Return what `fit_lasting` finds of fixes (N,) and the texts of its warnings."""
     with warnings.catch_warnings(record=True) as told:
@@ -287,39 +251,6 @@ def test_what_is_not_seen_is_smaller_than_is_said():
     assert sum(below) >= 8
 
 
-@pytest.mark.filterwarnings("ignore:memory")
-def test_the_newest_point_is_the_end_of_the_line_and_not_its_beginning():
-    t = np.arange(120.0)
-    z = np.exp(t / 20)
-    errors = z - z.mean()
-    lines = [np.polyval(np.polyfit(np.arange(20), errors[k : k + 20], 1), 19) for k in range(101)]
-    assert memory((t, z), 20).newest == pytest.approx(np.linalg.norm(lines) / np.linalg.norm(errors[19:]))
-
-
-@pytest.mark.filterwarnings("ignore:memory")
-def test_an_average_skips_stretches_with_a_missing_fix():
-    t, z = np.arange(300.0), np.random.default_rng(7).standard_normal((300, 1))
-    cut = z.copy()
-    cut[150] = np.nan
-    whole = [memory((t[part], z[part]), 100) for part in (slice(0, 150), slice(151, 300))]
-    found = memory((t, cut), 100)
-    assert min(each.mean for each in whole) * 0.5 < found.mean < max(each.mean for each in whole) * 2
-    with pytest.raises(ValueError, match="log: needs a stretch of 200 fixes without a gap, got none"):
-        memory((t, cut), 200)
-
-
-@pytest.mark.parametrize("span", [200, 201, 300])
-def test_a_log_as_short_as_the_span_is_refused(span):
-    with pytest.raises(ValueError, match=f"log: needs two fixes {span} s apart, got none"):
-        memory((np.arange(200.0), np.sin(np.arange(200.0))), span)
-
-
-def test_a_log_without_two_fixes_a_span_apart_is_refused():
-    t = np.append(np.arange(150.0), 400.0)  # a stretch of 150 fixes, but none 150 s after another
-    with pytest.raises(ValueError, match="log: needs two fixes 150 s apart, got none"):
-        memory((t, np.sin(t)), 150)
-
-
 def test_missing_fixes_are_no_fixes():
     t, z = log_at_rest(3, N=150)
     z[99:] = np.nan
@@ -361,12 +292,6 @@ BAD_LOGS = [
 def test_bad_logs_are_refused_by_name(logs, message):
     with pytest.raises((ValueError, TypeError), match=message):
         fit_lasting(*logs)
-
-
-@pytest.mark.parametrize("span", [0, -1.0, 1.0, np.nan])
-def test_a_span_holds_two_fixes(span):
-    with pytest.raises(ValueError, match="span: needs"):
-        memory((np.arange(200.0), np.arange(200.0)), span)
 
 
 def test_a_receiver_at_rest_is_filtered_without_matrices_as_with_them():

@@ -190,10 +190,13 @@ def test_the_filter_has_what_the_fit_says():
     assert f'"r": {r:.1f}, "sigma": {sigma:.1f}, "tau": {tau:.1f}' in source(CELLS["kalman"])
 
 
-def test_the_mean_of_memory_is_that_of_sliding_means(cases):
-    for name, mean, _ in lesson.memories({WALL: cases[WALL]}):
-        errors = cases[name].errors
-        assert mean == f"{recorded.ratio_of(recorded.means(errors, 100), errors[99:]):.2f}"
+def test_what_a_window_leaves_is_what_theory_says():
+    """Of independent errors; the newest point of a line has its closed form."""
+    errors = np.random.default_rng(6).standard_normal((20_000, 3))
+    errors[500] = np.nan
+    ((_, mean, newest),) = lesson.memories({"ours": SimpleNamespace(errors=errors)})
+    assert float(mean) == pytest.approx(1 / np.sqrt(100), abs=0.011)
+    assert float(newest) == pytest.approx(np.sqrt(1 / 100 + 3 * 99 / (100 * 101)), abs=0.015)
 
 
 def test_what_is_left_without_noise_jumps_where_satellites_come_and_go(days, cases):

@@ -66,14 +66,16 @@ def test_the_start_comes_out_by_hand():
 
 def test_the_picture():
     """The exact errors of the picture are those of simulated cars that nothing pushes."""
-    says("For twelve steps, but for the moment in which its error changes sign, the frozen filter is worse than no")
+    says(
+        "For twelve steps, but for the moment in which its error changes sign, the frozen filter is worse than the bare"
+    )
     says("The one whose gain varies only improves.")
     at_once, later = lesson.typical_errors(40)
     one = np.sqrt(lesson.R)
     assert np.flatnonzero(at_once > one).max() + 1 == 12
     assert (at_once[:12] < one).sum() == 1
     assert (np.diff(later) < 1e-4).all()  # a tenth of a millimetre: the start was 10⁴ I and not unknown
-    says("From step 15 on their positions are the same, to 1 %.")
+    says("From step 15 on their typical errors agree to 1 %.")
     assert np.abs(at_once / later - 1)[14:].max() < 0.01
     truth = lesson.SPEED * np.arange(1, 41)[:, None]
     z = truth + one * np.random.default_rng(2).normal(size=(40, 20_000))
@@ -111,6 +113,7 @@ def test_the_operations_are_those_of_the_paper():
     says("As the paper counts, a step takes 69 operations while a Kalman filter computes its gain, and 10 with $A$")
     assert burden.total(burden.kalman(2, 1)) == 69
     assert burden.total(burden.steady_state(2, 1)) == 10
+    says("59 of 69 operations a step")
 
 
 def test_the_error_of_a_prediction(taught):
@@ -128,18 +131,25 @@ def test_the_braking(taught):
     says("it needs a surprise of 2/0.212 = 9.4 m each time")
     assert round(2 / SETTLED.B[1, 0], 1) == 9.4
     says("the filter that knows the acceleration is ahead, by 16 m against 26 and by 29 against 33")
-    says("If the driver lets go after three seconds, it is the other way round, by 16 against 10")
+    says("If the driver lets go after three seconds, velocity is ahead, by 10 m against 16")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))  # other drives than the lesson's
     of = {
         brake: [rms(misses(make, q, *brake, noise=noise)) for make, q in ((motion_3, 0.01), (motion, 1))]
         for brake in ((2, np.inf), (4, np.inf), (2, 3))
     }
     np.testing.assert_allclose(list(of.values()), [[16, 26], [29, 33], [16, 10]], atol=0.6)
-    says("From 1 to 4 m/s² that is so for every brake of up to three seconds, and the first for every standstill.")
+    says("acceleration wins at every standstill, velocity at every brake of up to three seconds")
     for brake in (1, 2, 3, 4):
         for lasting in (1, 2, 3):
             assert rms(misses(motion, 1, brake, lasting)) < rms(misses(motion_3, 0.01, brake, lasting))
         assert rms(misses(motion, 1, brake)) > rms(misses(motion_3, 0.01, brake))
+    says("And tell him that a brake is not in it: 25 m at once at 2 m/s², and 50 m at 4.")
+    assert [round(misses(make, 0.01, brake)[0, 0]) for brake in (2, 4) for make in (motion, motion_3)] == [
+        25,
+        25,
+        50,
+        50,
+    ]
     says("With the rule it does not.")
     assert np.abs(misses(motion_3, 0.01, 2)[6:]).max() < 1.5
     assert misses(motion_3, 0.01, 2, stops=False)[10] < -20
@@ -172,10 +182,10 @@ def ratios_after(missed, steps=12):
 
 
 def test_a_miss_costs_a_frozen_gain_little_and_ten_much():
-    says("Five seconds ahead, one miss costs our filter 1 % and three cost at most 6 %.")
+    says("the frozen one predicts 1 % worse than one whose gain varies after one miss, and up to 6 % after three.")
     assert ratios_after(1).max() == pytest.approx(1.01, abs=0.005)
     assert ratios_after(3).max() == pytest.approx(1.06, abs=0.005)
-    says("After ten its error is twice as large for some seconds.")
+    says("After ten it is twice as bad for some seconds.")
     assert 2 < ratios_after(10).max() < 2.5
     assert (ratios_after(10) > 1.5).sum() >= 3
 

@@ -210,15 +210,16 @@ def alarms(push, H, minutes=20_000, seed=14):
 
 def test_how_often_a_minute_raises_an_alarm():
     """The share is one of 20,000 minutes, 0.4 % give or take at most; its mean NIS is the exact one."""
-    says("The alarms are counted in 20,000 simulated minutes each.")
+    says("The alarms are counted in 20,000 simulated minutes each")
     pushes = (0.1, 0.3, 0.6, 1.0)
     found = [alarms(push, NEXT) for push in pushes]
     for push, (nis, _) in zip(pushes, found, strict=True):
         assert nis == pytest.approx(nis_of_late(1.0, push**2, 0.1), abs=0.006)
     gentle, *others, largest = (f"{100 * share:.0f}" for _, share in found)
     _, honest = alarms(0.1, NOW)
-    says(f"For an honest filter some {100 * honest:.0f} % of all minutes lie outside two σ.")
-    says(f"it is {gentle} % with pushes of 0.1 m/s, then {', '.join(others)} and {largest} % with 0.3, 0.6 and 1 m/s.")
+    says(f"for an honest filter it is {100 * honest:.0f} %")
+    says(f"| minutes with an alarm | {' | '.join(f'{each} %' for each in (gentle, *others, largest))} |")
+    says("| pushes (m/s) | 0.1 | 0.3 | 0.6 | 1 |")
 
 
 def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
@@ -394,7 +395,7 @@ def test_a_mark_that_is_passed_twice_tells_the_delay():
 
 def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     """There the paper's H is right: the settled filter errs by what it states, and NIS is that of the late filter."""
-    says("a sensor that really shows the next position raises the same alarms, though with it nothing is late.")
+    says("from a sensor that really shows the next position raise the same alarms, and there nothing is late")
     push = 1.0
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))
@@ -437,7 +438,7 @@ def test_positions_ahead_make_a_filter_too_sure():
 
 def test_uneven_steps_give_the_late_filter_away():
     """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
-    says("with steps that vary by 30 %, NIS is 1.6")
+    says("by 30 % at 1.5 m/s, NIS is 1.6")
     rng = np.random.default_rng(11)
     tracks, rows = 2000, 100
     steps = rng.uniform(0.7, 1.3, rows)

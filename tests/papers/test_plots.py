@@ -55,12 +55,6 @@ def contours(ax, y):
     ax.contourf(np.outer(y, y))
 
 
-def in_space(ax, y):
-    fig = ax.figure
-    ax.remove()
-    fig.add_subplot(projection="3d").plot(y, y**2, y[::-1])
-
-
 def words(change):
     fig, ax = panels([["a"]])
     line(ax["a"], np.arange(3.0))
@@ -68,7 +62,7 @@ def words(change):
     return describe(fig)
 
 
-DRAWN = [line, band, scatter, bars, steps, stairs, image, heat_map, contours, in_space]
+DRAWN = [line, band, scatter, bars, steps, stairs, image, heat_map, contours]
 
 
 @pytest.mark.parametrize("draw", DRAWN)

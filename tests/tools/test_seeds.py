@@ -57,15 +57,16 @@ def test_the_other_seeds_are_25_and_not_the_own():
 # With seeds 2 and 3 one claim fails, and one holds elsewhere.
 MOVES = """\
 holds = SEED == 1
-paper.claim("equal", holds, "seed", basis="simulation", cause="one-missing")
-paper.claim("part", {"in x": holds, "in y": not holds}, "seed", basis="simulation", cause="one-missing")"""
-PART = '  { id = "part", where = "Section 2", kind = "claim", printed = "A equals B" },\n]\n'
+paper.claim("equal", holds, "seed", basis="simulation")
+paper.claim("part", {"in x": holds, "in y": not holds}, "seed", basis="simulation")"""
+PART = '  { id = "part", where = "Section 2", kind = "claim", printed = "A equals B", cause = "one-missing" },\n]\n'
 
 
 def test_a_verdict_that_moves_with_the_seed_is_counted(project, monkeypatch, capsys):
     for folder in ("notebooks", "reproduction/ledger"):
         toml = project / folder / "small.toml"
-        toml.write_text(toml.read_text().replace("]\n", PART, 1))
+        text = toml.read_text().replace('"A equals B" }', '"A equals B", cause = "one-missing" }')
+        toml.write_text(text.replace("]\n", PART, 1))
     claim = next(line for line in VERDICTS.splitlines() if '"equal"' in line)
     write_notebook(project / "notebooks/small.ipynb", VERDICTS.replace(claim, MOVES), "assert SEED == 1")
     (project / "tests/tools").mkdir(parents=True)
