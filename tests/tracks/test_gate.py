@@ -362,3 +362,16 @@ def test_a_start_far_from_the_first_fixes_is_told(track):
     with pytest.warns(UserWarning, match=r"gated: the first fixes are \d+ standard deviations from x0: say where"):
         number = mpt.gated(kf, z + 5000.0)
     assert (number >= 0).sum() > 390
+
+
+def test_a_fix_without_one_axis_is_judged_by_the_other():
+    """The axes of `clean` share a covariance: a coordinate that is missing says nothing, and is no fault."""
+    axis = mpt.constant_velocity(dt=1.0, q=0.04, r=4.0)
+    _, z = mpt.simulate(mpt.stack(axis, axis), 300, np.random.default_rng(2))
+    z += 500.0
+    z[np.random.default_rng(3).random(z.shape) < 0.1] = np.nan
+    z[50] += 300.0, 0.0
+    assert np.isnan(z[0]).any()  # the track begins with such a fix
+    c = mpt.tracks.clean(np.arange(300.0), z)
+    assert c.refused.tolist() == [0, 50]  # before the first whole fix it is not known where the track is
+    assert np.isfinite(c.x[1:]).all()
