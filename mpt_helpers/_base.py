@@ -263,16 +263,17 @@ class Filter(Immutable):
         """
         raise self._not_recursive()
 
+    @property
     def leaves(self) -> list[Filter]:
-        """Return the filters that it is made of in the end, itself where it is made of none."""
-        return [leaf for part in self.parts for leaf in part.leaves()] or [self]
+        """The filters that it is made of in the end, itself where it is made of none."""
+        return [leaf for part in self.parts for leaf in part.leaves] or [self]
 
     def times_of(self, N: int) -> Array:
         """Return the times of N epochs in s: t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
 
         t is that of the filter, or of the first of its parts that has one. A model without a dt has steps of 1 s.
         """
-        given = [leaf.t for leaf in self.leaves() if leaf.t is not None]
+        given = [leaf.t for leaf in self.leaves if leaf.t is not None]
         if given:
             return given[0]
         return (1.0 if self.model.dt is None else self.model.dt) * np.arange(N)

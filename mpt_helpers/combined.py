@@ -241,7 +241,7 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    of_first, of_second = first.leaves(), second.leaves()
+    of_first, of_second = first.leaves, second.leaves
     t = of_first[0].t
     if not all(same(t, leaf.t) for leaf in (*of_first, *of_second)):
         checks.refuse("second", "a filter of the same times as the first", "one of others")
