@@ -339,8 +339,9 @@ def track(
     Parameters
     ----------
     source : path or frame
-        A GPX file; or a CSV file or a frame with the columns `time` (ISO 8601, or Unix seconds) and `lat`, `lon` (°) or
-        `x`, `y` (m). They may have `ele` (m), `hdop` and `accuracy` (m) too. The index of a frame may be the time.
+        A GPX file; or a CSV file or a frame with the columns `time` (ISO 8601, Unix seconds, or seconds from 0) and
+        `lat`, `lon` (°) or `x`, `y` (m). They may have `ele` (m), `hdop` and `accuracy` (m) too. The index of a frame
+        may be the time.
     columns : dict, optional
         Other names of these columns, as {"time": "when"}.
     seconds : float or timedelta
@@ -375,20 +376,15 @@ def track(
     if show is not None:
         show("reading")
     if hasattr(source, "columns"):
-        return of_recording("frame", read_frame(source, columns), seconds, limit, pause, show)
-    path = Path(source)
-    return of_recording(path, read(path, columns), seconds, limit, pause, show)
+        path, recording = "frame", read_frame(source, columns)
+    else:
+        path = Path(source)
+        recording = read(path, columns)
+    return of_recording(path, recording, seconds=seconds, limit=limit, pause=pause, show=show)
 
 
-def of_recording(
-    path: Path | str,
-    recording: Recording,
-    seconds: Seconds,
-    limit: float,
-    pause: Seconds | None,
-    show: Callable[[str], None] | None,
-) -> Cleaned:
-    """Return a Recording as a Cleaned; path is where it is from, for errors."""
+def of_recording(path: Path | str, recording: Recording, **how: Any) -> Cleaned:
+    """Return a Recording as a Cleaned; path is where it is from, for errors, and `how` is for `clean`."""
     rows, left_out = usable(path, recording)
     t = recording.time[rows] / 1e6
     t, said = t - t.min(), [*recording.said, *_said_of_order(t, recording.segment[rows])]
@@ -400,17 +396,7 @@ def of_recording(
         grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
-    c = clean(
-        t,
-        z,
-        relative,
-        seconds=seconds,
-        limit=limit,
-        pause=pause,
-        segment=recording.segment[rows],
-        rounding=max(grids) ** 2 / 12,
-        show=show,
-    )
+    c = clean(t, z, relative, segment=recording.segment[rows], rounding=max(grids) ** 2 / 12, **how)
     return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
 
 

@@ -82,7 +82,8 @@ def _run(options):
         recording = readers.read(path, {what: name for what, name in named.items() if name is not None})
         smooth, picture = _written(path, folder, recording.metres is None)
         require_free([smooth, picture], options.overwrite, path)
-        c = tracks.of_recording(path, recording, options.seconds, options.limit, options.pause, show)
+        how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": show}
+        c = tracks.of_recording(path, recording, **how)
         show("drawing")
         contents = {smooth: _track_of(c), picture: _picture_of(c)}
     finally:

@@ -41,7 +41,7 @@ WAYS = (
     (r"\d+(\.\d*)?", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
     (r"\d{1,2}[/.-]\d{1,2}[/.-]\d+.*", "is the day first? pandas.to_datetime(COLUMN, dayfirst=True)"),
     (r"\d{1,2}:\d\d.*", "a date is needed too: pandas.to_datetime(frame['date'] + ' ' + COLUMN)"),
-    (r"(?s).*", "of dates pandas.to_datetime(COLUMN) makes times"),
+    (r"(?s).*", "numbers are decimal; of dates pandas.to_datetime(COLUMN) makes times"),
 )
 # Fixes of several mobiles lie so much farther from the line between any two neighbours than from that of their own.
 FARTHER, AT_LEAST = 2.5, 10
@@ -61,12 +61,18 @@ def way_of(column: str, text: str) -> str:
 
 
 def refuse_signs(name: str, others: dict[str, list[str]], numbers: dict[str, Array]) -> None:
-    """Refuse latitudes and longitudes, {column: degrees}, whose sign stands in a column of its own, as N or S."""
+    """Refuse latitudes and longitudes, {column: degrees}, whose sign stands in a column of its own, as N or S.
+
+    A column with both letters is another one, as of a bus route, where the track stays away from 0° and 180°.
+    """
     for (what, degrees), words in zip(numbers.items(), (("NORTH", "SOUTH"), ("EAST", "WEST")), strict=True):
         plus, minus = (word[0] for word in words)
         for column, cells in others.items():
             cells = [cell.strip().upper() for cell in cells]
             negative = np.array([cell.startswith(minus) for cell in cells], dtype=bool)
+            both = len({cell[:1] for cell in cells if cell}) > 1
+            if both and (np.abs(np.abs(degrees) - 90) < 89).all():
+                continue
             if set(cells) <= {*words, plus, minus, ""} and (degrees[negative] > 0).any():
                 way = f"frame[{what!r}] *= frame[{column!r}].str.upper().str[0].map({{{plus!r}: 1, {minus!r}: -1}})"
                 raise ValueError(f"{name}: needs signed degrees, got the sign of {what} in column {column!r}: {way}")

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks as checks
-from ..equations import neutralised
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
@@ -153,12 +152,19 @@ class _Sequence:
         self.missing = np.isnan(z)
         self.seen = ~self.missing.all(axis=2)
         self.fixes = self.seen.any(axis=1).tolist()
+        self.whole = (
+            (~self.missing | ~self.seen[:, :, None]).all(axis=(1, 2)).tolist()
+        )  # no axis lacks what others have
         self.dt, self.motions = [None] * len(z), {None: (kf.model.F, kf.model.Q)}  # F and Q by the length of a step
         if epochs.dt is not None:
             self.dt = epochs.dt[:, 0].tolist()
             lengths = np.unique(epochs.dt)
             self.motions |= dict(zip(lengths.tolist(), zip(*kf.model.over(lengths), strict=True), strict=True))
-        self.variances = None if epochs.r is None else epochs.r[:, :, 0]
+        # What is missing has zeros in H and a one in R.
+        R = np.broadcast_to(epochs.noise(kf.model.R)[..., 0], (len(z), kf.model.m, kf.model.m))
+        both = self.seen[:, :, None] & self.seen[:, None]
+        self.H = np.where(self.seen[:, :, None], kf.model.H, 0.0)
+        self.R = np.where(both, R, np.eye(kf.model.m) * ~self.seen[:, None])
 
     def first(self):
         """Return the state before the first row."""
@@ -166,61 +172,63 @@ class _Sequence:
 
     def start(self, k):
         """Return the state after a first fix, of row k: x0 and P0 moved there."""
-        x, step, e = self._innovation(self.first(), k, None)
-        moved = np.linalg.pinv(step.H) @ e
-        return x + moved + step.gain @ (e - step.H @ moved), step.corrected
+        x, P = self.first()
+        step = self._step(P, k, None)
+        x = step.F @ x
+        e = self._innovation(x, k)
+        moved = np.linalg.pinv(self.H[k]) @ e
+        return x + moved + step.gain @ (e - self.H[k] @ moved), step.corrected
 
     def look(self, state, k):
         """Return what the fix of row k, if it has one, makes of a state."""
-        x, step, e = self._innovation(state, k, self.dt[k])
-        if e is None:
+        x, P = state
+        step = self._step(P, k, self.dt[k])
+        x = step.F @ x
+        if not self.fixes[k]:
             return _Look((x, step.predicted))
+        e = self._innovation(x, k)
         nis = float(np.vdot(e, step.precision @ e))
         return _Look((x, step.predicted), (x + step.gain @ e, step.corrected), nis, nis + step.log_det)
 
-    def _innovation(self, state, k, dt):
-        """Return the predicted x of row k, its _Step and its innovation, None where there is no fix."""
-        x, P = state
-        step = self._step(P, k, dt)
-        x = step.F @ x
-        if not self.fixes[k]:
-            return x, step, None
-        e = self.z[k] - self.model.H @ x
+    def _innovation(self, x, k):
+        e = self.z[k] - self.H[k] @ x
         e[self.missing[k]] = 0.0
-        return x, step, e
+        return e
 
     def _step(self, P, k, dt):
-        r = None if self.variances is None or not self.fixes[k] else self.variances[k]
-        key = P.tobytes(), dt, self.seen[k].tobytes(), None if r is None else r.tobytes()
+        key = P.tobytes(), dt, self.seen[k].tobytes(), self.R[k].tobytes()
         if key not in self.made:
-            self.made[key] = self._made(P, self.seen[k], dt, r)
+            self.made[key] = self._made(P, k, dt)
         return self.made[key]
 
-    def _made(self, P, seen, dt, r):
-        """Return the _Step from P (n, n) over dt to a row whose measurements `seen` (m,) have variances r (m,)."""
+    def _made(self, P, k, dt):
+        """Return the _Step from P (n, n) over dt to row k."""
         F, Q = self.motions[dt]
         P = F @ P @ F.T + Q
-        if not seen.any():
+        if not self.fixes[k]:
             return _Step(F, P)
-        H, R = self.model.H, self.model.R if r is None else np.diag(np.where(seen, r, 1.0))
-        if not seen.all():
-            H, R = neutralised(H, R, seen)
-        HP = H @ P
-        S = HP @ H.T + R
-        precision = np.linalg.inv(S)
+        HP = self.H[k] @ P
+        S = HP @ self.H[k].T + self.R[k]
+        precision, log_det = _inverse_and_log_det(S)
         gain = HP.T @ precision
-        sign, log_det = np.linalg.slogdet(S)
-        if not sign > 0:
-            checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
-        return _Step(F, P, H, gain, P - gain @ HP, precision, float(log_det) * self.z.shape[2])
+        return _Step(F, P, gain, P - gain @ HP, precision, log_det * self.z.shape[2])
+
+
+def _inverse_and_log_det(S):
+    """Return S⁻¹ and log det S; of a single measurement, ten times as fast, by a division."""
+    if len(S) == 1 and S[0, 0] > 0:
+        return 1 / S, math.log(S[0, 0])
+    sign, log_det = np.linalg.slogdet(S)
+    if not sign > 0:
+        checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
+    return np.linalg.inv(S), float(log_det)
 
 
 class _Step(NamedTuple):
-    """F, the predicted P, and, where there is a fix: H, the gain, the corrected P, S⁻¹ and log det S of all axes."""
+    """F, the predicted P, and, where there is a fix: the gain, the corrected P, S⁻¹ and log det S of all axes."""
 
     F: Any
     predicted: Any
-    H: Any = None
     gain: Any = None
     corrected: Any = None
     precision: Any = None
@@ -252,8 +260,8 @@ def _in_sequence(sequence, begins, limit, patience):
         if k in begins:
             found.append(rows)
             rows, state, candidates = [], None, []
-        if state is None:  # before the first fix of a recording
-            if fix:
+        if state is None:  # before the first fix of a recording that says where all axes begin
+            if fix and sequence.whole[k]:
                 state, rows = sequence.start(k), [k]
             continue
         look = sequence.look(state, k)

@@ -149,16 +149,23 @@ def on_one_line(
             stop += 1
         span = np.arange(begin, stop)
         times.append(t[span] - t[own[0]] + end)
-        moved.append(np.broadcast_to(last - z[own[0]], (len(span), z.shape[1])))
+        first_position, last_position = _ends(z[own])
+        moved.append(np.broadcast_to(last - first_position, (len(span), z.shape[1])))
         first.append(np.isin(span, own[:2]))
         rows.append(span)
         end = times[-1][-1] + apart
-        last = z[own[-1]] + moved[-1][0]
+        last = last_position + moved[-1][0]
     number = np.repeat(np.arange(len(rows)), [len(span) for span in rows])
     rows, moved = np.concatenate(rows), np.concatenate(moved)
     z_line = np.where((segment[rows] >= 0)[:, None], z[rows] + moved, np.nan)
     relative = None if relative is None else relative[rows]
     return Line(rows, np.concatenate(times), z_line, moved, np.concatenate(first), number, relative)
+
+
+def _ends(z):
+    """Return the first and the last known position (m,) along each axis of fixes (K, m), 0 where there is none."""
+    known = [column[np.isfinite(column)] for column in z.T]
+    return np.array([each[[0, -1]] if len(each) else [0.0, 0.0] for each in known]).T
 
 
 def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes: int) -> KalmanFilter:

@@ -30,7 +30,7 @@ from .doubts import refuse_other_kinds, refuse_several, refuse_signs, way_of
 
 NO_TIME = -(2**63)  # a time that is not there, in microseconds; it is also the integer of numpy's NaT
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-CUT = [expat.errors.codes[text] for text in (expat.errors.XML_ERROR_NO_ELEMENTS, expat.errors.XML_ERROR_UNCLOSED_TOKEN)]
+CUT = [expat.errors.codes[words] for words in ("no element found", "unclosed token", "partial character")]
 LEAP = re.compile(r"(:\d\d):60(?!\d)")  # a leap second is the one before it, and one more
 COLUMNS = ("time", "lat", "lon", "x", "y", "ele", "hdop", "accuracy")
 MISSING = frozenset(["", "nan", "nat", "none", "null", "na", "n/a", "<na>", "-"])
@@ -185,7 +185,7 @@ def _of_csv(path, text, columns, said):
     while lines and lines[0].startswith("#"):
         del lines[0]
     names, *rows = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines] or [[]]
-    other = max(";\t", key=",".join(names).count)
+    other = max(";\t|", key=",".join(names).count)
     if len(names) == 1 and other in names[0]:
         way = f"pandas.read_csv(FILE, sep={other!r}).to_csv('new.csv'), with decimal=',' where numbers have commas"
         raise ValueError(f"{path}: needs commas between the cells, got {lines[0]!r:.60}: {way}")
@@ -252,6 +252,8 @@ def _found(name, names, columns):
         raise ValueError(f"{name}: needs {need}, got {got:.300}: {way}")
     for what in degrees if in_metres else metres:
         found.pop(what, None)
+    if len(set(found.values())) < len(found):
+        raise ValueError(f"columns: needs a column of its own for each, got {columns!r:.80}")
     for what, column in found.items():
         if names.count(column) != 1:
             raise ValueError(f"{name}: needs one column {column!r} of {what}, got {names.count(column)} in {got:.300}")

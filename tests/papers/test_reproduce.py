@@ -594,6 +594,7 @@ def test_verdicts_into_head_end_silently():
     assert (run.stdout, run.stderr, run.returncode) == ("line\n", "", 0)
 
 
+@pytest.mark.slow  # `reproduce` itself leaves no more than outputs
 def test_after_jupyter_execute_tidy_leaves_outputs_only(project):
     (project / SMALL).unlink()
     write_notebook(project / "notebooks/plain.ipynb", "1 + 1")

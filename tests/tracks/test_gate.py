@@ -291,8 +291,25 @@ AT_MOST = {
 }
 
 
-@pytest.mark.parametrize("fault", [singles, bursts, stuck, shift], ids=lambda fault: fault.__name__)
-@pytest.mark.parametrize("name", HELD_BACK)
+# Each fault on two tracks or three, and each track with one fault or two; `make test-all` runs all on all.
+FEW = [
+    ("run_fenix2_1hz", stuck),
+    ("hike_gpxo_2s", bursts),
+    ("hike_gpxo_2s", shift),
+    ("glider_nz_3s", singles),
+    ("run_stoplight_1hz", shift),
+    ("phone_ride_stoplight_1s", bursts),
+    ("boat_plaka_2s", stuck),
+    ("hike_korita_11s", singles),
+]
+CASES = [
+    pytest.param(name, fault, id=f"{name}-{fault.__name__}", marks=[] if (name, fault) in FEW else pytest.mark.slow)
+    for name in HELD_BACK
+    for fault in (singles, bursts, stuck, shift)
+]
+
+
+@pytest.mark.parametrize(("name", "fault"), CASES)
 def test_recorded_tracks_with_faults_are_smoothed_as_without(name, fault):
     t, z, rounding = recorded(name)
     clean = cleaned(name)
@@ -345,3 +362,16 @@ def test_a_start_far_from_the_first_fixes_is_told(track):
     with pytest.warns(UserWarning, match=r"gated: the first fixes are \d+ standard deviations from x0: say where"):
         number = mpt.gated(kf, z + 5000.0)
     assert (number >= 0).sum() > 390
+
+
+def test_a_fix_without_one_axis_is_judged_by_the_other():
+    """The axes of `clean` share a covariance: a coordinate that is missing says nothing, and is no fault."""
+    axis = mpt.constant_velocity(dt=1.0, q=0.04, r=4.0)
+    _, z = mpt.simulate(mpt.stack(axis, axis), 300, np.random.default_rng(2))
+    z += 500.0
+    z[np.random.default_rng(3).random(z.shape) < 0.1] = np.nan
+    z[50] += 300.0, 0.0
+    assert np.isnan(z[0]).any()  # the track begins with such a fix
+    c = mpt.tracks.clean(np.arange(300.0), z)
+    assert c.refused.tolist() == [0, 50]  # before the first whole fix it is not known where the track is
+    assert np.isfinite(c.x[1:]).all()

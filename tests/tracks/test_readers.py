@@ -59,6 +59,7 @@ def test_other_names_are_given_and_metres_are_taken_where_they_are_named(tmp_pat
     [
         ({"latitude": "lat"}, r"columns: needs names of some of time, lat.*got \{'latitude'"),
         (["time", "lat", "lon"], r"columns: needs names of some of .* got \['time'"),
+        ({"lon": "lat"}, r"columns: needs a column of its own for each, got \{'lon': 'lat'\}"),
         ({"time": "when"}, "needs one column 'when' of time, got 0 in 'time', 'lat', 'lon'"),
     ],
 )
@@ -162,6 +163,15 @@ def test_signs_in_columns_that_agree_are_right(tmp_path):
     read(tmp_path, text_of("time,lat,N/S,lon,E/W", ISO, -LAT, SOUTH, LON, EAST))
 
 
+def test_both_letters_are_signs_only_where_the_track_comes_to_zero(tmp_path):
+    """A bus goes north and south; a walk past Greenwich is east of it and then west."""
+    there_and_back = np.where(np.arange(N) < N // 2, "N", "S")
+    read(tmp_path, text_of("time,lat,lon,direction", ISO, LAT, LON, there_and_back))
+    lon = (LON - LON[150]).round(7)
+    with pytest.raises(ValueError, match="the sign of lon in column 'E/W'"):
+        read(tmp_path, text_of("time,lat,lon,E/W", ISO, LAT, abs(lon), np.where(lon < 0, "W", "E")))
+
+
 @pytest.mark.parametrize(
     "seconds", [UNIX, UNIX - 1.4e9, np.arange(N), 300.0 * np.arange(N), np.r_[0, UNIX[1:]], 50.5 + UNIX]
 )
@@ -255,6 +265,7 @@ def test_so_is_a_gpx_file_whatever_its_name(tmp_path, data):
         (packed(GPX, -900), "the packed file is cut"),
         (packed(TABLE, -900), "the packed file is cut"),
         (GPX[:-300].encode(), "the file is cut after 29[456] fixes"),
+        (GPX[:-300].encode() + "<name>ü".encode()[:-1], "the file is cut after 29[456] fixes"),
         (GPX[:-300].encode() + bytes(4096), "the file ends in empty bytes"),
         (TABLE[:-300].encode() + bytes(4096), "the file ends in empty bytes"),
     ],
