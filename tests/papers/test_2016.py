@@ -278,10 +278,9 @@ def test_what_is_said_of_the_time_step():
     assert f"it grows by {min(noises):.1f} to {max(noises):.1f}" in sentence
     assert f"to {falls[0]} (estimate) and {falls[1]} (prediction)" in sentence
     assert f"to {falls[2]} and {falls[3]} with constant acceleration" in sentence
-    assert (
-        f"σ after the start {min(steps):.1f} to {max(steps):.1f} times as large, where four times the noise makes it {min(noises):.1f} to {max(noises):.1f} times"
-        in text_of("front")
-    )
+    front = text_of("front")
+    assert f"σ after the start {min(steps):.1f} to {max(steps):.1f} times as large" in front
+    assert f"where four times the noise makes it {min(noises):.1f} to {max(noises):.1f} times" in front
     at_half, at_two = (average("ca", round(STEPS / dt), dt=dt)[0] for dt in (0.5, 2))
     assert "for estimates with constant acceleration it falls to a third" in text_of("front")
     assert at_half / at_two == pytest.approx(3, rel=0.05)
@@ -686,11 +685,8 @@ def test_what_filters_say_of_a_braking_car():
                     off.append(x[0] + v * seconds + a * seconds**2 / 2 - road[k + 5])
             said[key, lasting] = np.sqrt(np.mean(np.square(off)))
     told = text_of("beyond")
-    for numbers, (cv, ca) in {
-        (42, 16): (said["cv", 10], said["ca", 10]),
-        (15, 16): (said["cv", 3], said["ca", 3]),
-    }.items():
-        assert (cv, ca) == pytest.approx(numbers, abs=0.6)
+    assert [said["cv", 10], said["ca", 10]] == pytest.approx([42, 16], abs=0.6)
+    assert [said["cv", 3], said["ca", 3]] == pytest.approx([15, 16], abs=0.6)
     assert "are off by 42 m (rms) with constant velocity, and by 16 m with constant acceleration" in told
     assert "If the driver lets go after three seconds it is 15 and 16 m." in told
 
