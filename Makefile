@@ -12,6 +12,8 @@ NOT_RUN = || { code=$$?; echo "make $@: not everything ran: see the error above"
 NOT_WELL = || { code=$$?; echo "make $@: not all is well: see FAILED, or the error, above" >&2; exit $$code; }
 # The tests run side by side, one on each processor: threads of the linear algebra would wait for one another.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1
+# What `make test-all` runs too: tests/README.md says which. `make test LEFT_OUT=` runs them here.
+LEFT_OUT := -m "not slow"
 NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 
 .PHONY: reproduce test nbval types site site-test build extras bench clock mutants seeds test-all workflows lock
@@ -23,7 +25,7 @@ test: $(VENV)/.ok
 	@echo "all of the tests; a part of them: $(PY) -m pytest tests/core/test_filters.py -k lainiotis"
 	@$(PY) -m ruff check . $(NOT_WELL)
 	@$(PY) -m ruff format --check . $(NOT_WELL)
-	@$(ONE_THREAD) $(PY) -m pytest -n auto -p tests.support.exact $(NBVAL) mpt_helpers reproduction docs/break_sensor.py tests notebooks $(NOT_WELL)
+	@$(ONE_THREAD) $(PY) -m pytest -n auto -p tests.support.exact $(NBVAL) $(LEFT_OUT) mpt_helpers reproduction docs/break_sensor.py tests notebooks $(NOT_WELL)
 	@echo "make test: all is well: style, tests, doctests, and every byte of the notebooks' outputs and figures"
 
 # The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.

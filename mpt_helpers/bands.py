@@ -17,8 +17,8 @@ memory. For a the memory is the number of fixes in the last horizon, for f that 
 
 The rule for f is quantile tracking, the proportional part of conformal PID control (Angelopoulos, Candes and Tibshirani
 2023). With a constant gamma, the share of misses among T predictions differs from 5 % by at most the range of log f
-over gamma T, whatever the mobile does and whatever sigma is. So a right share proves little: a good band is told by its
-`interval_score`, and by its `coverage` in states that are known beforehand.
+over gamma T, whatever the mobile does and whatever sigma is. So a right share proves little: a good band is narrow
+where it can be, which its `interval_score` shows, and its `coverage` in states that are known beforehand.
 """
 
 from __future__ import annotations

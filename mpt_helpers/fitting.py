@@ -128,7 +128,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
             checks.refuse("start", "parameters under which z has a likelihood", guess)
         near = _best_ratio(likelihood, origin)
         best = lowest(likelihood, origin) if near is None else by_newton(likelihood, near)
-        to_zero = [_runs_to_zero(likelihood, best, i) for i in range(len(best))]
+        to_zero = [_runs_to_zero(likelihood, best, unit) for unit in np.eye(len(best))]
         blocks = blocks_of(estimator, z)
         errors = log_errors(likelihood, best, np.flatnonzero(np.logical_not(to_zero)), blocks)
     found = Fit(
@@ -175,9 +175,18 @@ class NegativeLogLikelihood:
         """Return -log L, infinite where the model cannot be computed."""
         key = point.tobytes()
         if key not in self.computed:
-            squares, log_det, count = self._terms(point)
-            self.computed[key] = 0.5 * float((squares + log_det + count * math.log(2 * math.pi)).sum())
+            self.computed[key] = float(self._of_rows(point).sum())
         return self.computed[key]
+
+    def by_block(self, point: Array, blocks: Blocks) -> Array:
+        """Return the share of each block in -log L (B,)."""
+        shares = np.broadcast_to(self._of_rows(point), blocks.of_rows.shape)
+        return np.bincount(blocks.of_rows.ravel(), shares.ravel(), blocks.count)
+
+    def _of_rows(self, point):
+        """Return the share of each row in -log L (N, M)."""
+        squares, log_det, count = self._terms(point)
+        return 0.5 * (squares + log_det + count * math.log(2 * math.pi))
 
     def _terms(self, point):
         """Return νᵀ S⁻¹ ν, log det S and the count of the numbers of each row (N, M), infinite where there are none."""
@@ -188,12 +197,6 @@ class NegativeLogLikelihood:
         except (ValueError, FloatingPointError):
             return np.full((3, len(self.z), 1), math.inf)
         return terms if self.counts is None else np.where(self.counts[:, None], terms, 0.0)
-
-    def by_block(self, point: Array, blocks: Blocks) -> Array:
-        """Return the share of each block in -log L (B,)."""
-        squares, log_det, count = self._terms(point)
-        terms = np.broadcast_to(0.5 * (squares + log_det + count * math.log(2 * math.pi)), blocks.of_rows.shape)
-        return np.bincount(blocks.of_rows.ravel(), terms.ravel(), blocks.count)
 
     def values_at(self, point: Array) -> dict[str, float]:
         """Return the parameters by name."""
@@ -311,11 +314,9 @@ def covariance_of_scores(scores: Array) -> Array:
     return student**2 * count / (count - 1) * scores @ scores.T
 
 
-def _runs_to_zero(likelihood, best, i):
-    """Tell whether log L falls by nothing as parameter i goes on towards zero."""
-    lower = best.copy()
-    lower[i] -= math.log(1000)
-    return likelihood(lower) < likelihood(best) + NOTHING
+def _runs_to_zero(likelihood, best, unit):
+    """Tell whether log L falls by nothing as the parameter along a unit vector (d,) goes on towards zero."""
+    return likelihood(best - math.log(1000) * unit) < likelihood(best) + NOTHING
 
 
 def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blocks: Blocks) -> Array:

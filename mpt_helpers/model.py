@@ -143,12 +143,7 @@ class LinearModel(Immutable):
         """
         if self.transition is None:
             checks.refuse("model", "a transition, for steps of any length", "an F and a Q of one length only")
-        if np.ndim(dt) == 0 or getattr(self.transition, "takes_arrays", False):
-            return self.transition(dt)
-        lengths, which = np.unique(dt, return_inverse=True)
-        F, Q = zip(*map(self.transition, lengths.tolist()), strict=True)
-        which = which.reshape(np.shape(dt))  # numpy 2.0 returned another shape than 1.26 and 2.1
-        return np.array(F)[which], np.array(Q)[which]
+        return _steps(self.transition, dt)
 
     def with_noise_times(self, factor: float) -> LinearModel:
         """Return the model with another process noise, over steps of any length that it knows.
@@ -205,6 +200,16 @@ def _checked(transition, dt):
             got = f"a {name} that they miss by {missed:.2g} of its size"
             checks.refuse("transition", "two steps of dt / 2 to be one of dt", got)
     return F, Q
+
+
+def _steps(transition, dt):
+    """Return F and Q of a step, or of many: a transition that takes one dt only is asked once for each length."""
+    if np.ndim(dt) == 0 or getattr(transition, "takes_arrays", False):
+        return transition(dt)
+    lengths, which = np.unique(dt, return_inverse=True)
+    F, Q = zip(*map(transition, lengths.tolist()), strict=True)
+    which = which.reshape(np.shape(dt))  # numpy 2.0 returned another shape than 1.26 and 2.1
+    return np.array(F)[which], np.array(Q)[which]
 
 
 def missed_by_halves(transition: Transition, dt: float) -> tuple[float, float]:
@@ -265,15 +270,11 @@ class SideBySide:
     """The transition of states that follow one another, with no term between them."""
 
     transitions: tuple[Transition, ...]
-
-    @property
-    def takes_arrays(self) -> bool:
-        """Say whether all of them take many steps at once."""
-        return all(getattr(each, "takes_arrays", False) for each in self.transitions)
+    takes_arrays: ClassVar = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
-        """Return F and Q of a step of dt seconds, block diagonal."""
-        F, Q = zip(*(transition(dt) for transition in self.transitions), strict=True)
+        """Return F and Q of a step of dt seconds, or of many, block diagonal."""
+        F, Q = zip(*(_steps(transition, dt) for transition in self.transitions), strict=True)
         return _on_diagonal(F), _on_diagonal(Q)
 
 
@@ -283,16 +284,12 @@ class Scaled:
 
     transition: Transition
     factor: float
-
-    @property
-    def takes_arrays(self) -> bool:
-        """Say whether it takes many steps at once."""
-        return getattr(self.transition, "takes_arrays", False)
+    takes_arrays: ClassVar = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and the scaled Q of a step of dt seconds, or of many."""
-        F, Q = self.transition(dt)
-        return F, self.factor * Q
+        F, Q = _steps(self.transition, dt)
+        return F, self.factor * np.asarray(Q)
 
 
 def _on_diagonal(parts):

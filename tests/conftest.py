@@ -17,6 +17,12 @@ settings.register_profile("properties", **COMMON)
 settings.load_profile("properties")
 talk_through_files()
 
+
+def pytest_configure(config):
+    """Name the mark of tests that `make test` leaves out and `make test-all` runs."""
+    config.addinivalue_line("markers", "slow: sees one more case of many, or what only a maintainer meets")
+
+
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))  # one for each paper
 LESSONS = sorted(ROOT.glob("notebooks/lessons/*.ipynb"))

@@ -103,13 +103,13 @@ WRONG = {
 }
 
 
-def errors_of(scripts, folder):
+def errors_of(scripts, folder, cache):
     """The codes of the errors that mypy finds in each line of each script, {(name of the script, line): codes}."""
     for name, text in scripts.items():
         (folder / f"{name}.py").write_text(text, encoding="utf-8")
     command = [sys.executable, "-m", "mypy", "--strict", "--no-color-output", "--no-error-summary"]
     # As of an installed package, no error within it is shown.
-    command += ["--follow-imports=silent", "--config-file=", "--cache-dir", str(folder / "cache")]
+    command += ["--follow-imports=silent", "--config-file=", "--cache-dir", str(cache)]
     run = subprocess.run(
         [*command, *(f"{name}.py" for name in scripts)],
         cwd=folder,
@@ -125,10 +125,10 @@ def errors_of(scripts, folder):
     return found
 
 
-def test_a_type_checker_finds_what_is_wrong_and_nothing_in_what_is_right(tmp_path):
-    """One test, since mypy takes seconds to begin: a run of each worker would double them."""
+def test_a_type_checker_finds_what_is_wrong_and_nothing_in_what_is_right(tmp_path, pytestconfig):
+    """One test, since mypy takes seconds to begin; what it has found of numpy and the package it keeps for the next."""
     scripts = {"readme": shipped.README_CODE, "right": RIGHT, "wrong": BEGIN + "\n".join(WRONG) + "\n"}
-    errors = errors_of(scripts, tmp_path)
+    errors = errors_of(scripts, tmp_path, pytestconfig.cache.mkdir("mypy"))
     assert {key: codes for key, codes in errors.items() if key[0] != "wrong"} == {}
     for line, wrong in enumerate(WRONG, start=len(BEGIN.splitlines()) + 1):
         assert WRONG[wrong] in errors.get(("wrong", line), set()), wrong

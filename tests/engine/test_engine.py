@@ -123,9 +123,19 @@ def filters_of(model):
     }
 
 
-@pytest.mark.parametrize("pieces", [2, 7, 59])
-@pytest.mark.parametrize("tracks", [None, 3], ids=["one track", "three tracks"])
-@pytest.mark.parametrize("gaps", ["none", "shared", "own"])
+# Each kind of gaps, for one track and for several; the last piece is shorter, of one row, or as long as the others.
+CUT = [
+    ("none", None, 7),
+    ("none", 3, 59),
+    ("own", None, 2),
+    ("own", None, 59),
+    ("shared", 3, 7),
+    ("own", 3, 7),
+    ("own", 3, 2),
+]
+
+
+@pytest.mark.parametrize(("gaps", "tracks", "pieces"), CUT)
 @pytest.mark.parametrize("name", filters_of(dense_model(0)))
 def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces):
     """Of any length of the pieces, the last of them shorter; estimates, innovations, likelihood and the smoother."""
@@ -542,7 +552,7 @@ def test_a_model_keeps_its_times_where_F_and_Q_still_fit():
 
 
 @pytest.mark.parametrize("driven", [0, 1])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_stable_models_with_modes_that_nothing_drives_have_a_steady_state(seed, driven):
     rng = np.random.default_rng(seed)
     n, m = rng.integers(1 + driven, 5), rng.integers(1, 3)
@@ -563,21 +573,21 @@ def make_axis(q, r):
 
 
 def test_the_errors_of_a_fit_are_the_spread_of_its_values():
-    """Over 20 of 40 simulated tracks, whose spread is known to 16 %, and over all of them together."""
-    z = mpt.simulate(make_axis(0.04, 0.5), 150, np.random.default_rng(9), 40)[1]
-    fits = [mpt.fit(make_axis, z[..., i], q=0.1, r=1.0) for i in range(20)]
+    """Over 12 of 20 simulated tracks, whose spread is known to 21 %, and over all of them together."""
+    z = mpt.simulate(make_axis(0.04, 0.5), 150, np.random.default_rng(9), 20)[1]
+    fits = [mpt.fit(make_axis, z[..., i], q=0.1, r=1.0) for i in range(12)]
     together = mpt.fit(make_axis, z, q=0.1, r=1.0)
     assert together.log_likelihood == pytest.approx(metrics.log_likelihood(together.filter, z).sum(), rel=1e-12)
     for name, true in {"q": 0.04, "r": 0.5}.items():
         logs = np.log([each.values[name] for each in fits])
         stated = np.median([each.log_errors[name] for each in fits])
-        assert 0.36 < logs.std() / stated < 1.64  # four standard errors
-        assert abs(np.median(logs) - np.log(true)) < 4 * 1.25 * stated / np.sqrt(20)
+        assert 0.36 < logs.std() / stated < 1.64  # three standard errors
+        assert abs(np.median(logs) - np.log(true)) < 4 * 1.25 * stated / np.sqrt(12)
         off = [np.log(each.values[name] / true) / each.log_errors[name] for each in fits]
-        assert np.mean(np.abs(off) < 2) >= 17 / 20  # 19 are due, and fewer than 17 once in 80 times
+        assert np.sum(np.abs(off) < 2) >= 10  # 11 are due, and fewer than 10 once in 60 times
         assert abs(np.log(together.values[name] / true)) < 4 * together.log_errors[name]
-        # Each of the 20 states Student's factor of six blocks, 1.31; all 40 together know theirs to 11 %.
-        assert together.log_errors[name] == pytest.approx(stated / 1.31 / np.sqrt(40), rel=0.5)
+        # Each of the 12 states Student's factor of six blocks, 1.31, all 20 together theirs of 20 blocks, 1.07.
+        assert together.log_errors[name] == pytest.approx(stated * 1.07 / 1.31 / np.sqrt(20), rel=0.5)
 
 
 def test_a_fit_takes_times_and_gaps():
@@ -612,7 +622,7 @@ def test_a_fit_says_what_it_does_not_know(name):
 
 
 @pytest.mark.filterwarnings("ignore:fit. row 0 of z is far off")  # said too, where it is
-@pytest.mark.parametrize("away", [50.0, 300.0, 1000.0])
+@pytest.mark.parametrize("away", [50.0, 1000.0])
 def test_a_far_start_is_told_even_if_the_noise_takes_it(away):
     """A variance of the measurements may grow until the start seems near: it stands out from the later ones."""
     z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(11))[1] + away
@@ -639,28 +649,22 @@ def test_what_runs_to_zero_leaves_the_errors_of_the_others():
 def test_a_flat_direction_leaves_the_errors_of_the_others():
     z = mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11))[1]
     alone = mpt.fit(make_axis, z, q=1.0, r=1.0)
-    for a, q in ((1.0, 1.0), (2.0, 0.3)):
-        with pytest.warns(UserWarning, match="the likelihood is flat") as said:
-            found = mpt.fit(lambda q, r, a: make_axis(q * a, r), z, q=q, r=1.0, a=a)
-        assert sorted(str(each.message)[5] for each in said) == ["a", "q"]
-        assert found.log_errors["r"] == pytest.approx(alone.log_errors["r"], rel=0.02)
+    with pytest.warns(UserWarning, match="the likelihood is flat") as said:
+        found = mpt.fit(lambda q, r, a: make_axis(q * a, r), z, q=0.3, r=1.0, a=2.0)
+    assert sorted(str(each.message)[5] for each in said) == ["a", "q"]
+    assert found.log_errors["r"] == pytest.approx(alone.log_errors["r"], rel=0.02)
 
 
 def make_plane(q1, r1, q2, r2):
     return mpt.stack(make_axis(q1, r1), make_axis(q2, r2))
 
 
-@pytest.fixture(scope="module")
-def near():
-    """Measurements of two axes, and their fit from a guess that is near."""
-    z = mpt.simulate(make_plane(0.04, 0.5, 3.0, 20.0), 120, np.random.default_rng(3))[1]
-    return z, mpt.fit(make_plane, z, q1=0.1, r1=1.0, q2=1.0, r2=10.0)
-
-
-@pytest.mark.parametrize(("q", "r"), [(1e-10, 1.0), (1e-6, 1e4)])
-def test_a_fit_from_a_process_noise_far_too_small_finds_the_same(near, q, r):
+@pytest.mark.slow  # of two parameters test_fit sees the same
+def test_a_fit_from_a_process_noise_far_too_small_finds_the_same():
     """There the noise of the measurements explains the motion, and q changes nothing: the search alone stays there."""
-    z, found = near
+    z = mpt.simulate(make_plane(0.04, 0.5, 3.0, 20.0), 120, np.random.default_rng(3))[1]
+    found = mpt.fit(make_plane, z, q1=0.1, r1=1.0, q2=1.0, r2=10.0)
+    q, r = 1e-6, 1e4
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "fit: .* times its guess")  # which it is
         far = mpt.fit(make_plane, z, q1=q, r1=r, q2=q, r2=r)

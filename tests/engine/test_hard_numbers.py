@@ -241,7 +241,14 @@ def require_as_stated(columns, measured, given):
         assert least == MOST or digits < least + SLACK + LUCK, f"{column}: {digits:.1f} digits, {least} stated"
 
 
-@pytest.mark.parametrize("name", LONG_GAPS)
+# Thousands of single steps take seconds: of the three models with a gap of 4,000, the largest stands for all.
+FEW = [
+    pytest.param(name, marks=pytest.mark.slow) if name in ("gsm, gap of 4,000", "cv, gap of 4,000") else name
+    for name in LONG_GAPS
+]
+
+
+@pytest.mark.parametrize("name", FEW)
 def test_as_many_digits_hold_over_long_gaps_as_stated(name):
     given = dict(zip(LONG_GAPS, stated(GAPS_BEGIN, GAPS_END).values(), strict=True))[name]
     require_as_stated(OF_GAPS, measured_over_gaps(name), given)
@@ -275,15 +282,7 @@ def test_the_page_states_every_model():
 
 @pytest.mark.parametrize("name", MODELS)
 def test_as_many_digits_hold_as_stated(name):
-    for column, digits, least in zip(COLUMNS, measured(name), stated()[name], strict=False):
-        assert least == 0 or digits >= least, f"{column}: {digits:.1f} digits, {least} stated"
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_no_more_digits_hold_than_stated(name):
-    """The statement is stale when many more do: beside the slack, what one machine may gain by luck."""
-    for column, digits, least in zip(COLUMNS, measured(name), stated()[name], strict=False):
-        assert least == MOST or digits < least + SLACK + LUCK, f"{column}: {digits:.1f} digits, {least} stated"
+    require_as_stated(COLUMNS[: len(stated()[name])], measured(name), stated()[name])
 
 
 REFUSED = {

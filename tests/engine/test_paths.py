@@ -183,7 +183,7 @@ def smoothed(case, loops):
     return [SimpleNamespace(x=x, P=P) for x, P in both]
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(cases(), st.integers(2, 40), st.integers(1, 3))
 def test_the_paths_of_the_kalman_filter_are_one_plain_loop(case, rows, width):
     """As it runs, in pieces, in tiles, and each track alone; the smoother too."""
@@ -354,7 +354,7 @@ def test_separate_filters_with_conditions_are_plain_loops(first, second, steps_a
     np.testing.assert_allclose(metrics.log_likelihood(both, z), sums, **SAME)
 
 
-@settings(max_examples=15)
+@settings(max_examples=10)
 @given(cases(timed=True, least_rows=25, most_rows=45), st.sampled_from([DT, 1.5, 4.0]), st.sampled_from([0.95, 0.7]))
 def test_a_band_and_the_live_band_are_the_plain_loop(case, seconds, level):
     """Of tracks of their own times and variances; from where the bands of these tracks have ended, on average."""

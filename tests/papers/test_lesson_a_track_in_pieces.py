@@ -276,7 +276,7 @@ def test_the_seams_tell():
     """Of 1,670 recordings of many models no row was off by more than 0.93 times the largest seam; here are more."""
     says("whenever the largest seam was below 1 σ, no row was off the loop by more than that seam")
     rng, seen = np.random.default_rng(1), 0
-    for _ in range(40):
+    for _ in range(16):
         factor = 10 ** rng.uniform(-4, 3)
         names = with_model(F, factor * Q)
         z = with_gaps(rng, int(rng.integers(300, 600)), 0.1 * np.sqrt(factor))
@@ -289,7 +289,7 @@ def test_the_seams_tell():
         for row, estimate in zip(names["with_variances"](z), found, strict=True):
             x, P = names["step"](x, P, *row)
             assert (np.abs(estimate - x[:, 0]) <= seam * np.sqrt(np.diag(P))).all()
-    assert seen > 12
+    assert seen > 5
 
 
 # Times

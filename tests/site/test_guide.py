@@ -23,6 +23,14 @@ RECORDED = [
     "run_fenix2_1hz",
     "walkrun_mallorca_4s",
 ]
+# One half of a track of each kind; `make test-all` runs both halves of all.
+HALVES = [
+    (name, half)
+    if (name, half) in [("ride", True), ("glider_nz_3s", False), ("run_fenix2_1hz", True)]
+    else pytest.param(name, half, marks=pytest.mark.slow)
+    for name in RECORDED
+    for half in (False, True)
+]
 
 
 def ran(text):
@@ -226,8 +234,7 @@ def recorded(name, first_half_unseen):
     return t, z - z[0]
 
 
-@pytest.mark.parametrize("first_half_unseen", [False, True])
-@pytest.mark.parametrize("name", RECORDED)
+@pytest.mark.parametrize(("name", "first_half_unseen"), HALVES)
 def test_the_lines_of_the_guide_give_true_bands_on_recorded_tracks(name, first_half_unseen):
     """90 to 98 % of an unseen half per axis at 1 and 10 s, 0.6 of the placebo's score, no state below 85 %."""
     t, z = recorded(name, first_half_unseen)
@@ -295,7 +302,13 @@ def gpx_file(path, segments):
     path.write_text(f"{head}{''.join(lines)}</trk></gpx>", encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", OTHER_STEPS)
+FEW_STEPS = [  # `make test-all` runs all
+    name if name.startswith(("a short", "segments", "25 fixes")) else pytest.param(name, marks=pytest.mark.slow)
+    for name in OTHER_STEPS
+]
+
+
+@pytest.mark.parametrize("name", FEW_STEPS)
 def test_the_blocks_run_as_they_stand_on_other_tracks(name, tmp_path):
     """From Read to Go live with nothing but the name of the file replaced: no refusal, no empty picture."""
     gpx_file(tmp_path / "other.gpx", OTHER_STEPS[name])

@@ -17,8 +17,17 @@ TESTS = Path(__file__).parent
 NOT_SEEN = ("execution_count", "prompt_number", "traceback")  # the count is tested where nothing runs
 DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
 STARTUP = "startup.py"  # in this folder: what a kernel runs before its first cell
-# Ends of files whose tests need one kernel, or share what takes seconds to make: then one processor makes it, once.
-TOGETHER = (".ipynb", "test_exact.py", "test_fifth_paper.py", "test_guide.py", "test_recorded_2007.py", "test_types.py")
+# Each processor takes whole files, since the tests of a file share a kernel, or what takes seconds to make. First the
+# longest ones, that no processor has to wait for another at the end. The tests of some are spread one by one.
+LONGEST = ("test_guide.py", "test_track_command.py", "what_averaging_leaves.ipynb", "test_paths.py", ".ipynb")
+SPREAD = (
+    "test_engine.py",
+    "test_hard_numbers.py",
+    "test_fit.py",
+    "test_gate.py",
+    "test_reported.py",
+    "test_reproduce.py",
+)
 
 
 def pytest_configure(config):
@@ -34,15 +43,27 @@ def pytest_configure(config):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Spread tests over processors one by one; those of a notebook stay together, and xdist runs them first."""
+    """Hand out files whole, or their tests one by one, in the order of `pytest_collection_modifyitems`."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduler(LoadScopeScheduling):
         def _split_scope(self, nodeid):
             file = nodeid.partition("::")[0]
-            return file if file.endswith(TOGETHER) else nodeid
+            return nodeid if file.endswith(SPREAD) else file
 
+    config.option.loadscopereorder = False
     return Scheduler(config, log)
+
+
+def pytest_collection_modifyitems(items):
+    """Put the longest files first, and what is spread last: it fills what is left of each processor's time."""
+
+    def place(item):
+        file = item.nodeid.partition("::")[0]
+        among_longest = [k for k, end in enumerate(LONGEST) if file.endswith(end)]
+        return among_longest[0] if among_longest else len(LONGEST) + file.endswith(SPREAD)
+
+    items.sort(key=place)
 
 
 def is_cell(item):

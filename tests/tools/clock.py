@@ -16,9 +16,10 @@ from reproduction.ledger import Table
 
 ROOT = Path(__file__).parents[2]
 NBVAL = ["-p", "tests.support.exact", "--nbval", "--nbval-current-env"]
+TESTS = ["mpt_helpers", "reproduction", "docs/break_sensor.py", "tests", "notebooks"]
 COMMANDS = {
     "`make reproduce`": ["-m", "reproduction", "reproduce"],
-    "`make test`": ["-m", "pytest", "-q", "-n", "auto", *NBVAL, "mpt_helpers", "tests", "notebooks"],
+    "`make test`": ["-m", "pytest", "-q", "-n", "auto", *NBVAL, "-m", "not slow", *TESTS],
 }
 
 

@@ -102,6 +102,7 @@ def failures(project):
     return [names[int(number)] for number in re.findall(r"(?m)^FAILED .*::Cell (\d+)", run.stdout)], run.stdout
 
 
+@pytest.mark.slow
 def test_a_notebook_is_the_same_whoever_runs_it(executed, mine, monkeypatch):
     monkeypatch.chdir(executed)
     before = {path: path.read_bytes() for path in executed.rglob("*.*") if path.is_file()}

@@ -20,24 +20,25 @@ COMMANDS = re.search(r"(?m)^\.PHONY: (.*)", MAKEFILE)[1].split()
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """A wheel of this tree."""
-    return zipfile.ZipFile(shipped.build(tmp_path_factory.mktemp("dist"))[0])
+def built(tmp_path_factory):
+    """The wheel and the source archive of this tree."""
+    return shipped.build(tmp_path_factory.mktemp("dist"))
 
 
-def test_the_wheel_has_the_package_and_nothing_else(wheel):
+def test_the_wheel_has_the_package_and_nothing_else(built):
+    wheel = zipfile.ZipFile(built[0])
     names = {name for name in wheel.namelist() if not name.startswith(f"mpt_helpers-{mpt_helpers.__version__}.")}
     folder = ROOT / "mpt_helpers"
     kinds = (".py", ".typed")
     assert names == {str(path.relative_to(ROOT)) for path in folder.rglob("*") if path.suffix in kinds}
 
 
-def test_the_source_archive_has_what_a_checkout_has(tmp_path):
+def test_the_source_archive_has_what_a_checkout_has(built):
     """So that `make reproduce` and `make test` work from it."""
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
     if tracked.returncode:
         pytest.skip("not a git checkout: what belongs to it is not known")
-    with tarfile.open(shipped.build(tmp_path)[1]) as archive:
+    with tarfile.open(built[1]) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     assert set(tracked.stdout.split()) - names == set()
 
@@ -120,7 +121,7 @@ def test_make_test_runs_the_style_the_tests_and_the_bytes_and_says_at_its_end_wh
     assert calls[2].startswith("-m pytest ")
     # exact compares every byte; the sockets of its kernels are those of tests/conftest.py
     assert " -p tests.support.exact --nbval --nbval-current-env " in calls[2]
-    assert calls[2].endswith(" mpt_helpers reproduction docs/break_sensor.py tests notebooks")
+    assert calls[2].endswith(" -m not slow mpt_helpers reproduction docs/break_sensor.py tests notebooks")
     assert last.startswith("make test: all is well: ")
     for fails, count in (("check .", 1), ("format", 2), ("pytest", 3)):
         code, calls, last = made("test", fails)

@@ -291,8 +291,25 @@ AT_MOST = {
 }
 
 
-@pytest.mark.parametrize("fault", [singles, bursts, stuck, shift], ids=lambda fault: fault.__name__)
-@pytest.mark.parametrize("name", HELD_BACK)
+# Each fault on two tracks or three, and each track with one fault or two; `make test-all` runs all on all.
+FEW = [
+    ("run_fenix2_1hz", stuck),
+    ("hike_gpxo_2s", bursts),
+    ("hike_gpxo_2s", shift),
+    ("glider_nz_3s", singles),
+    ("run_stoplight_1hz", shift),
+    ("phone_ride_stoplight_1s", bursts),
+    ("boat_plaka_2s", stuck),
+    ("hike_korita_11s", singles),
+]
+CASES = [
+    pytest.param(name, fault, id=f"{name}-{fault.__name__}", marks=[] if (name, fault) in FEW else pytest.mark.slow)
+    for name in HELD_BACK
+    for fault in (singles, bursts, stuck, shift)
+]
+
+
+@pytest.mark.parametrize(("name", "fault"), CASES)
 def test_recorded_tracks_with_faults_are_smoothed_as_without(name, fault):
     t, z, rounding = recorded(name)
     clean = cleaned(name)

@@ -22,6 +22,15 @@ from mpt_helpers.tracks import cleaning, readers, report, writers
 from mpt_helpers.tracks import line as lines
 
 RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
+PNG = b"\x89PNG"
+
+
+@pytest.fixture(autouse=True)
+def no_pixels(monkeypatch):
+    """Pictures are built, and not drawn: only a whole process draws them."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda fig, file, **_: file.write(PNG))
+
+
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<gpx version="1.1" creator="test" xmlns="http://www.topografix.com/GPX/1/1">'
 
 
@@ -80,7 +89,7 @@ def test_the_report_needs_no_vocabulary_and_names_all_that_was_done(spoilt, caps
     assert "giro.png" in out
     assert "NIS" not in out
     assert "in 2 parts (pauses, or segments of the file)" in out
-    assert (spoilt.parent / "giro.png").read_bytes().startswith(b"\x89PNG")
+    assert (spoilt.parent / "giro.png").read_bytes() == PNG
 
 
 def test_json_is_one_object_with_the_promised_names(spoilt, capsys):
@@ -398,17 +407,14 @@ SLOW = "ATTENTION: 99 of 100 steps are slower than"
     [
         (1, 1, None),
         (1e3, 1, SLOW),  # milliseconds
-        (1, 1e-3, SLOW),  # kilometres
         (1, 9e-6, SLOW),  # degrees
         (1, 1e3, "ATTENTION: one step in a hundred is faster than"),  # millimetres
-        (1e3, 2, f"{SLOW} 0.03 m/s, with a fix every 1000 s"),  # a car in milliseconds
         (4e3, 60, f"{SLOW} 0.2 m/s, with a fix every 4000 s"),  # an aircraft
         (100, 0.3, f"{SLOW} 0.05 m/s, with a fix every 100 s"),  # a car ten times a second
-        (3600, 5 * 360, None),  # a ship
         (3600, 60, SLOW),  # a ship that drifts: it is asked, and not refused
         (60, 6, None),  # a walk, rarely
     ],
-    ids=["s_m", "ms", "km", "degrees", "mm", "car_ms", "plane_ms", "10_Hz_ms", "ship", "drift", "walk"],
+    ids=["s_m", "ms", "degrees", "mm", "plane_ms", "10_Hz_ms", "drift", "walk"],
 )
 def test_other_units_are_asked_for_where_numbers_are_handed_in_too(step, metres, words):
     z, _, _ = positions()
@@ -558,9 +564,9 @@ def test_q_and_r_are_those_of_fit():
 
 
 def test_errors_of_q_and_r_hold_on_simulated_tracks():
-    """The errors over those stated have an rms of 1: in 16 runs ± 0.18, and blocks tell their own size to some 20 %."""
+    """The errors over those stated have an rms of 1: in 10 runs ± 0.22, and blocks tell their own size to some 20 %."""
     off = {"q": [], "r": []}
-    for seed in range(16):
+    for seed in range(10):
         z, _, _ = positions(N=300, seed=seed)
         c = tracks.clean(np.arange(300.0), z, rounding=0.0)
         for name, true in (("q", 0.05), ("r", 4.0)):
@@ -688,8 +694,14 @@ def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixe
     assert lines._sample(line.part(slice(most))).first.sum() == first[:most].sum()
 
 
-def test_an_r_below_the_rounding_of_the_file_is_that_rounding():
-    c = mpt.track(RIDE)
+@pytest.fixture(scope="module")
+def ride():
+    """The ride of the guide, cleaned."""
+    return mpt.track(RIDE)
+
+
+def test_an_r_below_the_rounding_of_the_file_is_that_rounding(ride):
+    c = ride
     assert c.rounding
     assert c.r == pytest.approx((111e3 * 8.4e-8) ** 2 / 12, rel=0.05)  # half a circle over 2^31
     assert np.isinf(c.log_errors["r"])
@@ -705,6 +717,9 @@ def test_the_track_of_the_guide_as_a_whole_process(tmp_path):
     assert "4,559 fixes in 1:15:58" in out
     assert re.search(r": 9[456]% of 2,\d\d\d fixes lay within", out)
     assert done.stderr == ""
+    picture = (tmp_path / "ride.png").read_bytes()
+    assert picture.startswith(PNG)
+    assert len(picture) > 20_000
 
 
 def test_the_moved_commands_are_still_named(capsys):
@@ -729,7 +744,7 @@ def test_the_grid_of_a_file_is_found_beside_faults_and_where_the_track_was_moved
     assert cleaning.grid_of(lat.round(9), tracks.GRIDS) == pytest.approx(grid)
 
 
-def test_one_fix_of_more_digits_does_not_change_the_rounding_of_a_file(tmp_path):
+def test_one_fix_of_more_digits_does_not_change_the_rounding_of_a_file(tmp_path, ride):
     text = RIDE.read_text(encoding="utf-8")
     for name in ("lat", "lon"):  # a number that stands there twice, so that the least difference becomes another
         degrees = re.findall(rf'{name}="([^"]*)"', text)
@@ -737,7 +752,7 @@ def test_one_fix_of_more_digits_does_not_change_the_rounding_of_a_file(tmp_path)
         text = text.replace(f'{name}="{twice}"', f'{name}="{float(twice) + 3e-9:.10f}"', 1)
     path = tmp_path / "ride.gpx"
     path.write_text(text, encoding="utf-8")
-    assert mpt.track(path).r == pytest.approx(mpt.track(RIDE).r)
+    assert mpt.track(path).r == pytest.approx(ride.r)
 
 
 def test_the_step_of_a_straight_way_is_not_the_grid():
