@@ -118,7 +118,7 @@ class Paper:
         if where_it_holds:
             prefix += f"Holds: {where_it_holds}. "
         if where_it_fails:
-            prefix += f"Fails: {where_it_fails}. "
+            prefix += f"Does not hold: {where_it_fails}. "
         return self._give(item, evidence, verdict, basis, reason, prefix, beyond)
 
     def cannot_check(self, id: str, missing: str, *, counted: float | None = None) -> Verdict:

@@ -307,7 +307,7 @@ def test_z_is_the_position_at_the_end_of_the_step_save_the_push(verdicts):
     found = verdicts["measured"]
     assert found.verdict == "holds in part"
     assert (
-        f"save a push of {push:.0f} cm against {noise:.0f} cm of noise. Fails: s(k), the position when it begins."
+        f"save a push of {push:.0f} cm against {noise:.0f} cm of noise. Does not hold: s(k), the position when it begins."
         in found.reason
     )
     assert found.reason.endswith(published("2014_gsm_2d").causes["measured"].sentence)

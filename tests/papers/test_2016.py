@@ -265,7 +265,7 @@ def test_what_is_said_of_the_time_step():
         of_noise = spread([average(key, r=r)[N] for r in (0.05, 0.1, 0.2)])
         given = VERDICTS[f"{key}.{effects.PARTS[N]}.dt"]
         assert given.verdict == IN_PART
-        fails = given.reason.partition("Fails: ")[2]
+        fails = given.reason.partition("Does not hold: ")[2]
         assert (
             ("the average of Table 1 less" in fails)
             == (spread([half, one, double]) > of_noise)

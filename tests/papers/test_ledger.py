@@ -114,11 +114,11 @@ def test_a_band_holds_the_printed_number_or_not(failing, band, verdict):
         (True, "reproduced", ""),
         (False, "differs", "One is missing: 326 for 336."),
         ({"in x": True, "in y": True}, "reproduced", "Holds: in x; in y."),
-        ({"in x": False}, "differs", "Fails: in x. One is missing: 326 for 336."),
+        ({"in x": False}, "differs", "Does not hold: in x. One is missing: 326 for 336."),
         (
             {"in x": True, "in y": False, "in z": True},
             "holds in part",
-            "Holds: in x; in z. Fails: in y. One is missing: 326 for 336.",
+            "Holds: in x; in z. Does not hold: in y. One is missing: 326 for 336.",
         ),
     ],
 )

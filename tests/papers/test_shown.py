@@ -106,7 +106,7 @@ def test_the_reason_of_claims_is_said_once_too():
     paper = read_paper("test", text + TABLES)
     paper.table("both", VALUES, basis="simulation")
     shown = paper.claims({"equal": ({"in x": True, "in y": False}, "seen in x")}, basis="exact")
-    assert shown.told == ["(✓) Holds: in x. Fails: in y. As in Table 9."]
+    assert shown.told == ["(✓) Holds: in x. Does not hold: in y. As in Table 9."]
     assert shown[0].reason.endswith("One is missing: 326 for 336.")
 
 
@@ -182,7 +182,7 @@ def test_claims_and_gaps_are_shown_with_their_signs(paper):
     assert (shown[0].verdict, shown[0].beyond) == ("holds in part", "and beyond")
     assert repr(shown).splitlines()[1:] == [
         "(✓) Section 1  A equals B      seen in x",
-        "(✓) Holds: in x. Fails: in y. One is missing: 326 for 336.",
+        "(✓) Holds: in x. Does not hold: in y. One is missing: 326 for 336.",
     ]
 
 
