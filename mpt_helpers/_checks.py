@@ -217,19 +217,14 @@ def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
     values = real_numbers(name, value, need).astype(float)
     if values.shape != seen.shape:
         refuse(name, need, f"shape {values.shape}")
-    if not are_variances(values[seen]).all():
+    if not ((values[seen] > 0) & (values[seen] < np.inf)).all():
         refuse(name, need, f"{values}")
     return values
 
 
-def are_variances(values: np.ndarray) -> np.ndarray:
-    """Tell which numbers can be variances of a measurement: those that are positive and finite."""
-    return np.isfinite(values) & (values > 0)
-
-
 def used_variances(name: str, values: np.ndarray, of: str = "measurement that is there") -> None:
-    """Refuse variances of which one, that is used, cannot be one; `of` says what has one."""
-    if not are_variances(values).all():
+    """Refuse variances of which one is not positive and finite; `of` says what has one."""
+    if not ((values > 0) & (values < np.inf)).all():
         refuse(name, f"a positive variance of every {of}", "another")
 
 

@@ -395,8 +395,8 @@ class LiveBand:
         self.level: float = checks.level(level)
         self.log_f: list[float] = _start(self.seconds, self.model.m, before, self.level)
         self.average: float = 1.0  # a: the recent average of NIS / m
-        self.last: tuple[float, Array, Array] | None = None  # the estimate of the last call: time, x, P
-        self.first: tuple[Array, Array] = (self.model.x0, estimator.P0)
+        # The estimate of the last call: time, x, P.
+        self.last: tuple[float | None, Array, Array] = None, self.model.x0, estimator.P0
         self.times: deque[float] = deque()  # of the fixes within the last horizon
         self.fixes: int = 0
         # How many fixes came too late for a check; None once one did not.
@@ -443,8 +443,8 @@ class LiveBand:
         R = self.model.R
         if r is not None:
             R = np.diag(np.where(seen, checks.variances_of_one("r", r, seen), np.diag(R)))
-        if self.last is None:
-            self.last = t - self.model.dt, *self.first
+        if self.last[0] is None:
+            self.last = t - self.model.dt, *self.last[1:]
         if t < self.last[0]:
             checks.refuse("t", f"a time that is not before the last one, {self.last[0]:g}", f"{t:g}")
         if seen.any():

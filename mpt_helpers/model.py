@@ -216,17 +216,16 @@ def missed_by_halves(transition: Transition, dt: float) -> tuple[float, float]:
     """Return by how much two steps of dt / 2 miss one of dt, in F and in Q, relative to the size of each entry."""
     with np.errstate(over="ignore", invalid="ignore"):
         (half, noise), (F, Q) = transition(dt / 2), transition(dt)
-        twice = half @ half, half @ noise @ np.transpose(half) + noise
+        F_twice, Q_twice = half @ half, half @ noise @ half.T + noise
         half, noise = np.abs(half), np.abs(noise)
-        size_of_F, size_of_Q = half @ half, half @ noise @ half.T + noise  # of the terms that are added
-        size_of_F = np.maximum(size_of_F, LEAST_OF_F * size_of_F.max())
-        missed_of_F = np.abs(twice[0] - F) / np.where(size_of_F > 0, size_of_F, TINY)
-        missed_of_Q = np.abs(twice[1] - Q) / np.where(size_of_Q > 0, size_of_Q, TINY)
-    return _largest(missed_of_F), _largest(missed_of_Q)
+        F_size, Q_size = half @ half, half @ noise @ half.T + noise  # of the terms that are added
+        F_size = np.maximum(F_size, LEAST_OF_F * F_size.max())
+        return _relative(F_twice - F, F_size), _relative(Q_twice - Q, Q_size)
 
 
-def _largest(values):
-    return float(values.max()) if np.isfinite(values).all() else np.inf
+def _relative(missed, size):
+    """Return the largest part that is missed, infinite where a number is not finite."""
+    return float(np.nan_to_num(np.abs(missed) / np.maximum(size, TINY), nan=np.inf, posinf=np.inf).max())
 
 
 def _matrices(rows):

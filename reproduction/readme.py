@@ -14,14 +14,19 @@ COUNTS = (
     "{all} numbers, formulas, claims and figures, {checked} could be checked: {hold} hold, {part} in part, {fail} fail"
 )
 WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
+HOLDS = (
+    "A number *holds* if we compute the digits that are printed, or if it lies within the spread of our simulations; a "
+    "claim if it meets a rule that stands beside it. *In part* means under conditions that are named. What *fails* has "
+    "its reason beside it, proved where it could be."
+)
 BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re.DOTALL)
 
 
 def block(verdicts):
     """Return the README's table of the papers, in Markdown, and a sentence on what cannot be checked."""
     rows = [row(key, verdicts.of(key).checked()) for key in dict.fromkeys(each.paper for each in verdicts)]
-    head = ["paper", "what it asks", "does it hold?", "hold", "in part", "fail", "tables", "figures"]
-    return f"{Table(head, rows).markdown()}\n\n{on_what_is_lost(verdicts)}"
+    head = ["paper", "tables", "figures", "what it asks", "the answer that we find", "hold / in part / fail"]
+    return f"{Table(head, rows).markdown()}\n\n{HOLDS}\n\n{on_what_is_lost(verdicts)}"
 
 
 def row(key, count):
@@ -30,12 +35,12 @@ def row(key, count):
     notebook = f"{NOTEBOOKS}/{key}.ipynb"
     tables = [f"[{n}]({notebook}#Table-{n})" for n in range(1, about.tables + 1)]
     figures = [f"[{n}]({FIGURES}/{key}_fig{n}.png)" for n in range(1, about.figures + 1)]
-    counts = [count[name] for name in ("hold", "part", "fail")]
+    counts = " / ".join(str(count[name]) for name in ("hold", "part", "fail"))
     source = f"{about.authors}, {about.year}"
     if about.doi:
         source += f", [doi](https://doi.org/{about.doi})"
     name = f"[{about.name}]({notebook})<br>{source}"
-    return [name, about.question, about.answer, *counts, " ".join(tables) or "none", " ".join(figures) or "none"]
+    return [name, " ".join(tables) or "none", " ".join(figures) or "none", about.question, about.answer, counts]
 
 
 def on_what_is_lost(verdicts):

@@ -14,9 +14,8 @@ from .. import tracks
 from . import readers, report, writers
 from .files import require_free, write_together
 
-# Above this size (bytes) a notice is printed first: a million fixes take a minute and 1.8 GB.
-LARGE, BYTES_OF_A_FIX, BYTES_OF_MEMORY, FIXES_A_SECOND = 20e6, 100, 1800, 20_000
-MOST_PACKED = 1032  # bytes that a byte of a .gz can stand for
+# Above so many fixes a notice is printed first: a million take a minute and 1.8 GB.
+LARGE, BYTES_OF_MEMORY, FIXES_A_SECOND = 200_000, 1800, 20_000
 DPI = 130
 DESCRIPTION = (
     "Read a recorded track (GPX, or CSV with columns time and lat, lon or x, y), refuse its faults, smooth it, test "
@@ -75,11 +74,17 @@ def _run(options):
         raise ValueError(
             f"{folder}: needs a folder that exists, to write to; make it: mkdir -p {shlex.quote(str(folder))}"
         )
-    show = _Progress(path)
+    show = _Progress()
     named = {what: getattr(options, f"column_{what}") for what in readers.COLUMNS}
     try:
         show("reading")
         recording = readers.read(path, {what: name for what, name in named.items() if name is not None})
+        N = len(recording.time)
+        if N > LARGE:
+            show.clear()
+            minutes, gigabytes = N / FIXES_A_SECOND / 60, N * BYTES_OF_MEMORY / 1e9
+            words = f"{path.name}: {N:,} fixes: about {minutes:.0f} min and {gigabytes:.1f} GB of memory"
+            print(words, file=sys.stderr)
         smooth, picture = _written(path, folder, recording.metres is None)
         require_free([smooth, picture], options.overwrite, path)
         how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": show}
@@ -116,35 +121,11 @@ def _picture_of(c):
     return png.getvalue()
 
 
-def _size_of(path):
-    """Return the size of a file in bytes and, if it is compressed, that the size is that of its content.
-
-    The last four bytes of a .gz say how long its content is, but for multiples of 4 GiB.
-    """
-    size = path.stat().st_size
-    if path.suffix.lower() != ".gz":
-        return size, ""
-    with path.open("rb") as file:
-        file.seek(max(size - 4, 0))
-        unpacked = int.from_bytes(file.read(), "little")
-    plausible = size < unpacked < MOST_PACKED * size  # a file that is cut ends with other bytes
-    return (unpacked, " unpacked") if plausible else (size, " packed, and more unpacked")
-
-
 class _Progress:
     """The present task, on a terminal, in one line that is cleared at the end."""
 
-    def __init__(self, path):
+    def __init__(self):
         self._shown = sys.stderr.isatty()
-        size, packed = _size_of(path) if path.is_file() else (0, "")
-        if size > LARGE:
-            fixes = size / BYTES_OF_A_FIX
-            minutes, gigabytes = fixes / FIXES_A_SECOND / 60, fixes * BYTES_OF_MEMORY / 1e9
-            print(
-                f"{path.name}: {size / 1e6:,.0f} MB{packed}, some {fixes:,.0f} fixes: about {minutes:.0f} min and "
-                f"{gigabytes:.1f} GB of memory",
-                file=sys.stderr,
-            )
 
     def __call__(self, what):
         if self._shown:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 
+from .tables import aligned, details
 from .verdicts import CANNOT_BE_CHECKED, FAILS, HOLDS, IN_PART, Verdict, Verdicts
 
 ITEM = re.compile(r"\{([^{}]+)\}")
@@ -80,12 +81,8 @@ class Grid:
         self.caption, self.style = caption, LEFT if sentences else ""
 
     def __repr__(self):
-        widths = [max(len(cell.text) for cell in column) for column in zip(*self.lines, strict=True)]
-        lines = [self.caption] if self.caption else []
-        for line in self.lines:
-            padded = [cell.text.ljust(width) for cell, width in zip(line, widths, strict=True)]
-            lines.append("  ".join(padded).rstrip())
-        return "\n".join(lines)
+        lines = aligned([[cell.text for cell in line] for line in self.lines])
+        return "\n".join([self.caption, *lines] if self.caption else lines)
 
     def html(self) -> str:
         """Return the table in HTML."""
@@ -169,4 +166,4 @@ class Shown(Verdicts):
     def html(self) -> str:
         """Return the table and the sentences in HTML."""
         html = self.grid.html() + "".join(f"\n<p>{escape(text)}</p>" for text in self.told)
-        return f"<details><summary>{escape(self.folded)}</summary>\n{html}\n</details>" if self.folded else html
+        return details(self.folded, html) if self.folded else html

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
@@ -30,6 +30,22 @@ def gap_text(gap: float, floor: float = 1e-12) -> str:
     return f"below {floor:.0e}" if abs(gap) < floor else f"{gap:.1e}"
 
 
+def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return rows of cells as lines in which the cells of a column begin below each other.
+
+    >>> aligned([["filter", "burden"], ["KF", "509"]])
+    ['filter  burden', 'KF      509']
+    """
+    rows = list(rows)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
+def details(summary: str, html: str) -> str:
+    """Return HTML that is shown when a reader opens its summary."""
+    return f"<details><summary>{escape(summary)}</summary>\n{html}\n</details>"
+
+
 class Table:
     """A header and rows of cells. Raises ValueError for a row whose length is not that of the header.
 
@@ -47,10 +63,7 @@ class Table:
                 raise ValueError(f"rows[{i}]: needs {len(self.header)} cells, got {len(row)}")
 
     def __repr__(self):
-        lines = [self.header, *self.rows]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        padded = [map(str.ljust, line, widths) for line in lines]
-        return "\n".join("  ".join(line).rstrip() for line in padded)
+        return "\n".join(aligned([self.header, *self.rows]))
 
     def markdown(self) -> str:
         r"""Return the table in Markdown.
@@ -85,4 +98,4 @@ class Folded(Table):
         self.summary = summary
 
     def _repr_html_(self):
-        return f"<details><summary>{escape(self.summary)}</summary>\n{super()._repr_html_()}\n</details>"
+        return details(self.summary, super()._repr_html_())

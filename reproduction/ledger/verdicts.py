@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import asdict, dataclass, fields
-from html import escape
 from textwrap import shorten
 
-from .tables import Table
+from .tables import Table, details
 
 REPRODUCED, WITHIN_BAND, IN_PART = "reproduced", "within band", "holds in part"
 DIFFERS, ERRATUM, CANNOT_BE_CHECKED = "differs", "erratum", "cannot be checked"
@@ -87,20 +86,14 @@ class Tally:
         agree = self.values[REPRODUCED] + self.values[WITHIN_BAND]
         return f"{agree} of {self.values.total()} numbers, formulas and figures agree"
 
-    def cause_text(self, kind: str) -> str:
-        """Return the causes of one kind with their cells in brackets, as in "6 slips (85 cells)"."""
-        cells = self.causes[kind]
-        if not cells:
-            return "none"
-        return f"{counted(len(cells), kind)} ({counted(cells.total(), 'cell')})"
-
-    def wrong_text(self) -> str:
-        """Return the errors of the paper: the causes of each kind with their cells."""
-        return ", ".join(self.cause_text(kind) for kind in WRONG if self.causes[kind]) or "nothing wrong"
-
     def causes_text(self) -> str:
-        """Return the errors of the paper, and the number of cells that our copy of it lacks."""
-        text, lost = self.wrong_text(), self.causes["copy"].total()
+        """Return the causes of each kind with their cells, as in "6 slips (85 cells)", and what our copy lacks."""
+        said = []
+        for kind in WRONG:
+            cells = self.causes[kind]
+            if cells:
+                said.append(f"{counted(len(cells), kind)} ({counted(cells.total(), 'cell')})")
+        text, lost = ", ".join(said) or "nothing wrong", self.causes["copy"].total()
         return f"{text}; {counted(lost, 'cell')} missing or illegible in our copy" if lost else text
 
 
@@ -168,7 +161,7 @@ class Verdicts(list[Verdict]):
     def html(self) -> str:
         """Return the verdicts in HTML: a folded table."""
         table = Table(self.IN_HTML, [[getattr(each, name) for name in self.IN_HTML] for each in self])
-        return f"<details><summary>{escape(self.summary())}</summary>\n{table._repr_html_()}\n</details>"
+        return details(self.summary(), table._repr_html_())
 
     def _repr_mimebundle_(self, include=None, exclude=None):
         records = self.records()

@@ -239,7 +239,6 @@ def test_causes_are_counted_with_their_cells_and_claims_apart(paper):
     assert tally.claims_text() == "2 of 2 claims hold"
     assert tally.values_text() == "2 of 5 numbers, formulas and figures agree"
     assert tally.causes_text() == "1 slip (2 cells); 1 cell missing or illegible in our copy"
-    assert tally.cause_text("finding") == "none"
     assert Verdicts([]).tally().causes_text() == "nothing wrong"
 
 

@@ -1,6 +1,5 @@
 """`python -m mpt_helpers track`: what it prints, what it writes, what it refuses, and that it says so in words."""
 
-import gzip
 import itertools
 import json
 import os
@@ -286,17 +285,13 @@ def test_what_would_be_overwritten_is_refused_before_the_work(tmp_path, capsys, 
         assert f"{name}_smooth.{kind}: exists; to replace it" in err
 
 
-def test_a_word_beforehand_tells_time_and_memory_of_a_large_file_packed_or_not(tmp_path, capsys):
-    words = r"MB{}, some 1,0\d\d,000 fixes: about 1 min and 1\.\d GB of memory"
-    path = tmp_path / "large.gpx"
-    path.write_bytes(b" " * 101_000_000)
-    track_command._Progress(path)
-    assert re.search(words.format(""), capsys.readouterr().err)
-    packed = tmp_path / "large.gpx.gz"
-    packed.write_bytes(gzip.compress(path.read_bytes(), 1))
-    assert packed.stat().st_size < 1e6
-    track_command._Progress(packed)
-    assert re.search(words.format(" unpacked"), capsys.readouterr().err)
+def test_a_word_beforehand_tells_time_and_memory_of_a_large_file(tmp_path, capsys, monkeypatch):
+    z, _, _ = positions()
+    path = table(tmp_path / "large.csv", "time,x,y", range(300), *z.T)
+    assert said(capsys, path)[2] == ""
+    monkeypatch.setattr(track_command, "LARGE", 299)
+    monkeypatch.setattr(track_command, "FIXES_A_SECOND", 2)
+    assert "large.csv: 300 fixes: about 2 min and 0.0 GB of memory\n" in said(capsys, path, "--overwrite")[2]
 
 
 def test_help_says_what_a_pause_is(capsys):
