@@ -161,7 +161,11 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
     """
     need = f"a symmetric positive {'definite' if definite else 'semidefinite'} {size}×{size} matrix"
     matrix = array(name, value, (size, size))
-    sigma = np.sqrt(np.maximum(matrix.diagonal(), 0))
+    variance = matrix.diagonal()
+    # A variance of -rounding² relative to the largest is a sigma wrong by `rounding`.
+    if variance.min() < -(rounding**2) * max(variance.max(), 0):
+        refuse(name, need, f"a variance of {variance.min():.6g}")
+    sigma = np.sqrt(np.maximum(variance, 0))
     # Beside a variance of zero there is no covariance but rounding: up to `rounding` of the largest one possible.
     unit = np.where(sigma > 0, sigma, np.sqrt(rounding) * sigma.max() or np.finfo(float).tiny)
     with np.errstate(over="ignore"):
@@ -185,7 +189,8 @@ def measurements(z: Any, m: int, name: str = "z") -> Array:
         values = values[:, None]
     if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
-    return values.astype(float, copy=False)
+    with np.errstate(over="ignore"):  # a long double beyond the range of doubles becomes infinite, and is refused
+        return values.astype(float, copy=False)
 
 
 def variances(name: str, value: object, m: int) -> Array:
