@@ -40,7 +40,7 @@ def memories(cases):
 def draw_wall(case, stretches=9):
     """Draw the errors of the height over some stretches of a hundred fixes: single fixes, their wave, their means."""
     fig, ax = plots.panels([["wall"]], height=3.6)
-    fig.suptitle("The mean of fifty minutes follows the wave", x=0.02, ha="left", fontsize=12)
+    fig.suptitle("The mean of fifty minutes follows the lasting error", x=0.02, ha="left", fontsize=12)
     panel, n = ax["wall"], recorded.WINDOW
     hours = case.seconds[: n * stretches] / 3600
     errors, wave = (each[: n * stretches, UP] for each in (case.errors, case.lasting))
