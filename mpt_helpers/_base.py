@@ -329,6 +329,14 @@ class RecursiveFilter(Filter):
 
     optimal = True  # other than in Filter, where it is False
 
+    def __init_subclass__(cls) -> None:
+        """Let a subclass with a step of its own not inherit the faster ways of a parent, which make the parent's."""
+        super().__init_subclass__()
+        if "next_step" in vars(cls):
+            for way in ("next_steps", "on_columns"):
+                if way not in vars(cls):
+                    setattr(cls, way, getattr(RecursiveFilter, way))
+
     def __post_init__(self) -> None:
         checks.instance("model", self.model, LinearModel)
 

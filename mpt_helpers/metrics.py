@@ -303,7 +303,8 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
             size = "small" if correlation > 0 else "large"
             why = f"q is too {size} beside r (are the two exchanged?), or the mobile moves in another way"
             found["correlated"] = f"innovations are correlated by {correlation:.2f} with the ones before them: {why}"
-    if (again := _same_time(estimator.t, np.isfinite(z))).any():
+    t = next((leaf.t for leaf in estimator.leaves if leaf.t is not None), None)
+    if (again := _same_time(t, np.isfinite(z))).any():
         rows = f"{again.sum()} row(s) have the time of the one before, the first is row {again.argmax() + 1}"
         found["same time"] = f"{rows}: is it one fix, twice?"
     return found

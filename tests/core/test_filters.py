@@ -482,3 +482,29 @@ def test_what_is_printed_is_a_line():
     ]
     for each, line in printed:
         assert repr(each) == line
+
+
+@pytest.mark.parametrize("parent", [mpt.KalmanFilter, mpt.LainiotisFilter])
+def test_a_step_of_ones_own_is_taken_with_gaps_too(parent):
+    """A subclass of a shipped filter does not go by the faster ways of its parent, which are of the parent's step."""
+
+    class Bolder(parent):
+        optimal = False
+
+        def next_step(self, P, seen, *conditions):
+            return super().next_step(4 * P, seen, *conditions)
+
+    z = np.array([[np.nan], [1.0], [2.0], [np.nan], [3.2]])
+    kf, x, P, found = Bolder(AXIS), AXIS.x0, AXIS.P0, []
+    for z_k in z:
+        A, B, P = kf.next_step(P, np.isfinite(z_k))
+        x = A @ x + B @ np.nan_to_num(z_k)
+        found.append(x)
+    np.testing.assert_allclose(kf.filter(z), found, rtol=1e-12)
+    assert np.abs(kf.filter(z) - parent(AXIS).filter(z)).max() > 1e-3
+
+
+def test_repeated_times_are_suspicious_of_filters_side_by_side_too():
+    kf = mpt.KalmanFilter(mpt.constant_velocity(1.0, 0.01, 0.1, P0=np.eye(2)), t=[1, 2, 2, 3])
+    for estimator, columns in ((kf, 1), (mpt.Separate(kf, kf), 2)):
+        assert "same time" in mpt.metrics.suspicious(estimator, np.ones((4, columns)))

@@ -165,7 +165,7 @@ def test_the_formula_is_computed_by_hand():
 
 def test_the_root_of_n_ends_where_the_noise_is_as_large_as_what_lasts():
     r, sigma, _ = constants_of_heights()[WALL]
-    says("$\\sqrt n$ will do for far fewer than $r/\\sigma^2$ fixes: on your wall, where that is four, never.")
+    says("for far fewer than $r/\\sigma^2$ fixes: on your wall, where that is four, never.")
     assert round(r / sigma**2) == 4
     says("A phone with 10 m of noise each second, and with your wall's lasting error, would have some eighty")
     assert 75 < 100 / sigma**2 < 85
@@ -199,7 +199,7 @@ def test_what_a_window_leaves_is_what_theory_says():
 
 
 def test_what_is_left_without_noise_jumps_where_satellites_come_and_go(days, cases):
-    says("It jumps where a satellite comes or goes")
+    says("it jumps where a satellite comes or goes")
     for name, day in days.items():
         arc = recorded.arcs(day)
         changes = (arc[1:] != arc[:-1]).any(axis=1)
@@ -314,7 +314,7 @@ def test_what_the_table_of_six_heights_says_is_said(cases):
         changes.append(made[1] / made[0] - 1)
     says("Their errors differ by a seventh at most")
     assert 0.12 < np.abs(changes).max() < 1 / 7
-    says("So with constants from elsewhere the formula was up to three times too sure, or four times too careful, and")
+    says("So with constants from elsewhere the formula was up to three times too sure, or as much too careful, and")
     says("That is less than the 4 to 8 of $\\sqrt n$.")
     assert (round(rows[:, 0].min()), round(rows[:, 0].max())) == (4, 8)
     for where in ("another half day", "another station"):
@@ -359,7 +359,7 @@ def test_the_more_one_turns_the_less_the_lasting_error_matters(cases):
         found = white.estimates(walks[:, :1] + np.tile(recorded.windows(axis), 10))
         made = (found.x[:, 0] - walks[:, 0])[20:]
         assert mpt.metrics.rms(made.ravel()) / np.sqrt(found.P[20:, 0, 0].mean()) == pytest.approx(1.0, abs=0.04)
-    says("for simulated walkers white was right with a fix each 30 s")
+    says("For simulated walkers white was right with a fix each 30 s")
 
 
 def test_with_a_fix_each_second_it_matters_more():

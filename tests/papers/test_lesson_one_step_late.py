@@ -109,6 +109,7 @@ def test_the_numbers_of_the_scene_and_of_the_repair():
     assert np.sqrt(0.1) == pytest.approx(0.3, abs=0.02)
     assert f"paper's filter {late:.3f} m, right filter {right:.3f} m" in printed_by("how-bad")
     assert f"walking, 1.5 m/s: 1.5 m behind, {1.5 / late:.0f} times" in printed_by("how-bad")
+    says(f"that of the right filter would be wider, ± {2 * right:.2f} m.")
     delay = right / 1.5 / np.sqrt(2)
     says(f"with σ = {right:.2f} m, walking past a mark and back tells the delay to {delay:.2f} s (its σ)")
 
@@ -217,7 +218,7 @@ def test_how_often_a_minute_raises_an_alarm():
         assert nis == pytest.approx(nis_of_late(1.0, push**2, 0.1), abs=0.006)
     gentle, *others, largest = (f"{100 * share:.0f}" for _, share in found)
     _, honest = alarms(0.1, NOW)
-    says(f"for an honest filter it is {100 * honest:.0f} %")
+    says(f"for an honest filter it is {100 * honest:.0f} %:")
     says(f"| minutes with an alarm | {' | '.join(f'{each} %' for each in (gentle, *others, largest))} |")
     says("| pushes (m/s) | 0.1 | 0.3 | 0.6 | 1 |")
 
@@ -302,7 +303,7 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_a_ramp_sees_neither_q_nor_r():
-    says("Q, r and P, since every filter that still corrects its speed settles in the same place.")
+    says("and Q, r and P, since every filter that still corrects its speed settles in the same place.")
     rng = np.random.default_rng(5)
     for _ in range(15):
         root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
@@ -438,7 +439,7 @@ def test_positions_ahead_make_a_filter_too_sure():
 
 def test_uneven_steps_give_the_late_filter_away():
     """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
-    says("by 30 % at 1.5 m/s, NIS is 1.6")
+    says("If Δt varies by 30 %, the late filter's two faults no longer cancel, and at 1.5 m/s NIS is 1.6.")
     rng = np.random.default_rng(11)
     tracks, rows = 2000, 100
     steps = rng.uniform(0.7, 1.3, rows)
