@@ -212,6 +212,14 @@ def read_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Recordin
     return _of_table("frame", names, values, columns, [], index)
 
 
+def _are_digits_of_a_clock(times):
+    """Tell whether numbers are hhmmss from midnight on: never 60 to 99, with a step 40 longer at a full minute."""
+    steps = np.diff(times)
+    usual = np.median(steps) if len(steps) else 0.0
+    below_sixty = (times % 100 < 60) & (times // 100 % 100 < 60)
+    return bool(0 < usual < 60 and below_sixty.all() and (steps == usual + 40).any())
+
+
 def _kind(values):
     return getattr(getattr(values, "dtype", None), "kind", "")
 
@@ -281,7 +289,7 @@ def _times(name, column, values, texts):
     else:
         first, usual = texts[np.argmax(known)], float(np.median(times[known]))
         from_zero = 0 <= float(first) < FROM_ZERO and not re.match(r"\s*0\d", first) and usual < LATEST
-        if not (UNIX <= usual < LATEST or from_zero):
+        if not (UNIX <= usual < LATEST or (from_zero and not _are_digits_of_a_clock(times[known]))):
             need = f"ISO 8601, Unix seconds, or seconds from 0 in column {column!r}"
             raise ValueError(f"{name}: needs {need}, got {way_of(column, first)}")
         times = np.round(np.where(np.abs(times) < LATEST, times, math.nan) * 1e6)

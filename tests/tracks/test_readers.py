@@ -401,3 +401,23 @@ def test_the_shipped_tables_are_read_by_the_names_of_their_columns(path):
     assert np.isfinite(r.lat).all()
     assert (np.diff(r.time) > 0).mean() > 0.99
     assert r.said == ()
+
+
+def test_digits_of_a_clock_from_midnight_on_are_asked_about(tmp_path):
+    """0, 10 ... 50, 100 ... are hhmmss. Steps of 50 or 100 s are seconds, and so is one of 45 s among others."""
+
+    def table(times):
+        rows = [f"{t:g},{2.0 * k},{0.5 * k}" for k, t in enumerate(times)]
+        return "\n".join(["time,x,y", *rows]) + "\n"
+
+    minutes, seconds = np.divmod(10 * np.arange(40), 60)
+    with pytest.raises(ValueError, match=r"a clock's digits\?"):
+        read(tmp_path, table(100 * minutes + seconds))
+    for times in (
+        50 * np.arange(40),
+        100 * np.arange(40),
+        10 * np.arange(40),
+        np.cumsum([0, *[5] * 30, 45, *[5] * 30]),
+    ):
+        found = read(tmp_path, table(times)).time
+        np.testing.assert_array_equal(found - found[0], 1_000_000 * times)
