@@ -75,9 +75,9 @@ def study(
 
 
 def _let_the_process_keep_memory():
-    """Let glibc keep freed arrays of up to 32 MB for the next block: from now on it keeps what is no larger than this.
+    """Make glibc reuse freed arrays of up to 32 MB, the size of this one, for the next block.
 
-    Otherwise it returns them to the system, and the next block has them mapped and zeroed anew.
+    Otherwise it returns them to the system, and each block has them mapped and zeroed anew.
     """
     np.empty(2**25 - 2**16, np.uint8)
 

@@ -152,9 +152,8 @@ class _Sequence:
         self.missing = np.isnan(z)
         self.seen = ~self.missing.all(axis=2)
         self.fixes = self.seen.any(axis=1).tolist()
-        self.whole = (
-            (~self.missing | ~self.seen[:, :, None]).all(axis=(1, 2)).tolist()
-        )  # no axis lacks what others have
+        # Whether no axis lacks what others have.
+        self.whole = (~self.missing | ~self.seen[:, :, None]).all(axis=(1, 2)).tolist()
         self.dt, self.motions = [None] * len(z), {None: (kf.model.F, kf.model.Q)}  # F and Q by the length of a step
         if epochs.dt is not None:
             self.dt = epochs.dt[:, 0].tolist()

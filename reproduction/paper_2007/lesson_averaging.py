@@ -9,8 +9,10 @@ from mpt_helpers.metrics import rms
 from reproduction import lasting, plots
 
 from . import recorded
+from .checks import spread
 
 UP = 2  # the column of the heights
+TENTH = "{:.1f}"  # how ratios are shown
 SLIP_STEPS = 12  # a slip of one phase: so many times the median step of code minus phase
 # The tropics, up to 15 degrees, in RTCA/DO-229 (MOPS, appendix A.4.2.4; UNB3 has the same): pressure of vapour (hPa),
 # temperature (K), its lapse (K/m), and the exponent by which vapour falls with height. There they have no season.
@@ -140,17 +142,12 @@ def carried(cases, fits, kalman):
     for where, some in {"another half day": halves, "another station": stations}.items():
         if some:  # a reader's own may be the only station
             of_mean = [mean_over_stated(z, constants, step) for z, step, constants in some]
-            rows.append([where, to_and_fro(of_mean), to_and_fro([of_filter(*each) for each in some])])
+            rows.append([where, spread(of_mean, TENTH), spread([of_filter(*each) for each in some], TENTH)])
     hours = [
         mean_over_stated(case.errors[:, UP], constants_of(fits[name]), case.step, n=round(4 * 3600 / case.step))
         for name, case in cases.items()
     ]
-    return [*rows, ["the same day, over four hours", to_and_fro(hours), ""]]
-
-
-def to_and_fro(ratios):
-    """Return the least and the largest of some ratios as text."""
-    return f"{min(ratios):.1f} to {max(ratios):.1f}"
+    return [*rows, ["the same day, over four hours", spread(hours, TENTH), ""]]
 
 
 # What smoothing and corrections do
