@@ -168,9 +168,7 @@ def test_axes_that_are_linked():
             assert position < velocity < 2.05 * position
     says("with one half between the errors, they state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says(
-        "Told 0.9 where 0.3 is true, it states 4.4 m after the silence and is wrong by 10.9 m, more than axes kept apart"
-    )
+    says("Told 0.9 where 0.3 is true, it states 4.4 m after the silence and is wrong by 10.9 m, more than axes kept")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
