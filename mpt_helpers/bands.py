@@ -386,7 +386,7 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
 
     Parameters
     ----------
-    a, band
+    a, band : ForecastErrors, array_like (K, m)
         As for `coverage`.
     level : float
         The share of errors that the band is to hold, between 0 and 1.

@@ -126,8 +126,8 @@ class LinearModel(Immutable):
 
         Returns
         -------
-        F, Q : ndarray (..., n, n)
-            The transition of each step, and the covariance that it adds to the state.
+        tuple of ndarray (..., n, n)
+            F and Q of each step.
 
         Examples
         --------
@@ -406,10 +406,12 @@ def gps_ins(
 
     Parameters
     ----------
-    dt, q, x0, P0 : float, array_like
+    dt, q : float
         As for `gsm_axis`. The paper prints no Q.
     r : array_like (2,) or (3,)
         Variances of the first two rows of H (m², m²/s²), or of all three (m², m²/s², m²).
+    x0, P0 : array_like (3,), (3, 3), optional
+        As for `gsm_axis`.
 
     Returns
     -------
