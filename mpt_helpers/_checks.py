@@ -206,13 +206,13 @@ def no_infinity(z: np.ndarray, name: str = "z") -> None:
         refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
 
-def one_measurement(z_k: object, m: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return z_k as a vector of floats of length m, and which of them are there."""
+def one_measurement(value: object, m: int, name: str = "z_k") -> tuple[np.ndarray, np.ndarray]:
+    """Return a measurement as a new vector of floats of length m, and which of them are there."""
     need = f"a vector of length {m}"
-    z_k = real_numbers("z_k", z_k, need).astype(float)
+    z_k = real_numbers(name, value, need).astype(float)
     if z_k.shape != (m,):
-        refuse("z_k", need, f"shape {z_k.shape}")
-    no_infinity(z_k, "z_k")
+        refuse(name, need, f"shape {z_k.shape}")
+    no_infinity(z_k, name)
     return z_k, np.isfinite(z_k)
 
 

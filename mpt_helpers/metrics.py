@@ -158,32 +158,19 @@ def _of(estimator, z):
     return z, many, values, S
 
 
-def _squares(values, C):
-    """Return the sums of squares of values (N, d, M) at unit covariance, (N, M), and log det C (N, M).
-
-    C is (N, d, d, M or 1). A value that is NaN adds nothing to either.
-    """
-    N, d, M = values.shape
-    squares, log_det = np.empty((N, M)), np.empty((N, M))
-    for part in epochs_at_a_time(N, d * d * M):
-        unit, log_det[part] = whitened(np.moveaxis(values[part], 1, 0), np.moveaxis(C[part], 0, 2))
-        squares[part] = np.square(unit).sum(axis=0)
-    return squares, log_det
-
-
-class Squares(NamedTuple):
-    """The terms of the log-likelihood of each row, (N, M): νᵀ S⁻¹ ν, log det S, and the number of measurements."""
-
-    squares: Array
-    log_det: Array
-    count: Array
-
-
-def squares_of(estimator: Filter, z: ArrayLike) -> Squares:
-    """Return the terms of the log-likelihood of each epoch of z, for `nis`, `log_likelihood` and `fit`."""
+def unit_innovations(estimator: Filter, z: ArrayLike) -> tuple[Array, Array, Array]:
+    """Return innovations at unit covariance, (N, m, M), 0 where z is missing, and (N, M) log det S and their count."""
     _, _, values, S = _of(estimator, z)
-    squares, log_det = _squares(values, S)
-    return Squares(squares, log_det, np.isfinite(values).sum(axis=1))
+    return *_at_unit_covariance(values, S), np.isfinite(values).sum(axis=1)
+
+
+def _at_unit_covariance(values, C):
+    """Return values (N, d, M) at unit covariance, 0 where NaN, and log det C (N, M) of their C (N, d, d, M or 1)."""
+    N, d, M = values.shape
+    unit, log_det = np.empty((d, N, M)), np.empty((N, M))
+    for part in epochs_at_a_time(N, d * d * M):
+        unit[:, part], log_det[part] = whitened(np.moveaxis(values[part], 1, 0), np.moveaxis(C[part], 0, 2))
+    return np.moveaxis(unit, 0, 1), log_det
 
 
 def nis(estimator: Filter, z: ArrayLike) -> Array:
@@ -211,8 +198,8 @@ def nis(estimator: Filter, z: ArrayLike) -> Array:
     array([4.51, 6.93])
 
     """
-    squares, _, count = squares_of(estimator, z)
-    result = np.where(count == 0, np.nan, squares)
+    unit, _, count = unit_innovations(estimator, z)
+    result = np.where(count == 0, np.nan, np.square(unit).sum(axis=1))
     return result if np.ndim(z) == 3 else result[:, 0]
 
 
@@ -243,8 +230,8 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
     -4.6228
 
     """
-    squares, log_det, count = squares_of(estimator, z)
-    result = -0.5 * (squares + log_det + count * np.log(2 * np.pi)).sum(axis=0)
+    unit, log_det, count = unit_innovations(estimator, z)
+    result = -0.5 * (np.square(unit).sum(axis=1) + log_det + count * np.log(2 * np.pi)).sum(axis=0)
     return result if np.ndim(z) == 3 else result[0]
 
 
@@ -349,7 +336,7 @@ def nees(errors: ArrayLike, P: ArrayLike) -> Array:
     """
     need = "an (N, n) or (N, n, M) array of finite numbers"
     errors = checks.real_numbers("errors", errors, need).astype(float)
-    if errors.ndim not in (2, 3) or not np.isfinite(errors).all():  # of NaN `_squares` would count nothing
+    if errors.ndim not in (2, 3) or not np.isfinite(errors).all():  # of NaN `whitened` would make nothing
         checks.refuse("errors", need, f"shape {errors.shape}, or NaN or infinity")
     P = checks.real_numbers("P", P, "covariances").astype(float)
     many = errors.ndim == 3
@@ -363,7 +350,7 @@ def nees(errors: ArrayLike, P: ArrayLike) -> Array:
     sigma = np.sqrt(np.abs(np.einsum("kii...->ki...", P)))
     if (np.abs(P - P.swapaxes(1, 2)) > checks.SOLVED * sigma[:, :, None] * sigma[:, None]).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
-    squares, _ = _squares(errors, P)
+    squares = np.square(_at_unit_covariance(errors, P)[0]).sum(axis=1)
     if not np.isfinite(squares).all():
         checks.refuse("P", "positive definite matrices", "one that is not")
     return squares if many else squares[:, 0]

@@ -206,9 +206,9 @@ def of(transition, dt=1.0):
 
 
 REFUSED = {
-    "no function": (lambda: of(3), TypeError, "transition: needs a function of dt that returns F and Q, got 3"),
+    "no function": (lambda: of(3), TypeError, "transition: needs a function of dt that returns F and Q as arrays"),
     "no pair": (lambda: of(lambda dt: np.eye(1)), TypeError, "transition: needs a function of dt"),
-    "lists": (lambda: of(lambda dt: ([[1.0]], [[dt]])), TypeError, "returns F and Q as arrays, got lists"),
+    "lists": (lambda: of(lambda dt: ([[1.0]], [[dt]])), TypeError, r"returns F and Q as arrays, got \(\[\["),
     "no dt": (lambda: of(wrong(), dt=None), TypeError, "dt: needs to be given beside transition"),
     "dt of zero": (lambda: of(wrong(), dt=0.0), ValueError, "dt: needs"),
     "Q of the square of the length": (lambda: of(wrong(power=2.0)), ValueError, "two steps of dt / 2 to be one"),

@@ -116,7 +116,9 @@ def test_the_numbers_of_the_scene_and_of_the_repair():
 
 def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
     """The estimate is that of x(k), minus Δt times the velocity in the position: for every Q, r and Δt."""
-    says("That the filter is late by v Δt on average is algebra, for every Q, r and Δt.")
+    says(
+        "late by v Δt on average at a speed v is algebra, for every Q, r and Δt with which it still corrects its speed"
+    )
     rng = np.random.default_rng(0)
     for _ in range(100):
         dt, q, r = 10 ** rng.uniform([-2, -4, -3], [2, 2, 3])
@@ -126,7 +128,7 @@ def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
 
 def test_the_wrong_sigma_is_the_error_of_a_second_ago():
     """Within one part in a hundred, by simulation of the position before and the estimate now."""
-    says("It is, here, the error of the position a second ago, known from the measurement of that second")
+    says("With pushes this gentle it is the error of the position a second ago, which two measurements have seen")
     true, measured = lesson.walk(60, tracks=4000)
     x = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE})).filter(measured[:, None])
     about_before = np.sqrt(np.mean((x[40:, 0] - true[39:-1]) ** 2))
@@ -218,7 +220,7 @@ def test_how_often_a_minute_raises_an_alarm():
         assert nis == pytest.approx(nis_of_late(1.0, push**2, 0.1), abs=0.006)
     gentle, *others, largest = (f"{100 * share:.0f}" for _, share in found)
     _, honest = alarms(0.1, NOW)
-    says(f"for an honest filter it is {100 * honest:.0f} %:")
+    says(f"For an honest filter it is {100 * honest:.0f} %.")
     says(f"| minutes with an alarm | {' | '.join(f'{each} %' for each in (gentle, *others, largest))} |")
     says("| pushes (m/s) | 0.1 | 0.3 | 0.6 | 1 |")
 
@@ -439,7 +441,7 @@ def test_positions_ahead_make_a_filter_too_sure():
 
 def test_uneven_steps_give_the_late_filter_away():
     """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
-    says("If Δt varies by 30 %, the late filter's two faults no longer cancel, and at 1.5 m/s NIS is 1.6.")
+    says("if Δt varies by 30 % and the filter knows it, NIS is 1.6 at 1.5 m/s")
     rng = np.random.default_rng(11)
     tracks, rows = 2000, 100
     steps = rng.uniform(0.7, 1.3, rows)

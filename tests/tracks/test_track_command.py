@@ -354,7 +354,7 @@ def test_hdop_weighs_the_fixes(tmp_path):
             lambda text: text.replace("<ele>", "<el>", 1),
             "needs a GPX file, got one that cannot be read (mismatched tag",
         ),
-        (lambda text: "", "needs columns time and lat, lon (degrees) or x, y (metres), got nothing"),
+        (lambda text: "", "or x, y (metres), with commas between, got 'nothing'"),
         (lambda text: text.replace("<trkpt", "<rtept").replace("</trkpt", "</rtept"), "got no fixes"),
         (lambda text: f"{HEAD}{'<a>' * 200_000}", "one that cannot be read (no element found"),
         (
