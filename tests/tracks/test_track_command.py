@@ -235,7 +235,8 @@ def test_a_csv_is_read_by_its_names_or_by_those_given(tmp_path, capsys):
     code, _, err = said(capsys, path)
     assert code == 1
     assert (
-        "needs columns time and lat, lon (degrees) or x, y (metres), got 'when', 'a', 'b': name others: --time" in err
+        "needs columns time and lat, lon (degrees) or x, y (metres), with commas between, got 'when', 'a', 'b': name "
+        "others: --time" in err
     )
     found = json.loads(said(capsys, path, "--time", "when", "--x", "a", "--y", "b", "--json")[1])
     assert found["r"] == pytest.approx(4.0, rel=0.3)
@@ -342,20 +343,23 @@ def test_hdop_weighs_the_fixes(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda text: re.sub("<time>.*?</time>", "", text), "got 300 fixes and no times"),
-        (lambda text: re.sub("<time>.*?</time>", "<time>noon</time>", text), "times that cannot be read, as 'noon'"),
+        (lambda text: re.sub("<time>.*?</time>", "", text), "got 0 of 300, 300 with no time"),
+        (
+            lambda text: re.sub("<time>.*?</time>", "<time>noon</time>", text),
+            "300 with a time that cannot be read, as 'noon': numbers",
+        ),
         (
             lambda text: re.sub("<time>.*?</time>", "<time>2024-05-03T10:00:00Z</time>", text),
-            "got 2024-05-03 10:00:00 in all",
+            "got 1 of 300, 299 with a time that is not after the one before: most times are equal",
         ),
         (lambda text: re.sub('lat="5', 'lat="95', text), "needs degrees of at most 90 and 360"),
-        (lambda text: re.sub('lat="5', 'lat="15', text), "are the two exchanged?"),
+        (lambda text: re.sub('lat="5', 'lat="15', text), "are the two exchanged, "),
         (
             lambda text: text.replace("<ele>", "<el>", 1),
             "needs a GPX file, got one that cannot be read (mismatched tag",
         ),
-        (lambda text: "", "needs columns time and lat, lon (degrees) or x, y (metres), got nothing"),
-        (lambda text: text.replace("<trkpt", "<rtept").replace("</trkpt", "</rtept"), "got no fixes"),
+        (lambda text: "", "or x, y (metres), with commas between, got 'nothing'"),
+        (lambda text: text.replace("<trkpt", "<rtept").replace("</trkpt", "</rtept"), "got 0 of 0"),
         (lambda text: f"{HEAD}{'<a>' * 200_000}", "one that cannot be read (no element found"),
         (
             lambda text: re.sub('<trkpt lat="[^"]*" lon="[^"]*"', '<trkpt lat="57" lon="9"', text),
@@ -759,7 +763,7 @@ def test_the_step_of_a_straight_way_is_not_the_grid():
     assert cleaning.grid_of(walked().round(7), tracks.GRIDS) == pytest.approx(1e-7)
     assert cleaning.grid_of(walked(), tracks.GRIDS) < 1e-6  # on none
     assert cleaning.grid_of(np.array([57.0, 57.0, np.nan]), tracks.GRIDS) == 0
-    assert cleaning.grid_of(np.cumsum([0.0, 1.2, 0.1, 2.4] * 9), tracks.GRIDS_OF_METRES) == pytest.approx(0.1)
+    assert cleaning.grid_of(np.cumsum([0.0, 1.2, 0.1, 2.4] * 9), tracks.DECIMALS) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(
