@@ -307,7 +307,7 @@ class _Way:
 
 
 def _without_excursions(found, way):
-    """Return the segments without those that stand in one wrong position, as 0° N 0° E, from where the track returns."""
+    """Return the segments but those that stand in a wrong position, as 0° N 0° E, from where the track returns."""
     if way.fast == 0:  # a track that mostly stands still, but for the steps of a coarse grid
         return found
     rows, left = np.concatenate(found), []
