@@ -506,7 +506,7 @@ def test_smoothing_is_a_mean_at_first_and_then_forgets(hatch):
         start = 0 if k < 25 else 25
         np.testing.assert_allclose(found[k], noise[start : k + 1].mean(), atol=1e-9)
     np.testing.assert_allclose(found[15], found[14] + (noise[15] - found[14]) / 10, atol=1e-9)
-    page_says(f"and such a mean keeps $\\sqrt{{0.1/1.9}}$, or {np.sqrt(0.1 / 1.9):.2f}, of its noise")
+    page_says(f"such a mean keeps $\\sqrt{{0.1/1.9}}$, or {np.sqrt(0.1 / 1.9):.2f}, of its noise")
 
 
 @pytest.mark.parametrize("missing", ["code", "phase"])
@@ -555,7 +555,7 @@ def test_with_two_phases_a_longer_average_takes_more_off(cases, hatch):
         name = f"{station}, {TWO}"
         smooth = lesson.smoothed({name: cases[name]}, lambda *each: hatch(*each[:3], 60))
         longer[station] = 1 - recorded.size(smooth[name][99:]) / row(PRINTED, name)[1]
-    page_says("30 min instead of the table's 5 took another tenth off at Belem, and nothing at NYA1")
+    page_says("30 min instead of 5 took another tenth off at Belem, and nothing at NYA1")
     assert longer["Belem"] == max(longer.values()) == pytest.approx(0.11, abs=0.01)
     assert abs(longer["NYA1"]) < 0.02
 
@@ -625,7 +625,7 @@ def test_plates_have_moved_sideways(days, cases):
         velocity = np.cross(np.radians(np.array(pole) / 3.6e6), station)
         shifts.append(years * positioning.local_axes(station) @ velocity)
     sizes = spread(np.linalg.norm(shifts, axis=1), "{:.1f}")
-    page_says(f"Plates have moved since, sideways, by {sizes} m, and the means of two frequencies agree with that")
+    page_says(f"plates have moved since, sideways, by {sizes} m, and the means of two frequencies agree with that")
     assert np.abs(shifts)[:, 2].max() < 0.01
     # Such frames are an inference from this agreement: on six axes together it is 0.2 m.
     apart = [cases[f"{name}, {TWO}"].offset[:2] - shift[:2] for name, shift in zip(moved, shifts, strict=True)]
