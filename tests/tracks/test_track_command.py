@@ -424,7 +424,9 @@ def test_other_units_are_asked_for_where_numbers_are_handed_in_too(step, metres,
     z, _, _ = positions()
     c = tracks.clean(step * np.arange(300.0), metres * z)
     asked = " ".join(c.unusual)
-    assert in_one_line(c.report()).endswith(asked)
+    before, _, after = in_one_line(c.report()).partition("refused as faults")
+    assert before.endswith(f"every {step:g} s {f'note: {asked} ' if asked else ''}")  # before all numbers
+    assert "note" not in after
     assert c.summary()["notes"] == c.unusual
     if words is None:
         assert asked == ""
@@ -445,6 +447,19 @@ def test_a_file_in_degrees_is_asked_for_its_times_only(tmp_path):
     (asked,) = c.unusual
     assert asked.endswith(", with a fix every 1000 s: are the times in seconds, not milliseconds?")
     assert c.summary()["notes"][-1] == asked
+
+
+def test_radians_are_asked_for_and_the_date_is_told(tmp_path):
+    """Nobody can see that GPS seconds of 2024 are no Unix seconds of 2014, but the one who reads the date."""
+    _, lat, lon = positions()
+    c = mpt.track(table(tmp_path / "car.csv", "time,lat,lon", 1.39e9 + np.arange(300), *np.radians([lat, lon])))
+    assert [each for each in c.unusual if "are they in radians?" in each] == c.unusual
+    assert in_one_line(c.report()).startswith(
+        "car.csv: 300 fixes in 0:04:59, every 1 s; from 2014-01-17 23:06:40 UTC note"
+    )
+    c = mpt.track(table(tmp_path / "car.csv", "time,lat,lon", np.arange(300), lat, lon))
+    assert c.unusual == []
+    assert "UTC" not in c.report()
 
 
 def test_so_many_refused_fixes_are_called_no_faults():
