@@ -169,6 +169,13 @@ def test_the_method_replaces_no_file_unasked_and_never_its_source(spoilt):
     assert (spoilt.read_bytes(), photo.read_bytes()) == (before, b"mine")
     c.gpx(photo, overwrite=True)
     assert b"trkpt" in photo.read_bytes()
+    pipe, linked = spoilt.parent / "pipe.gpx", spoilt.parent / "linked.gpx"
+    os.mkfifo(pipe)
+    os.link(spoilt, linked)
+    with pytest.raises(FileExistsError, match=r"pipe.gpx: is a pipe or a device"):
+        c.gpx(pipe, overwrite=True)  # a device would be a file afterwards
+    with pytest.raises(FileExistsError, match=r"linked.gpx: is the recording itself"):
+        c.gpx(linked, overwrite=True)
 
 
 def test_what_is_written_is_the_recording_as_it_was_read(spoilt):
@@ -206,7 +213,7 @@ def test_a_pipe_a_device_or_nothing_is_refused_at_once(tmp_path, capsys):
     for path, words in {
         tmp_path / "pipe.gpx": "needs a file, got",
         "/dev/stdin": "needs a file with a name of its own",
-        tmp_path / "none.gpx": "there is no such file",
+        tmp_path / "none.gpx": "No such file",
     }.items():
         code, _, err = said(capsys, path)
         assert code == 1
@@ -741,9 +748,11 @@ def test_the_track_of_the_guide_as_a_whole_process(tmp_path):
     assert len(picture) > 20_000
 
 
-def test_the_moved_commands_are_still_named(capsys):
+def test_another_command_is_said_to_be_elsewhere(capsys):
     assert main(["reproduce"]) == 2
-    assert "python -m reproduction reproduce" in capsys.readouterr().err
+    assert "the papers are reproduced in a checkout, by python -m reproduction" in capsys.readouterr().err
+    assert main(["--help"]) == 0
+    assert "track FILE.gpx" in capsys.readouterr().out
 
 
 def walked(seed=5, N=2000):
