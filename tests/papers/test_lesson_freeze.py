@@ -96,7 +96,7 @@ def test_a_line_through_two_measurements_is_a_start_for_a_good_sensor_only(sigma
     exact = lesson.errors_from_two_measurements(sigma**2)
     np.testing.assert_allclose(rms, exact, rtol=0.02)  # known to 0.5 %
     if sigma == 10:
-        says(f"the frozen filter is up to {exact.max():.0f} m off")
+        says(f"begun on two of its measurements the frozen filter is up to {exact.max():.0f} m off")
     else:
         says("With this sensor a good guess is nearly enough.")
         assert exact.max() < 1.2 * sigma
@@ -127,7 +127,7 @@ def rms(off):
 
 def test_the_braking(taught):
     misses, motion, motion_3 = (taught[name] for name in ("misses", "motion", "motion_3"))
-    says("it needs a surprise of 2/0.212 = 9.4 m each time")
+    says("the filter of the dotted line needs a surprise of 2/0.212 = 9.4 m each time")
     assert round(2 / SETTLED.B[1, 0], 1) == 9.4
     says("the filter that knows the acceleration is ahead, by 16 m against 26 and by 29 against 33")
     says("If the driver lets go after three seconds, velocity is ahead, by 10 m against 16")
@@ -146,7 +146,9 @@ def test_the_braking(taught):
     gain = {each: rms(misses(motion, 1, each)) / rms(misses(motion_3, 0.01, each)) for each in (2, 3, 4, 6, 8)}
     assert min(gain[2], gain[3]) > 1.25  # ten and seven seconds
     assert max(gain[4], gain[6], gain[8]) < 1.2  # five seconds and less
-    says("the prediction is 25 m too far at once, then some 31 m, at 2 m/s², and 50 m, then some 60 m, at 4")
+    says(
+        "the prediction is up to 31 m too far at 2 m/s² and up to 60 m at 4, with either filter that the table compares"
+    )
     for brake, (first, worst) in {2: (25, 31), 4: (50, 60)}.items():
         for off in (misses(motion, 1, brake), misses(motion_3, 0.01, brake)):
             assert round(off[0, 0]) == first
@@ -186,13 +188,9 @@ def worst_ratio_after(missed, make, q):
 def test_a_miss_costs_a_frozen_gain_little_and_ten_much(taught):
     filters = (taught["motion"], 0.01), (taught["motion"], 1.0), (taught["motion_3"], 0.01)
     after = {missed: [worst_ratio_after(missed, *each) for each in filters] for missed in (1, 3, 10)}
-    says("After one miss a frozen filter predicts up to 10 % worse than one whose gain varies.")
-    assert max(after[1]) == pytest.approx(1.1, abs=0.006)
-    says("After three it is up to twice as bad with either of those two filters, and 6 % worse with velocity")
-    assert after[3][0] == pytest.approx(1.06, abs=0.005)
-    assert after[3][1:] == [pytest.approx(2, abs=0.2)] * 2
-    says("after ten 8 and 12 times, and twice")
-    assert [round(each) for each in after[10]] == [2, 8, 12]
+    for missed, ratios in after.items():
+        cells = [f"{each:.2f}" if each < 1.095 else f"{each:.1f}" if each < 5 else f"{each:.0f}" for each in ratios]
+        says(f"| {missed} | {' | '.join(cells)} |")
 
 
 @pytest.mark.parametrize("sigma", [0.32, 10.0])
