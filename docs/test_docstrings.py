@@ -12,8 +12,8 @@ from numpydoc.validate import ERROR_MSGS, validate
 import mpt_helpers as mpt
 
 # By these methods filters, metrics and bands call one another. They have one line.
-INNER = {"as_tracks", "epochs_of", "estimates_of", "innovations_of", "next_steps", "on_columns", "run", "shared_steps"}
-INNER |= {"times_of"}
+INNER = {"as_tracks", "epochs_of", "estimates_of", "innovations_of", "next_steps", "run", "shared_steps"}
+INNER |= {"advance", "times_of"}
 
 # The rules of numpydoc that are not asked for, and why.
 OFF = {

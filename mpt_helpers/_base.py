@@ -10,21 +10,19 @@ with measurements z (N, m, M) that are checked already:
 
 Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them.
 
-A `RecursiveFilter` defines `next_step`, and the engine runs it:
+A `RecursiveFilter` defines `next_step`, and the engine runs it. The way of z through `filter`:
 
-    filter, estimates  ->  run             ->  engine.estimates
-    smooth             ->  _smoothed       ->  engine.estimates, smoothed
-    innovations        ->  innovations_of  ->  engine.innovations  ->  engine.estimates
-
-    engine.estimates   ->  shared_steps  ->  next_step                         tracks without gaps
-                       ->  on_columns    ->  one epoch of many tracks at once  all others
+    Filter.filter -> run -> engine.estimates -> shared_steps -> next_step         tracks without gaps: A, B, P once
+                                                run_shared                        x <- A x + B z, several steps at once
+                                             -> advance                           all others, row by row, as columns
+    smooth        -> engine.smoothed, innovations_of -> engine.innovations        both begin with engine.estimates
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +32,8 @@ from . import _checks as checks
 from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
-from ._engine.columns import Epochs, Prediction, Rows, advance_by_steps
+from ._engine.algebra import LinearMap, Motion, whitened
+from ._engine.columns import Epochs
 from ._engine.pieces import VAGUE
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
@@ -42,8 +41,6 @@ from ._immutable import Immutable
 from .equations import unit_measurements
 from .model import LinearModel
 
-# Numbers in the covariances of the tracks that are smoothed, or whose innovations are computed, together: 32 MB.
-MOST_NUMBERS = 4_000_000
 # The largest variance of the prediction of a measurement, in units of R. Rounding of I - K H makes P after the
 # measurement wrong by some 1e-31 of it: here by 1 % of R.
 LARGEST = 1e29
@@ -280,7 +277,12 @@ class Filter(Immutable):
 
     def epochs_of(self, z: Array) -> Epochs:
         """Return z (N, m, M) with the conditions of its epochs; raises ValueError where those are of other epochs."""
-        return Epochs(z)
+        return Epochs(z, self.motion)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The prediction by the model on columns, x <- F x and P <- F P Fᵀ + Q."""
+        return Motion(self.model.F, self.model.Q)
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
         """Write the estimates of z (N, m, M) to x (N, n, M); return their covariances, or None if they are not wanted.
@@ -333,7 +335,7 @@ class RecursiveFilter(Filter):
         """Let a subclass with a step of its own not inherit the faster ways of a parent, which make the parent's."""
         super().__init_subclass__()
         if "next_step" in vars(cls):
-            for way in ("next_steps", "on_columns"):
+            for way in ("next_steps", "advance"):
                 if way not in vars(cls):
                     setattr(cls, way, getattr(RecursiveFilter, way))
 
@@ -375,17 +377,24 @@ class RecursiveFilter(Filter):
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
 
-    def on_columns(self, rows: Rows) -> Callable[..., Any]:
-        """Return the filter on columns, its `advance` (`_engine.columns`), for Rows that start at x0 and P0.
+    def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as `_engine.columns` has them.
 
-        It calls `next_steps`, with a matrix for each column. A subclass may do the same in fewer operations.
+        Columns that see the same measurements go together. A subclass may do the same in fewer operations.
         """
-        return partial(advance_by_steps, self)
-
-    @cached_property
-    def prediction(self) -> Prediction:
-        """The prediction by the model on columns, x <- F x and P <- F P Fᵀ + Q."""
-        return Prediction(self.model.F, self.model.Q)
+        z, seen, *_ = row
+        innovations = x[:0]
+        if self.optimal:
+            x_predicted, P_predicted = self.motion(x, P)
+            expected, S = LinearMap(self.model.H)(x_predicted, P_predicted)
+            S += self.model.R[..., None]
+            innovations, _ = whitened(np.where(seen[:, None], z - expected, np.nan), S[:, :, None])
+        x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, z))  # stacks of matrices
+        for which in np.unique(seen, axis=1).T:
+            columns = np.flatnonzero((which == seen.T).all(axis=1))
+            A, B, P[columns] = self.next_steps(P[columns], which)
+            x[columns] = A @ x[columns] + B @ z[columns]
+        return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
 
     @cached_property
     def vague(self) -> bool:
@@ -458,7 +467,7 @@ class RecursiveFilter(Filter):
         """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter whose P is that of the best estimate, got a {type(self).__name__}")
-        return self._as_given(z, lambda z: self._in_tiles(self._smoothed, self.epochs_of(z), self.model.n))
+        return self._as_given(z, lambda z: engine.in_tiles(smoothed, self, self.epochs_of(z), self.model.n))
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
         """Write the estimates to x and return the covariances if wanted, as in Filter."""
@@ -466,7 +475,7 @@ class RecursiveFilter(Filter):
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
         """Return the innovations and their covariances, as in Filter."""
-        return self._in_tiles(partial(engine.innovations, self), self.epochs_of(z), self.model.m)
+        return engine.in_tiles(engine.innovations, self, self.epochs_of(z), self.model.m)
 
     def shared_steps(self, N: int, tracks: int) -> tuple[list[Step], list[Array]] | None:
         """Return steps and products for tracks without gaps, None for too many steps; kept for the next call."""
@@ -481,20 +490,3 @@ class RecursiveFilter(Filter):
     def _kept(self):
         """The memory of `shared_steps`: a frozen filter takes no new value, but a dict does."""
         return {}
-
-    def _smoothed(self, epochs):
-        N, _, M = epochs.z.shape
-        x = np.empty((N, self.model.n, M))
-        P = engine.estimates(self, epochs, x, covariances=True)
-        return smoothed(self.prediction, epochs, x, P)
-
-    def _in_tiles(self, function, epochs, d):
-        """Return function(epochs), values (N, d, M) and covariances (N, d, d, M or 1), computed in tiles of tracks."""
-        N, _, M = epochs.z.shape
-        parts = steps.tiles(M, max(1, MOST_NUMBERS // (N * self.model.n**2)))
-        if len(parts) == 1:
-            return function(epochs)
-        values, covariances = np.empty((N, d, M)), np.empty((N, d, d, M))
-        for part in parts:
-            values[..., part], covariances[..., part] = function(epochs.of(part))
-        return values, covariances

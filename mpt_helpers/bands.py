@@ -48,8 +48,7 @@ __all__ = [
     "placebo",
 ]
 
-# What is learnt of the errors is forgotten over the fixes of one horizon, and over no fewer than these.
-SHORTEST_MEMORY = 5
+SHORTEST_MEMORY = 5  # fixes
 # The part of a prediction's variance that the recent innovations scale.
 LOCAL = 0.8
 # A larger NIS / m counts as this: one jump does not widen the band for a whole memory.
@@ -60,7 +59,7 @@ LATEST = 1.5
 TIME_ROUNDING = 1e-6
 # The share of 30 independent predictions has a standard deviation of 4 %: with fewer, `coverage` warns.
 FEW = 30
-# If so many fixes in a row, from the first on, are too late for a check, the horizon is shorter than the steps.
+# If so many fixes from the first on are too late for a check, the horizon is shorter than the steps.
 UNCHECKED = 30
 FITTING = "a horizon with fixes 1 to 1.5 times as much later than others"
 
@@ -72,16 +71,12 @@ class ForecastErrors(NamedTuple):
     ----------
     made, due : ndarray (K,)
         Times of the prediction and of the fix that checks it, in s.
-    errors : ndarray (K, m)
-        Measured minus predicted, NaN where nothing was measured.
-    sigma : ndarray (K, m)
-        Standard deviation of the error that the filter states.
+    errors, sigma : ndarray (K, m)
+        Measured minus predicted, NaN where nothing was measured, and its standard deviation as the filter states it.
     recent : ndarray (K,)
         c, the size of the recent innovations over the stated one, when the prediction was made.
-    row, due_row : ndarray of int (K,)
-        Rows of z of both.
-    fixes : ndarray of int (K,)
-        How many fixes later the checking one is.
+    row, due_row, fixes : ndarray of int (K,)
+        Rows of z of both, and how many fixes later the checking one is.
     track : ndarray of int (K,)
         The track.
     rests : ndarray of bool (K,)
@@ -133,10 +128,8 @@ class Expected(NamedTuple):
 
     Attributes
     ----------
-    position : ndarray (m,)
-        The expected measurement.
-    half_width : ndarray (m,)
-        The half-widths of the band around it.
+    position, half_width : ndarray (m,)
+        The expected measurement, and the half-widths of the band around it.
 
     """
 
@@ -187,18 +180,39 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     N, m, M = z.shape
     t = np.broadcast_to(estimator.times_of(N).reshape(N, -1), (N, M))
     R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
-    parts = []
-    for c in range(M):
-        t_c, R_c = t[:, c], R[..., c]
-        x_c = np.vstack([model.x0, x[..., c]])
-        P_c = np.concatenate([estimator.P0[None], P[..., c]])
-        parts.append(_ahead_on_one_track(model, t_c, z[..., c], x_c, P_c, R_c, seconds, c))
-    if not any(len(part[0]) for part in parts):
-        steps = np.diff(t[np.isfinite(z[..., 0]).any(axis=1), 0])
-        got = f"{seconds:g} with steps of {np.median(steps):g} s" if len(steps) else "fewer than two fixes"
-        checks.refuse("seconds", FITTING, got)
-    arrays = [np.concatenate(column) for column in zip(*[part[:-1] for part in parts], strict=True)]
-    return ForecastErrors._make([*arrays, sum(part[-1] for part in parts), seconds])
+    start = model.x0, estimator.P0
+    tracks = [_of_one_track(model, start, *(each[..., c] for each in (t, z, x, P, R)), seconds) for c in range(M)]
+    track = np.repeat(np.arange(M), [len(made) for made, *_ in tracks])
+    if len(track) == 0:
+        checks.refuse("seconds", FITTING, f"{seconds:g}")
+    *arrays, rests = (np.concatenate(parts) for parts in zip(*tracks, strict=True))
+    left_out = int(np.isfinite(z).any(axis=1).sum()) - len(track)
+    return ForecastErrors(*arrays, track, rests, left_out, seconds)
+
+
+def _of_one_track(model, start, t, z, x, P, R, seconds):
+    """Return the arrays of ForecastErrors of one track, but for `track`; start is x0 and P0."""
+    fixes = np.flatnonzero(np.isfinite(z).any(axis=1))
+    t_fix = t[fixes]
+    checking = np.searchsorted(t_fix, t_fix + seconds * (1 - TIME_ROUNDING))
+    later = np.append(t_fix, np.inf)[checking] - t_fix
+    made = np.flatnonzero(later <= seconds * (LATEST + TIME_ROUNDING))
+    due = checking[made]
+    row, due_row = fixes[made], fixes[due]
+    expected, S = _expected(model, x[row], P[row], later[made], R[due_row])
+    sigma = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
+
+    # One step ahead, for the recent average of NIS / m.
+    x_before, P_before = np.vstack([start[0], x])[fixes], np.concatenate([start[1][None], P])[fixes]
+    step_ahead, S = _expected(model, x_before, P_before, np.diff(t, prepend=t[0] - model.dt)[fixes], R[fixes])
+    nis = _nis_per_number(z[fixes] - step_ahead, S)
+    in_horizon = np.arange(len(fixes)) - np.searchsorted(t_fix, t_fix - seconds * (1 + TIME_ROUNDING))
+    average, recent = 1.0, np.empty(len(fixes))
+    for k in range(len(fixes)):
+        average = _average_with(average, nis[k], in_horizon[k])
+        recent[k] = _local(average)
+    errors = z[due_row] - expected
+    return t[row], t[due_row], errors, sigma, recent[made], row, due_row, due - made, _repeats(z[due_row], z[row])
 
 
 def following(a: ForecastErrors, before: ForecastErrors | None = None, level: float = 0.95) -> Array:
@@ -233,11 +247,89 @@ def following(a: ForecastErrors, before: ForecastErrors | None = None, level: fl
     """
     checks.instance("a", a, ForecastErrors)
     level = checks.level(level)
-    start = _start(a.seconds, a.errors.shape[1], before, level)
-    band = np.empty_like(a.sigma)
-    for rows in _each_track(a):
-        _follow(a, rows, start, level, band)
-    return band
+    return _follow(a, _start(a.seconds, a.errors.shape[1], before, level), level)[0]
+
+
+def _start(seconds, m, before, level):
+    """Return log f of each axis at the start: where the errors before end, if there are any."""
+    normal = np.full(m, math.log(ndtri((1 + level) / 2)))
+    if before is None:
+        return normal
+    checks.instance("before", before, ForecastErrors)
+    if before.seconds != seconds or before.errors.shape[1] != m:
+        got = f"{before.seconds:g} s and {before.errors.shape[1]} axes"
+        checks.refuse("before", f"predictions of {seconds:g} s and {m} axes, as those that follow", got)
+    return _follow(before, normal, level)[1]
+
+
+def _follow(a, start, level):
+    """Return the band (K, m) of tracks that begin with log f = start (m,), and the mean log f after their last fix."""
+    band, ends = np.empty_like(a.sigma), []
+    for predictions in np.split(np.arange(len(a.track)), np.flatnonzero(np.diff(a.track)) + 1):
+        log_f, checked = start, predictions[0]
+        for k in predictions:
+            while a.due_row[checked] <= a.row[k]:  # a prediction is due after it was made: it ends before k
+                log_f = _after(log_f, a.errors[checked], band[checked], a.fixes[checked], a.rests[checked], level)
+                checked += 1
+            band[k] = np.exp(log_f) * a.recent[k] * a.sigma[k]
+        for k in range(checked, predictions[-1] + 1):
+            log_f = _after(log_f, a.errors[k], band[k], a.fixes[k], a.rests[k], level)
+        ends.append(log_f)
+    return band, np.mean(ends, axis=0)
+
+
+def _after(log_f, error, half_width, fixes, rests, level):
+    """Return log f (m,) after one check, `fixes` fixes after the prediction: higher after a miss, lower after a hit.
+
+    The fixes that come while one prediction waits are no more than the memory, so they move log f by 0.5 at most.
+    """
+    if rests:
+        return log_f
+    gamma = 0.5 / max(SHORTEST_MEMORY, fixes)
+    missed = np.abs(error) > half_width
+    return np.where(np.isnan(error), log_f, log_f + gamma * (missed - (1 - level)))
+
+
+def _average_with(average, nis, fixes):
+    """Return the recent average of NIS / m after one more of them, with so many fixes in the horizon before it."""
+    return average + (nis - average) / max(SHORTEST_MEMORY, fixes)
+
+
+def _local(average):
+    """Return c from the recent average of NIS / m."""
+    return math.sqrt(1 - LOCAL + LOCAL * average)
+
+
+def _repeats(z, before):
+    """Tell which measurements z (..., m) repeat the ones before them, to the last bit."""
+    return ((z == before) | (np.isnan(z) & np.isnan(before))).all(axis=-1)
+
+
+def _expected(model, x, P, seconds, R):
+    """Return mean (..., m) and covariance (..., m, m) of measurements some seconds (...) after x (..., n) and P."""
+    F, Q = model.over(seconds)
+    P = F @ P @ F.swapaxes(-1, -2) + Q
+    x = (F @ x[..., None])[..., 0]
+    return x @ model.H.T, model.H @ P @ model.H.T + R
+
+
+def _nis_per_number(innovations, S):
+    """Return NIS / m of innovations (..., m), at most CAP, where m counts those that are there."""
+    seen = np.isfinite(innovations)
+    S = np.where(seen[..., None] & seen[..., None, :], S, np.eye(S.shape[-1]))
+    y = np.where(seen, innovations, 0)
+    nis = (y * np.linalg.solve(S, y[..., None])[..., 0]).sum(axis=-1)
+    return np.minimum(nis / seen.sum(axis=-1), CAP)
+
+
+def _model_of_any_step(estimator):
+    if estimator.model.dt is None:
+        need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
+        checks.refuse("estimator", need, "one whose F and Q are for one length only")
+    if estimator.parts and any(leaf.t is not None or leaf.r is not None for leaf in estimator.leaves):
+        need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
+        checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")
+    return estimator.model
 
 
 def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None) -> Coverage:
@@ -275,15 +367,14 @@ def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None)
 
     """
     band, judged = _judged("coverage", a, band, where)
-    inside = np.where(judged, np.abs(a.errors) <= band, np.nan)
-    of_axes = np.array([_independent(a, of_axis) for of_axis in judged.T])
-    fewest = int(of_axes.min())
+    share = np.nanmean(np.where(judged, np.abs(a.errors) <= band, np.nan), axis=0)
+    independent = np.array([_independent(a, of_axis) for of_axis in judged.T])
+    fewest = int(independent.min())
     if fewest < FEW:
         text = f"coverage: {fewest} independent predictions of {a.seconds:g} s are too few to judge a band by"
         checks.warn(f"{text}, which takes {FEW}")
-    share = np.nanmean(inside, axis=0)
-    near = (share * of_axes + 2) / (of_axes + 4)
-    return Coverage(share, np.sqrt(near * (1 - near) / (of_axes + 4)), fewest)
+    near = (share * independent + 2) / (independent + 4)
+    return Coverage(share, np.sqrt(near * (1 - near) / (independent + 4)), fewest)
 
 
 def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, where: ArrayLike | None = None) -> Array:
@@ -295,14 +386,12 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
 
     Parameters
     ----------
-    a : ForecastErrors
-        The errors of `ahead`.
-    band : array_like (K, m)
-        Half-widths of the band, NaN where nothing is stated.
+    a, band : ForecastErrors, array_like (K, m)
+        As for `coverage`.
     level : float
         The share of errors that the band is to hold, between 0 and 1.
     where : array_like of bool (K,), optional
-        Which predictions to look at; all where not given.
+        As for `coverage`.
 
     Returns
     -------
@@ -314,15 +403,43 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
     >>> import mpt_helpers as mpt
     >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
     >>> a = mpt.metrics.ahead(kf, [[0.0], [0.5], [2.0]], seconds=1.0)
-    >>> a.errors.ravel().round(2)
-    array([0.5 , 1.82])
-    >>> mpt.metrics.interval_score(a, np.ones((2, 1))).round(2)  # the second is missed by 0.82
+    >>> mpt.metrics.interval_score(a, np.ones((2, 1))).round(2)  # an error of 0.5 m, and one of 1.82 m that misses
     array([18.38])
 
     """
     band, judged = _judged("interval_score", a, band, where)
     missed_by = np.maximum(np.abs(a.errors) - band, 0)
     return np.nanmean(np.where(judged, 2 * band + 2 / (1 - checks.level(level)) * missed_by, np.nan), axis=0)
+
+
+def _judged(name, a, band, where):
+    """Return the band, and a mask (K, m) of the errors that judge it: measured, where `where` says, with a half-width.
+
+    `name` is that of the function that judges, for its warning.
+    """
+    band = checks.real_numbers("band", band, "half-widths")
+    if band.shape != a.errors.shape or (band < 0).any():
+        got = f"shape {band.shape}, the least is {np.nanmin(band):g}"
+        checks.refuse("band", f"half-widths of shape {a.errors.shape} that are not negative", got)
+    where = np.ones(len(band), bool) if where is None else np.asanyarray(where)
+    if type(where) is not np.ndarray or where.shape != (len(band),) or where.dtype != bool:
+        checks.refuse("where", f"an array of {len(band)} truth values", f"{type(where).__name__} {where.shape}")
+    measured = ~np.isnan(a.errors) & where[:, None]
+    judged = measured & ~np.isnan(band)
+    if not judged.any(axis=0).all():
+        checks.refuse("band, where", "a half-width of at least one checked prediction on each axis", "none on some")
+    if unstated := int((measured & ~judged).sum()):
+        checks.warn(f"{name}: left out {unstated} of {measured.sum()} errors, whose band is NaN")
+    return band, judged
+
+
+def _independent(a, where):
+    """Return the number of predictions that do not overlap: each begins when the one counted before it has ended."""
+    count, end, track = 0, -np.inf, -1
+    for made, due, of_track in zip(a.made[where], a.due[where], a.track[where], strict=True):
+        if made >= end or of_track != track:
+            count, end, track = count + 1, due, of_track
+    return count
 
 
 def placebo(a: ForecastErrors, rng: np.random.Generator) -> ForecastErrors:
@@ -393,16 +510,15 @@ class LiveBand:
         self.model: LinearModel = _model_of_any_step(estimator)
         self.seconds: float = checks.duration("seconds", seconds)
         self.level: float = checks.level(level)
-        self.log_f: list[float] = _start(self.seconds, self.model.m, before, self.level)
-        self.average: float = 1.0  # a: the recent average of NIS / m
+        self.log_f: Array = _start(self.seconds, self.model.m, before, self.level)
+        self.average: float = 1.0  # of the recent NIS / m
         # The estimate of the last call: time, x, P.
         self.last: tuple[float | None, Array, Array] = None, self.model.x0, estimator.P0
         self.times: deque[float] = deque()  # of the fixes within the last horizon
-        self.fixes: int = 0
-        # How many fixes came too late for a check; None once one did not.
-        self.unchecked: int | None = 0 if before is None else None
-        # Predictions that wait for their fix: time, x, P, f c, the number of their fix, its z.
+        # The predictions since the oldest one that waits for its fix: time, z, x, P, f c.
         self.pending: deque[tuple[Any, ...]] = deque()
+        # How many fixes came too late for a check before the first one that did not.
+        self.unchecked: float = 0 if before is None else -math.inf
 
     @property
     def factor(self) -> Array:
@@ -436,10 +552,8 @@ class LiveBand:
 
         """
         t = checks.number("t", t, "a time in seconds", lambda _: True)
-        z = checks.measurements(np.reshape(z, (1, -1)), self.model.m)[0].copy()  # the caller may fill it anew
-        checks.no_infinity(z)
-        x, P = (each.copy() for each in checks.state(x, P, self.model.n))
-        seen = ~np.isnan(z)
+        z, seen = checks.one_measurement(z, self.model.m, "z")
+        x, P = (each.copy() for each in checks.state(x, P, self.model.n))  # the caller may fill them anew
         R = self.model.R
         if r is not None:
             R = np.diag(np.where(seen, checks.variances_of_one("r", r, seen), np.diag(R)))
@@ -450,202 +564,34 @@ class LiveBand:
         if seen.any():
             self._check(t, z, R)
             self._learn(t, z, R)
-        self.last = t, x, P
         scale = self.factor * _local(self.average)
         if seen.any():
-            self.fixes += 1
             self.times.append(t)
-            self.pending.append((t, x, P, scale, self.fixes, z))
-        expected, sigma = self._predicted(x, P, self.seconds, R)
-        return Expected(expected, scale * sigma)
+            self.pending.append((t, z, x, P, scale))
+        self.last = t, x, P
+        expected, S = _expected(self.model, x, P, self.seconds, R)
+        return Expected(expected, scale * np.sqrt(np.diag(S)))
 
     def _check(self, t, z, R):
         """Let f learn from the predictions that have come due at the fix z."""
-        too_late = 0.0  # by how many seconds this fix came after predictions that it cannot check
+        too_late = False
         while self.pending and t - self.pending[0][0] >= self.seconds * (1 - TIME_ROUNDING):
-            made, x, P, scale, number, z_made = self.pending.popleft()
+            made, z_made, x, P, scale = self.pending.popleft()
             if t - made > self.seconds * (LATEST + TIME_ROUNDING):
-                too_late = t - made
+                too_late = True
                 continue
-            self.unchecked = None
-            if not _repeats(z, z_made):
-                expected, sigma = self._predicted(x, P, t - made, R)
-                fixes = self.fixes + 1 - number
-                self.log_f = _after(self.log_f, np.abs(z - expected), scale * sigma, fixes, self.level)
-        if too_late and self.unchecked is not None:
-            self.unchecked += 1
-            if self.unchecked == UNCHECKED:
-                got = f"{self.seconds:g}, and none of {UNCHECKED} fixes came so soon; the last was {too_late:g} s later"
-                checks.refuse("seconds", FITTING, got)
+            self.unchecked = -math.inf
+            expected, S = _expected(self.model, x, P, t - made, R)
+            half_width, fixes = scale * np.sqrt(np.diag(S)), len(self.pending) + 1
+            self.log_f = _after(self.log_f, z - expected, half_width, fixes, _repeats(z, z_made), self.level)
+        self.unchecked += too_late
+        if self.unchecked == UNCHECKED:
+            checks.refuse("seconds", FITTING, f"{self.seconds:g}, and none of {UNCHECKED} fixes came so soon")
 
     def _learn(self, t, z, R):
         """Let the average of the recent innovations learn from the fix z."""
         while self.times and self.times[0] < t - self.seconds * (1 + TIME_ROUNDING):
             self.times.popleft()
         last, x, P = self.last
-        expected, S = _expected(self.model, x[None], P[None], np.array([t - last]), R[None])
-        squared = _nis_per_number(z[None] - expected, S)[0]
-        self.average = _average_with(self.average, squared, len(self.times))
-
-    def _predicted(self, x, P, seconds, R):
-        expected, S = _expected(self.model, x[None], P[None], np.array([seconds]), R[None])
-        return expected[0], np.sqrt(np.diag(S[0]))
-
-
-def _ahead_on_one_track(model, t, z, x, P, R, seconds, track):
-    """Return the fields of ForecastErrors, but for seconds. x and P begin with those before the first row."""
-    fixes = np.flatnonzero(np.isfinite(z).any(axis=1))
-    t_fix = t[fixes]
-    due = np.searchsorted(t_fix, t_fix + seconds * (1 - TIME_ROUNDING))
-    checked = due < len(fixes)
-    checked[checked] = t_fix[due[checked]] - t_fix[checked] <= seconds * (LATEST + TIME_ROUNDING)
-    row, due_row = fixes[checked], fixes[due[checked]]
-    later = due[checked] - np.flatnonzero(checked)
-    expected, S = _expected(model, x[row + 1], P[row + 1], t[due_row] - t[row], R[due_row])
-    sigma = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
-    before = np.diff(t, prepend=t[0] - model.dt)[fixes]
-    innovation_of, S_of = _expected(model, x[fixes], P[fixes], before, R[fixes])
-    recent = _recent(t_fix, _nis_per_number(z[fixes] - innovation_of, S_of), seconds)[checked]
-    tracks, rests = np.full(len(row), track), _repeats(z[due_row], z[row])
-    left_out = len(fixes) - len(row)
-    return t[row], t[due_row], z[due_row] - expected, sigma, recent, row, due_row, later, tracks, rests, left_out
-
-
-def _repeats(z, before):
-    """Tell which measurements z (..., m) repeat the ones before them, to the last bit."""
-    return ((z == before) | (np.isnan(z) & np.isnan(before))).all(axis=-1)
-
-
-def _expected(model, x, P, seconds, R):
-    """Return the mean (K, m) and covariance (K, m, m) of measurements some seconds (K,) after x (K, n), P (K, n, n)."""
-    F, Q = model.over(seconds)
-    P = F @ P @ F.swapaxes(1, 2) + Q
-    x = (F @ x[..., None])[..., 0]
-    return x @ model.H.T, model.H @ P @ model.H.T + R
-
-
-def _nis_per_number(innovations, S):
-    """Return NIS / m of innovations (K, m), at most CAP, where m counts those that are there."""
-    seen = np.isfinite(innovations)
-    both = seen[:, :, None] & seen[:, None]
-    y = np.where(seen, innovations, 0)
-    nis = np.einsum("ki,ki->k", y, np.linalg.solve(np.where(both, S, np.eye(S.shape[1])), y[..., None])[..., 0])
-    return np.minimum(nis / seen.sum(axis=1), CAP)
-
-
-def _recent(t, squared, seconds):
-    """Return c after each fix, from NIS / m of all fixes."""
-    within = np.arange(len(t)) - np.searchsorted(t, t - seconds * (1 + TIME_ROUNDING))
-    a, averages = 1.0, []
-    for value, count in zip(squared.tolist(), within.tolist(), strict=True):
-        a = _average_with(a, value, count)
-        averages.append(a)
-    return _local(np.array(averages))
-
-
-def _average_with(average, squared, fixes):
-    """Return the recent average of NIS / m after one more of them, with so many fixes in the horizon before it."""
-    return average + (squared - average) / _memory(fixes)
-
-
-def _local(average):
-    """Return c from the recent average of NIS / m."""
-    return np.sqrt(1 - LOCAL + LOCAL * average)
-
-
-def _memory(fixes):
-    """Return the number of fixes over which errors are remembered, from the number of fixes in one horizon."""
-    return max(SHORTEST_MEMORY, fixes)
-
-
-def _after(log_f, errors, half_widths, fixes, level):
-    """Return log f of each axis after errors (m,), NaN where none counts, checked so many fixes after the prediction.
-
-    The fixes that come while one prediction waits are no more than the memory, so they move log f by 0.5 at most.
-    """
-    gain = 0.5 / _memory(fixes)
-    return [
-        f + gain * ((error > half_width) - (1 - level)) if error == error else f
-        for f, error, half_width in zip(log_f, errors, half_widths, strict=True)
-    ]
-
-
-def _follow(a, rows, log_f, level, band):
-    """Write the half-widths of one track, a slice of rows, to band (K, m); return log f (m,) after the last fix."""
-    widths = (a.sigma[rows] * a.recent[rows, None]).tolist()
-    errors = np.where(a.rests[rows, None], np.nan, np.abs(a.errors[rows])).tolist()
-    made_row, due_row, fixes = a.row[rows].tolist(), a.due_row[rows].tolist(), a.fixes[rows].tolist()
-    half, checked = [], 0  # the half-widths so far; how many predictions f has learnt from
-    for k, row in enumerate([*made_row, math.inf]):  # those due after the last one was made are learnt from at the end
-        while checked < k and due_row[checked] <= row:
-            log_f = _after(log_f, errors[checked], half[checked], fixes[checked], level)
-            checked += 1
-        if k < len(widths):
-            half.append([math.exp(f) * width for f, width in zip(log_f, widths[k], strict=True)])
-    band[rows] = half
-    return log_f
-
-
-def _start(seconds, m, before, level):
-    """Return log f of each axis at the start: where the errors before end, if there are any."""
-    normal = [math.log(ndtri((1 + level) / 2))] * m
-    if before is None:
-        return normal
-    checks.instance("before", before, ForecastErrors)
-    if before.seconds != seconds or before.errors.shape[1] != m:
-        got = f"{before.seconds:g} s and {before.errors.shape[1]} axes"
-        checks.refuse("before", f"predictions of {seconds:g} s and {m} axes, as those that follow", got)
-    band = np.empty_like(before.sigma)
-    ends = [_follow(before, rows, normal, level, band) for rows in _each_track(before)]
-    return np.mean(ends or [normal], axis=0).tolist()
-
-
-def _each_track(a):
-    """Return the slice of each track along K."""
-    first = np.flatnonzero(np.diff(a.track, prepend=-1))
-    return [slice(*pair) for pair in zip(first, [*first[1:], len(a.track)], strict=True)]
-
-
-def _independent(a, where):
-    """Return the number of predictions that do not overlap: each begins when the one counted before it has ended."""
-    count, end, track = 0, -np.inf, -1
-    for made, due, of_track in zip(a.made[where].tolist(), a.due[where].tolist(), a.track[where].tolist(), strict=True):
-        if made >= end or of_track != track:
-            count, end, track = count + 1, due, of_track
-    return count
-
-
-def _model_of_any_step(estimator):
-    if estimator.model.dt is None:
-        need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
-        checks.refuse("estimator", need, "one whose F and Q are for one length only")
-    if any(map(_has_conditions, estimator.parts)):
-        need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
-        checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")
-    return estimator.model
-
-
-def _has_conditions(estimator):
-    """Tell whether a filter, or one of its parts, was given times or variances."""
-    return estimator.t is not None or estimator.r is not None or any(map(_has_conditions, estimator.parts))
-
-
-def _judged(name, a, band, where):
-    """Return the band, and a mask (K, m) of the errors that judge it: measured, where `where` says, with a half-width.
-
-    `name` is that of the function that judges, for its warning.
-    """
-    band = checks.real_numbers("band", band, "half-widths")
-    if band.shape != a.errors.shape or (band < 0).any():
-        got = f"shape {band.shape}, the least is {np.nanmin(band):g}"
-        checks.refuse("band", f"half-widths of shape {a.errors.shape} that are not negative", got)
-    where = np.ones(len(band), bool) if where is None else np.asanyarray(where)
-    if type(where) is not np.ndarray or where.shape != (len(band),) or where.dtype != bool:
-        checks.refuse("where", f"an array of {len(band)} truth values", f"{type(where).__name__} {where.shape}")
-    measured = ~np.isnan(a.errors) & where[:, None]
-    judged = measured & ~np.isnan(band)
-    if not judged.any(axis=0).all():
-        checks.refuse("band, where", "a half-width of at least one checked prediction on each axis", "none on some")
-    if unstated := int((measured & ~judged).sum()):
-        checks.warn(f"{name}: left out {unstated} of {measured.sum()} errors, whose band is NaN")
-    return band, judged
+        expected, S = _expected(self.model, x, P, t - last, R)
+        self.average = _average_with(self.average, _nis_per_number(z - expected, S), len(self.times))

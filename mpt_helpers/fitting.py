@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,22 +25,41 @@ from .kalman import KalmanFilter
 from .model import LinearModel
 from .search import FLAT, NOTHING, along_a_line, by_newton, differences, lowest
 
+# The search along a ratio leaves out so many rows for each state: after them the start is forgotten.
+ROWS_OF_A_START = 5
+# Measurements that never change would make all variances zero.
+LEAST_SCALE = 1e-9
+# So many blocks, of so many seconds where a track is long enough. On recorded tracks scores over 10 s are far from
+# independent, over 300 s nearly.
+FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
+# A parameter is known although a flat direction moves it, if it is by less than this part of the direction's length: so
+# much comes from the end of the search.
+APART = 1e-2
+# A parameter so many times its guess, or less than that part of it, may be of other units: kilometres for metres make
+# 1e-6 of q and r, milliseconds for seconds 1e-9 of q, degrees 1e-10 of both.
+OTHER_UNITS = 1e5
+# A parameter known to no better than this factor is not known.
+VAGUE = math.log(10)
+# Standard deviations from x0 to what the measurements say of it: from the first on a fit is refused, from the second on
+# it warns, since it explains the distance by a wrong q and r.
+ANOTHER_POSITION, FAR = 1e3, 10.0
+# Q is rescaled until the band changes by less than this, in logarithms of its variance, and so many times at most.
+CLOSE, MOST_RESCALINGS = 1e-2, 50
+
 
 class Fit(NamedTuple):
     """The result of `fit`; printed, it is a table of values and errors.
 
     Attributes
     ----------
-    values : dict
-        The parameters, by name.
-    log_errors : dict
-        The standard errors of their natural logarithms, by name: 0.1 stands for ten percent.
+    values, log_errors : dict
+        The parameters by name, and the standard errors of their natural logarithms: 0.1 stands for ten percent.
     filter : Filter
         The filter with these values.
     log_likelihood : float
         log L.
     errors_from : str
-        What they were made from, as "15 blocks of 300 fixes", "40 tracks" or "curvature".
+        What the errors were made from, as "15 blocks of 300 fixes", "40 tracks" or "curvature".
 
     """
 
@@ -112,11 +132,10 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     if not start:
         checks.refuse("start", "a first guess of at least one parameter", "none")
     guess = {name: checks.positive(name, value) for name, value in start.items()}
-    count = int(np.isfinite(checks.real_numbers("z", z, "numbers")).sum())
-    if count <= len(guess):
-        checks.refuse("z", f"more measurements than parameters, of which there are {len(guess)}", count)
     estimator = _filter(make, guess)
     z = checks.measurements(z, estimator.model.m)
+    if (count := int(np.isfinite(z).sum())) <= len(guess):
+        checks.refuse("z", f"more measurements than parameters, of which there are {len(guess)}", count)
     if (distance := _distance_of_the_start(estimator, z)) > ANOTHER_POSITION:
         need = "a model whose x0 and P0 say where the tracks begin (x0 at the first measurement, or z - z[0])"
         checks.refuse("make", need, f"first measurements {distance:.0f} standard deviations away")
@@ -126,35 +145,19 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         if not math.isfinite(likelihood(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters under which z has a likelihood", guess)
-        near = _best_ratio(likelihood, origin)
+        near = _best_ratio(likelihood, origin, estimator.model.n)
         best = lowest(likelihood, origin) if near is None else by_newton(likelihood, near)
-        to_zero = [_runs_to_zero(likelihood, best, unit) for unit in np.eye(len(best))]
+        # Where log L falls by nothing as a parameter goes on towards zero, only an upper limit of it is known.
+        further = [likelihood(best - math.log(1000) * unit) for unit in np.eye(len(best))]
+        bounded = np.array(further) >= likelihood(best) + NOTHING
         blocks = blocks_of(estimator, z)
-        errors = log_errors(likelihood, best, np.flatnonzero(np.logical_not(to_zero)), blocks)
-    found = Fit(
-        likelihood.values_at(best),
-        dict(zip(guess, errors.tolist(), strict=True)),
-        likelihood.filter_at(best),
-        -likelihood(best),
-        blocks.name,
-    )
-    for text in _doubts(found, z, guess, to_zero):
+        errors = log_errors(likelihood, best, np.flatnonzero(bounded), blocks)
+    log_errors_by_name = dict(zip(guess, errors.tolist(), strict=True))
+    values, found = likelihood.values_at(best), likelihood.filter_at(best)
+    result = Fit(values, log_errors_by_name, found, -likelihood(best), blocks.name)
+    for text in _doubts(result, z, guess, bounded):
         checks.warn(f"fit: {text}")
-    return found
-
-
-class Blocks(NamedTuple):
-    """Parts of tracks whose scores are taken as independent: the block of each row (N, M), how many, and a name."""
-
-    of_rows: np.ndarray
-    count: int
-    name: str
-
-
-# A start is forgotten after so many rows for each state.
-ROWS_OF_A_START = 5
-# Measurements that never change would make all variances zero.
-LEAST_SCALE = 1e-9
+    return result
 
 
 @dataclass(frozen=True)
@@ -171,33 +174,6 @@ class NegativeLogLikelihood:
     bar: tqdm | None = None
     computed: dict[bytes, float] = field(default_factory=dict)
 
-    def __call__(self, point: Array) -> float:
-        """Return -log L, infinite where the model cannot be computed."""
-        key = point.tobytes()
-        if key not in self.computed:
-            self.computed[key] = float(self._of_rows(point).sum())
-        return self.computed[key]
-
-    def by_block(self, point: Array, blocks: Blocks) -> Array:
-        """Return the share of each block in -log L (B,)."""
-        shares = np.broadcast_to(self._of_rows(point), blocks.of_rows.shape)
-        return np.bincount(blocks.of_rows.ravel(), shares.ravel(), blocks.count)
-
-    def _of_rows(self, point):
-        """Return the share of each row in -log L (N, M)."""
-        squares, log_det, count = self._terms(point)
-        return 0.5 * (squares + log_det + count * math.log(2 * math.pi))
-
-    def _terms(self, point):
-        """Return νᵀ S⁻¹ ν, log det S and the count of the numbers of each row (N, M), infinite where there are none."""
-        if self.bar is not None:
-            self.bar.update()
-        try:
-            terms = np.array(metrics.squares_of(self.filter_at(point), self.z), dtype=float)
-        except (ValueError, FloatingPointError):
-            return np.full((3, len(self.z), 1), math.inf)
-        return terms if self.counts is None else np.where(self.counts[:, None], terms, 0.0)
-
     def values_at(self, point: Array) -> dict[str, float]:
         """Return the parameters by name."""
         return dict(zip(self.names, np.exp(point).tolist(), strict=True))
@@ -206,21 +182,42 @@ class NegativeLogLikelihood:
         """Return the filter with these parameters."""
         return _filter(self.make, self.values_at(point))
 
-    def with_best_scale(self, point: Array) -> tuple[float, float]:
+    def _terms(self, point):
+        """Return NIS, log det S and the count of the numbers of each row, (N, M), infinite where there are none."""
+        if self.bar is not None:
+            self.bar.update()
+        try:
+            unit, log_det, count = metrics.unit_innovations(self.filter_at(point), self.z)
+        except (ValueError, FloatingPointError):
+            return np.full((3, len(self.z), 1), math.inf)
+        terms = np.array([np.square(unit).sum(axis=1), log_det, count])
+        return terms if self.counts is None else np.where(self.counts[:, None], terms, 0.0)
+
+    def of_rows(self, point: Array) -> Array:
+        """Return the share of each row in -log L (N, M)."""
+        nis, log_det, count = self._terms(point)
+        return 0.5 * (nis + log_det + count * math.log(2 * math.pi))
+
+    def __call__(self, point: Array) -> float:
+        """Return -log L, infinite where the model cannot be computed."""
+        key = point.tobytes()
+        if key not in self.computed:
+            self.computed[key] = float(self.of_rows(point).sum())
+        return self.computed[key]
+
+    def with_best_scale(self, point: Array, first: int = 0) -> tuple[float, float]:
         """Return the log c that makes z most probable with c Q, c R and c P0, and -log L then: the profile likelihood.
 
         Gains and estimates stay as they are, and all S become c S. So, for `count` numbers that were measured,
 
             -log L(c) = [Σ NIS / c + Σ log det S + count (log c + log 2π)] / 2
 
-        is least at c = Σ NIS / count. Unless `counts` says which rows count, the first ones are left out: there P0
-        shows, which is not c P0.
+        is least at c = Σ NIS / count. The sums begin with the row `first`.
         """
-        first = min(ROWS_OF_A_START * self.filter_at(point).model.n, len(self.z) // 4) if self.counts is None else 0
-        squares, log_det, count = (float(each[first:].sum()) for each in self._terms(point))
-        if count == 0 or not math.isfinite(squares):
+        nis, log_det, count = (float(each[first:].sum()) for each in self._terms(point))
+        if count == 0 or not math.isfinite(nis):
             return 0.0, math.inf
-        log_c = math.log(max(squares / count, LEAST_SCALE))
+        log_c = math.log(max(nis / count, LEAST_SCALE))
         return log_c, 0.5 * (log_det + count * (log_c + 1 + math.log(2 * math.pi)))
 
 
@@ -232,33 +229,36 @@ def _filter(make, values):
     return made
 
 
-def _best_ratio(likelihood, origin):
+def _best_ratio(likelihood, origin, n):
     """Return a point near the lowest one, by a search along the ratio of two parameters, as q and r, or None.
 
-    It needs c times both to give c Q and c R. `with_best_scale` then gives the best c for each ratio. With c P0 in
-    place of P0 this is only nearly the likelihood, so Newton's method goes on from there.
+    It needs c times both to give c Q and c R. `with_best_scale` then gives the best c for each ratio. That scales P0
+    too, so the first rows are left out, and Newton's method goes on from there.
     """
     if len(origin) != 2 or not _covariances_scale(likelihood, origin):
         return None
-    point = along_a_line(likelihood.with_best_scale, origin, np.array([0.5, -0.5]))
+    first = min(ROWS_OF_A_START * n, len(likelihood.z) // 4)
+    point = along_a_line(partial(likelihood.with_best_scale, first=first), origin, np.array([0.5, -0.5]))
     return point if math.isfinite(likelihood(point)) and _covariances_scale(likelihood, point) else None
 
 
 def _covariances_scale(likelihood, point):
     """Tell whether twice all parameters give a Kalman filter with twice Q and R, and else change nothing but P0."""
     one, two = (likelihood.filter_at(each) for each in (point, point + math.log(2)))
-    if not (isinstance(one, KalmanFilter) and isinstance(two, KalmanFilter)):
+    if not (isinstance(one, KalmanFilter) and isinstance(two, KalmanFilter)) or (one.r is None) != (two.r is None):
         return False
     alike = [(getattr(one.model, name), getattr(two.model, name)) for name in ("F", "H", "x0")]
     alike.append((2 * one.model.Q, two.model.Q))
     alike.append((2 * one.model.R, two.model.R) if one.r is None else (2 * one.r, two.r))
-    twice = all(np.shape(a) == np.shape(b) and np.allclose(a, b, rtol=1e-9, atol=0, equal_nan=True) for a, b in alike)
-    return twice and same(one.t, two.t) and (one.r is None) == (two.r is None)
+    return same(one.t, two.t) and all(np.allclose(a, b, rtol=1e-9, atol=0, equal_nan=True) for a, b in alike)
 
 
-# So many blocks, of so many seconds where a track is long enough. On recorded tracks scores over 10 s are far from
-# independent, over 300 s nearly.
-FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
+class Blocks(NamedTuple):
+    """Parts of tracks whose scores are taken as independent: the block of each row (N, M), how many, and a name."""
+
+    of_rows: np.ndarray
+    count: int
+    name: str
 
 
 def blocks_of(estimator: Filter, z: Array) -> Blocks:
@@ -274,49 +274,17 @@ def blocks_of(estimator: Filter, z: Array) -> Blocks:
     before: np.ndarray = np.cumsum(seen, axis=0) - seen  # the fixes of a track before each row, (N, M)
     part = before * parts // np.maximum(seen.sum(axis=0), 1)
     block = np.minimum(part, parts - 1) + parts * np.arange(M)  # numbered along the first track, then the second, ...
-    _, of_rows = np.unique(np.where(seen, block, block[seen][0]), return_inverse=True)  # only those with a fix
-    of_rows = of_rows.reshape(N, M)
-    count = int(of_rows.max()) + 1
-    return Blocks(of_rows, count, f"{count} tracks" if parts == 1 else f"{count} blocks of {fixes / count:.0f} fixes")
+    used, of_rows = np.unique(np.where(seen, block, block[seen][0]), return_inverse=True)  # only those with a fix
+    count = len(used)
+    name = f"{count} tracks" if parts == 1 else f"{count} blocks of {fixes / count:.0f} fixes"
+    return Blocks(of_rows.reshape(N, M), count, name)
 
 
 def _usual_step(estimator, seen):
-    """Return the median step between fixes in seconds."""
+    """Return the median step between the fixes, seen (N, M), of a track in seconds."""
     t = np.broadcast_to(estimator.times_of(len(seen)).reshape(len(seen), -1), seen.shape)
     steps = np.concatenate([np.diff(t_of_one[seen_of_one]) for t_of_one, seen_of_one in zip(t.T, seen.T, strict=True)])
     return float(np.median(steps)) if len(steps) else 0.0
-
-
-# A parameter is known although a flat direction moves it, if it is by less than this part of the direction's length: so
-# much comes from the end of the search.
-APART = 1e-2
-
-
-def _variances(H, J):
-    """Return the diagonal of H⁻¹ J H⁻¹ (d,) for matrices (d, d), infinite for what a flat direction of H moves.
-
-    H are the second derivatives of -log L, J is the covariance of its gradient: H itself if the model is right.
-    """
-    if not (np.isfinite(H).all() and np.isfinite(J).all()):
-        return np.full(len(H), math.inf)
-    curvatures, directions = np.linalg.eigh(H)
-    flat = curvatures <= FLAT * max(curvatures[-1], 0)
-    kept = directions[:, ~flat]
-    inverse = kept / curvatures[~flat] @ kept.T
-    moved = np.square(directions[:, flat]).sum(axis=1)
-    return np.where(moved > APART**2, math.inf, np.diag(inverse @ J @ inverse))
-
-
-def covariance_of_scores(scores: Array) -> Array:
-    """Return J (d, d) from the scores of blocks (d, B), which sum to zero, with Student's factor for few blocks."""
-    count = scores.shape[1]
-    student = stdtrit(count - 1, 0.975) / ndtri(0.975)
-    return student**2 * count / (count - 1) * scores @ scores.T
-
-
-def _runs_to_zero(likelihood, best, unit):
-    """Tell whether log L falls by nothing as the parameter along a unit vector (d,) goes on towards zero."""
-    return likelihood(best - math.log(1000) * unit) < likelihood(best) + NOTHING
 
 
 def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blocks: Blocks) -> Array:
@@ -326,32 +294,44 @@ def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blo
     covariance of its gradient, as it shows in the scores of the blocks.
     """
 
-    def of_known(point):
+    def of_blocks(point):
         moved = best.copy()
         moved[known] = point
-        return likelihood.by_block(moved, blocks)
+        shares = np.broadcast_to(likelihood.of_rows(moved), blocks.of_rows.shape)
+        return np.bincount(blocks.of_rows.ravel(), shares.ravel(), blocks.count)
 
     errors = np.full(len(best), math.inf)
-    if len(known) == 0:
-        return errors
-    _, scores, H = differences(of_known, best[known])  # scores (d, B), H (d, d, B) of B blocks
-    H = H.sum(axis=-1)
-    J = H if blocks.count == 1 else covariance_of_scores(scores)
-    errors[known] = np.sqrt(_variances(H, J))
+    if len(known):
+        _, scores, H = differences(of_blocks, best[known])  # (d, B) and (d, d, B) of B blocks
+        H = H.sum(axis=-1)
+        J = H if blocks.count == 1 else covariance_of_scores(scores)
+        errors[known] = np.sqrt(_variances(H, J))
     return errors
 
 
-# A parameter so many times its guess, or less than that part of it, may be of other units: kilometres for metres make
-# 1e-6 of q and r, milliseconds for seconds 1e-9 of q, degrees 1e-10 of both.
-OTHER_UNITS = 1e5
-# A parameter known to no better than this factor is not known.
-VAGUE = math.log(10)
+def covariance_of_scores(scores: Array) -> Array:
+    """Return J (d, d) from the scores of blocks (d, B), which sum to zero, with Student's factor for few blocks."""
+    count = scores.shape[1]
+    student = stdtrit(count - 1, 0.975) / ndtri(0.975)
+    return student**2 * count / (count - 1) * scores @ scores.T
 
 
-def _doubts(found, z, guess, to_zero):
+def _variances(H, J):
+    """Return the diagonal of H⁻¹ J H⁻¹ (d,) for matrices (d, d), infinite for what a flat direction of H moves."""
+    if not (np.isfinite(H).all() and np.isfinite(J).all()):
+        return np.full(len(H), math.inf)
+    curvatures, directions = np.linalg.eigh(H)
+    flat = curvatures <= FLAT * max(curvatures[-1], 0)
+    kept = directions[:, ~flat]
+    inverse = kept / curvatures[~flat] @ kept.T
+    moved = np.linalg.norm(directions[:, flat], axis=1)
+    return np.where(moved > APART, math.inf, np.diag(inverse @ J @ inverse))
+
+
+def _doubts(found, z, guess, bounded):
     """Yield a sentence for each thing that a fit does not know, or that looks wrong."""
-    for (name, error), no_fall in zip(found.log_errors.items(), to_zero, strict=True):
-        if no_fall:
+    for (name, error), has_a_limit in zip(found.log_errors.items(), bounded, strict=True):
+        if not has_a_limit:
             yield f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known"
         elif error > VAGUE:
             yield f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters"
@@ -369,44 +349,31 @@ def _doubts(found, z, guess, to_zero):
             yield f"{name}: {found.values[name]:.3g} is {times:.0e} times its guess: {units}"
 
 
-# Standard deviations from x0 to what the measurements say of it: from the first on a fit is refused, from the second on
-# it warns, since it explains the distance by a wrong q and r.
-ANOTHER_POSITION, FAR = 1e3, 10.0
-
-
 def _distance_of_the_start(estimator, z):
     """Return how far x0 is from the start that a track wants, in standard deviations; the largest of all tracks.
 
-    The innovations are linear in the start: e = e_0 - G d for x0 + d. Least squares weighted by S, with P0 = 0, gives d
-    and its covariance V, and what is left of e its scale c: a fit to a far start makes S too large, but all of S alike.
-    The distance is the root of dᵀ (P0 + c V)⁻¹ d. It is zero for a filter that is no Kalman filter.
+    The innovations are linear in the start: e = e_0 - G d for x0 + d. With P0 = 0 and at unit covariance, least squares
+    gives d and its covariance V, and what is left of e its scale c: a fit to a far start makes S too large, but all of
+    S alike. The distance is the root of dᵀ (P0 + c V)⁻¹ d. It is zero for a filter that is no Kalman filter.
     """
     if not isinstance(estimator, KalmanFilter):
         return 0.0
     model = estimator.model
-    z = z.reshape(len(z), model.m, -1)
-    exact = replace(model, P0=np.zeros_like(model.P0))
-    e, S = (np.moveaxis(each, -1, 1) for each in metrics.innovations(replace(estimator, model=exact), z))
-    nothing = np.where(np.isnan(z), np.nan, 0.0)
-    units = [replace(estimator, model=replace(exact, x0=unit)) for unit in np.eye(model.n)]
-    G = np.stack([-np.moveaxis(metrics.innovations(unit, nothing).values, -1, 1) for unit in units], axis=-1)
-    seen = np.isfinite(e)
-    eG = np.where(seen[..., None], np.concatenate([e[..., None], G], axis=-1), 0.0)  # (N, M, m, 1 + n)
-    S = np.where(seen[..., None] & seen[..., None, :], S, np.eye(model.m))
-    products = np.einsum("NMij,NMik->Mjk", eG, np.linalg.solve(S, eG))  # sums of eᵀ S⁻¹ e, eᵀ S⁻¹ G and Gᵀ S⁻¹ G
+
+    def innovations_from(x0):
+        exact = replace(estimator, model=replace(model, x0=x0, P0=np.zeros_like(model.P0)))
+        return metrics.unit_innovations(exact, z)
+
+    e, _, count = innovations_from(model.x0)
+    G = np.array([e - innovations_from(model.x0 + unit)[0] for unit in np.eye(model.n)])
     farthest = 0.0
-    for each, count in zip(products, seen.sum(axis=(0, 2)).tolist(), strict=True):
-        V = np.linalg.pinv(each[1:, 1:], hermitian=True)
-        d = V @ each[1:, 0]
-        left = max(each[0, 0] - d @ each[1:, 0], 0.0)
-        c = left / (count - model.n) if count > model.n else 1.0
-        distance = d @ np.linalg.pinv(model.P0 + c * V, hermitian=True) @ d
-        farthest = max(farthest, math.sqrt(max(float(distance), 0.0)))
-    return farthest
-
-
-# Q is rescaled until the band changes by less than this, in logarithms of its variance, and so many times at most.
-CLOSE, MOST_RESCALINGS = 1e-2, 50
+    for track, measured in enumerate(count.sum(axis=0).tolist()):
+        e_0, G_0 = e[..., track].ravel(), G[..., track].reshape(model.n, -1).T
+        V = np.linalg.pinv(G_0.T @ G_0, hermitian=True)
+        d = V @ G_0.T @ e_0
+        c = np.sum((e_0 - G_0 @ d) ** 2) / (measured - model.n) if measured > model.n else 1.0
+        farthest = max(farthest, float(d @ np.linalg.pinv(model.P0 + c * V, hermitian=True) @ d))
+    return math.sqrt(farthest)
 
 
 def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:

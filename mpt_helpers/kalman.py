@@ -8,7 +8,7 @@ also when all measurements of an epoch are missing.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from . import _checks as checks
 from ._base import RecursiveFilter, require_digits
 from ._checks import Array
-from ._engine.columns import Epochs, KalmanColumns, Rows
+from ._engine.columns import Epochs, KalmanColumns
 from ._engine.pieces import VAGUE
 from ._engine.shared import Step
 from .equations import neutralised, unit_measurements
@@ -146,7 +146,7 @@ class KalmanFilter(RecursiveFilter):
             if given is not None and given.shape not in (shape, (*shape, M)):
                 checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, M)}", f"shape {given.shape}")
         r = None if self.r is None else self.r.reshape(N, m, -1)
-        epochs = Epochs(z, self._steps, r, self.model.over)
+        epochs = Epochs(z, self.motion, self._steps, r, self.model.over)
         if r is not None:
             checks.used_variances("r", np.broadcast_to(r, z.shape)[~epochs.missing])
         return epochs
@@ -166,10 +166,22 @@ class KalmanFilter(RecursiveFilter):
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
 
-    def on_columns(self, rows: Rows) -> Callable[..., Any]:
-        """Return the filter on columns, as in RecursiveFilter."""
-        model = self.model
-        return KalmanColumns(self.prediction, model.H, model.R, model.P0, rows).advance
+    def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""
+        seen = row[1]
+        of_whole_rows, of_others = self._columns
+        partly = of_others is not of_whole_rows and (seen != seen[:1]).any()
+        return (of_others if partly else of_whole_rows).advance(row, x, P)
+
+    @cached_property
+    def _columns(self):
+        """The filter on columns for rows that are whole or missed, and the one for others: correlated noises differ."""
+        H, R, P0 = self.model.H, self.model.R, self.model.P0
+        uncorrelated = np.diag(np.diag(R))
+        if self.r is not None or np.array_equal(R, uncorrelated):
+            both = KalmanColumns(self.motion, H, uncorrelated, P0)
+            return both, both
+        return KalmanColumns(self.motion, H, R, P0), KalmanColumns(self.motion, H, R, P0, noises_are_states=True)
 
     @cached_property
     def _units(self):

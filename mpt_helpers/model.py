@@ -34,8 +34,7 @@ class LinearModel(Immutable):
         x(k+1) = F x(k) + w(k),     w ~ N(0, Q)
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
-    A model is immutable, also in copies and pickles. `dataclasses.replace` makes another one; with another F or Q it
-    knows steps of one length only.
+    A model is immutable. `dataclasses.replace` makes another one; one with another F or Q knows one length of a step.
 
     Parameters
     ----------
@@ -98,8 +97,7 @@ class LinearModel(Immutable):
     ):
         if (dt is None) != (transition is None):
             lacking, other = ("dt", "transition") if dt is None else ("transition", "dt")
-            need = f"to be given beside {other}: F and Q of steps of any length, and the length of one"
-            checks.refuse(lacking, need, None, TypeError)
+            checks.refuse(lacking, f"to be given beside {other}", None, TypeError)
         if transition is not None:
             dt = checks.duration("dt", dt)
             F_dt, Q_dt = _checked(transition, dt)
@@ -128,10 +126,8 @@ class LinearModel(Immutable):
 
         Returns
         -------
-        F : ndarray (..., n, n)
-            The transition of each step.
-        Q : ndarray (..., n, n)
-            The covariance that it adds to the state.
+        tuple of ndarray (..., n, n)
+            F and Q of each step.
 
         Examples
         --------
@@ -183,22 +179,20 @@ class LinearModel(Immutable):
 
 def _checked(transition, dt):
     """Return F and Q of one step of dt, or raise what is wrong with a transition."""
+    need = "a function of dt that returns F and Q as arrays"
     if not callable(transition):
-        checks.refuse("transition", "a function of dt that returns F and Q", f"{transition!r:.60}", TypeError)
+        checks.refuse("transition", need, f"{transition!r:.60}", TypeError)
     both = transition(dt)
-    if not isinstance(both, tuple) or len(both) != 2:
-        checks.refuse("transition", "a function of dt that returns F and Q", f"{both!r:.60}", TypeError)
+    if not (isinstance(both, tuple) and [type(each) for each in both] == [np.ndarray, np.ndarray]):
+        checks.refuse("transition", need, f"{both!r:.60}", TypeError)
     n = checks.rows("transition", both[0])
     F, Q = (checks.array("transition", each, (n, n)) for each in both)
-    if not all(isinstance(each, np.ndarray) for each in both):
-        checks.refuse("transition", "a function of dt that returns F and Q as arrays", "lists", TypeError)
     F_0, Q_0 = transition(0.0)
     if not np.array_equal(F_0, np.eye(n)) or np.any(Q_0):
         checks.refuse("transition", "F = I and Q = 0 over a step of zero", "others")
-    for name, missed in zip("FQ", missed_by_halves(transition, dt), strict=True):
-        if not missed <= MISSED:
-            got = f"a {name} that they miss by {missed:.2g} of its size"
-            checks.refuse("transition", "two steps of dt / 2 to be one of dt", got)
+    missed = max(missed_by_halves(transition, dt))
+    if missed > MISSED:
+        checks.refuse("transition", "two steps of dt / 2 to be one of dt", f"{missed:.2g} of their size between them")
     return F, Q
 
 
@@ -242,7 +236,7 @@ class ConstantVelocity:
     takes_arrays: ClassVar = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
-        """Return F and Q of a step of dt seconds, or of many."""
+        """Return F and Q of steps of dt seconds."""
         dt2 = dt * dt
         F = _matrices([[1, dt], [0, 1]])
         return F, self.q * _matrices([[dt2 * dt / 3, dt2 / 2], [dt2 / 2, dt]])
@@ -256,7 +250,7 @@ class ConstantAcceleration:
     takes_arrays: ClassVar = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
-        """Return F and Q of a step of dt seconds, or of many."""
+        """Return F and Q of steps of dt seconds."""
         dt2 = dt * dt
         dt3, dt4 = dt2 * dt, dt2 * dt2
         F = _matrices([[1, dt, dt2 / 2], [0, 1, dt], [0, 0, 1]])
@@ -266,13 +260,13 @@ class ConstantAcceleration:
 
 @dataclass(frozen=True)
 class SideBySide:
-    """The transition of states that follow one another, with no term between them."""
+    """The transition of states that follow one another, with no term between them: block diagonal."""
 
     transitions: tuple[Transition, ...]
     takes_arrays: ClassVar = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
-        """Return F and Q of a step of dt seconds, or of many, block diagonal."""
+        """Return F and Q of steps of dt seconds."""
         F, Q = zip(*(_steps(transition, dt) for transition in self.transitions), strict=True)
         return _on_diagonal(F), _on_diagonal(Q)
 
@@ -286,21 +280,19 @@ class Scaled:
     takes_arrays: ClassVar = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
-        """Return F and the scaled Q of a step of dt seconds, or of many."""
+        """Return F and Q of steps of dt seconds."""
         F, Q = _steps(self.transition, dt)
         return F, self.factor * np.asarray(Q)
 
 
 def _on_diagonal(parts):
     """Return matrices (..., n, n) with parts (..., n_i, n_i) on their diagonal; `block_diag` takes no axes before."""
-    parts = [np.asarray(part) for part in parts]
-    n = sum(part.shape[-1] for part in parts)
-    whole, start = np.zeros((n, n, *parts[0].shape[:-2])), 0
-    for part in parts:
-        here = slice(start, start + part.shape[-1])
-        whole[here, here] = np.moveaxis(part, (-2, -1), (0, 1))
-        start = here.stop
-    return np.moveaxis(whole, (0, 1), (-2, -1))
+    ends = np.cumsum([part.shape[-1] for part in parts])
+    whole = np.moveaxis(np.zeros((ends[-1], ends[-1], *parts[0].shape[:-2])), (0, 1), (-2, -1))
+    for part, end in zip(parts, ends, strict=True):
+        here = slice(end - part.shape[-1], end)
+        whole[..., here, here] = part
+    return whole
 
 
 def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
@@ -319,7 +311,7 @@ def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: A
         Variance of the velocity's change in a step in m²/s², not negative.
     r : float
         Variance of a measurement in m², positive.
-    x0, P0 : array_like (2,), (2, 2), optional
+    x0, P0 : array_like (n,), (n, n), optional
         Mean and covariance of x(0), zero where not given.
 
     Returns
@@ -349,14 +341,8 @@ def constant_velocity(
 
     Parameters
     ----------
-    dt : float or timedelta
-        Time step in s.
-    q : float
-        Spectral density of the white noise that drives the velocity in m²/s³, not negative.
-    r : float
-        Variance of a measured position in m², positive.
-    x0, P0 : array_like (2,), (2, 2), optional
-        Mean and covariance of x(0), zero where not given.
+    dt, q, r, x0, P0 : float, array_like
+        As for `gsm_axis`, but q is the spectral density of the noise that drives the velocity, in m²/s³.
 
     Returns
     -------
@@ -387,14 +373,8 @@ def constant_acceleration(
 
     Parameters
     ----------
-    dt : float or timedelta
-        Time step in s.
-    q : float
-        Spectral density of the white noise that drives the acceleration in m²/s⁵, not negative.
-    r : float
-        Variance of a measured position in m², positive.
-    x0, P0 : array_like (3,), (3, 3), optional
-        Mean and covariance of x(0), zero where not given.
+    dt, q, r, x0, P0 : float, array_like
+        As for `gsm_axis`, but q is the spectral density of the noise that drives the acceleration, in m²/s⁵.
 
     Returns
     -------
@@ -426,14 +406,12 @@ def gps_ins(
 
     Parameters
     ----------
-    dt : float or timedelta
-        Time step in s.
-    q : float
-        Variance of the velocity's change in a step in m²/s², not negative. The paper prints no Q.
+    dt, q : float
+        As for `gsm_axis`. The paper prints no Q.
     r : array_like (2,) or (3,)
         Variances of the first two rows of H (m², m²/s²), or of all three (m², m²/s², m²).
     x0, P0 : array_like (3,), (3, 3), optional
-        Mean and covariance of x(0), zero where not given.
+        As for `gsm_axis`.
 
     Returns
     -------
@@ -448,14 +426,14 @@ def gps_ins(
            [0., 1., 1.]])
 
     """
-    variances = checks.real_numbers("r", r, "two or three variances").astype(float)
-    if variances.shape not in ((2,), (3,)):
-        checks.refuse("r", "two or three variances", f"{r!r:.60}")
-    for variance in variances:
+    r = checks.real_numbers("r", r, "two or three variances").astype(float)
+    if r.shape not in ((2,), (3,)):
+        checks.refuse("r", "two or three variances", f"shape {r.shape}")
+    for variance in r.tolist():
         dt, q, _ = _positive(dt, q, variance)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
-    return LinearModel(F=F, H=H[: len(variances)], Q=np.diag([0, q, 0]), R=np.diag(variances), x0=x0, P0=P0)
+    return LinearModel(F=F, H=H[: len(r)], Q=np.diag([0, q, 0]), R=np.diag(r), x0=x0, P0=P0)
 
 
 def _positive(dt, q, r):

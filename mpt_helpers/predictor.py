@@ -15,47 +15,8 @@ from .model import LinearModel
 from .steady import SteadyStateFilter
 
 
-class _Ahead(Filter):
-    """The base of both predictors: the state of an `estimator`, `steps` steps ahead."""
-
-    estimator: Filter
-    steps: int
-    optimal = False  # P is that of a prediction
-
-    @property
-    def model(self) -> LinearModel:
-        """The model of the filter."""
-        return self.estimator.model
-
-    @property
-    def steps_ahead(self) -> int:
-        """The number of steps from the last measurement to the state that is predicted."""
-        return self.estimator.steps_ahead + self.steps
-
-    @property
-    def F_N(self) -> Array:
-        """The transition over N steps, Fᴺ (n×n)."""
-        return np.linalg.matrix_power(self.model.F, self.steps)
-
-    @property
-    def parts(self) -> Sequence[Filter]:
-        """The filter whose states are predicted."""
-        return (self.estimator,)
-
-    def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
-        """Write the predictions to x and return the covariances of their errors if wanted, as in Filter."""
-        P = self.estimator.run(z, x, covariances)
-        F_N = self.F_N
-        for x_k in x:
-            x_k[:] = F_N @ x_k
-        if not covariances:
-            return None
-        P = predicted_covariance(self.model, np.moveaxis(P, 3, 1), self.steps)  # stacks (N, M or 1, n, n)
-        return np.moveaxis(P, 1, 3)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Predictor(_Ahead):
+class Predictor(Filter):
     """The prediction of a filter's state N steps ahead: row k of `filter(z)` is x(k+N/k).
 
         x(k+N/k) = Fᴺ x(k/k),   P(k+N/k) = Fᴺ P(k/k) Fᴺᵀ + Q + F Q Fᵀ + ... + Fᴺ⁻¹ Q (Fᴺ⁻¹)ᵀ
@@ -86,14 +47,46 @@ class Predictor(_Ahead):
 
     estimator: Filter
     steps: int
+    optimal = False  # P is that of a prediction
 
     def __post_init__(self) -> None:
         checks.instance("estimator", self.estimator, Filter)
         checks.count("steps", self.steps, least=0)
 
+    @property
+    def model(self) -> LinearModel:
+        """The model of the filter."""
+        return self.estimator.model
+
+    @property
+    def parts(self) -> Sequence[Filter]:
+        """The filter whose states are predicted."""
+        return (self.estimator,)
+
+    @property
+    def steps_ahead(self) -> int:
+        """The number of steps from the last measurement to the state that is predicted."""
+        return self.estimator.steps_ahead + self.steps
+
+    @property
+    def F_N(self) -> Array:
+        """The transition over N steps, Fᴺ (n×n)."""
+        return np.linalg.matrix_power(self.model.F, self.steps)
+
+    def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
+        """Write the predictions to x and return the covariances of their errors if wanted, as in Filter."""
+        P = self.estimator.run(z, x, covariances)
+        F_N = self.F_N
+        for x_k in x:
+            x_k[:] = F_N @ x_k
+        if P is None:
+            return None
+        P = predicted_covariance(self.model, np.moveaxis(P, 3, 1), self.steps)  # stacks (N, M or 1, n, n)
+        return np.moveaxis(P, 1, 3)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SteadyStatePredictor(_Ahead):
+class SteadyStatePredictor(Predictor):
     """The steady-state prediction N steps ahead (2016 Eqs. 15-20): row k of `filter(z)` is x(k+N/k).
 
         x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
@@ -102,7 +95,7 @@ class SteadyStatePredictor(_Ahead):
 
     Parameters
     ----------
-    steady : SteadyStateFilter
+    estimator : SteadyStateFilter
         The filter with A and B.
     steps : int
         The number of steps N.
@@ -122,29 +115,23 @@ class SteadyStatePredictor(_Ahead):
 
     """
 
-    steady: SteadyStateFilter
-    steps: int
+    estimator: SteadyStateFilter
 
     def __post_init__(self) -> None:
-        checks.instance("steady", self.steady, SteadyStateFilter)
-        checks.count("steps", self.steps, least=0)
-
-    @property
-    def estimator(self) -> SteadyStateFilter:
-        """The steady-state filter."""
-        return self.steady
+        checks.instance("estimator", self.estimator, SteadyStateFilter)
+        super().__post_init__()
 
     @property
     def A(self) -> Array:
         """A_N = Fᴺ A F⁻ᴺ (n×n), which `filter` does not use; raises LinAlgError where F has no inverse."""
-        return np.linalg.solve(self.F_N.T, (self.F_N @ self.steady.A).T).T
+        return np.linalg.solve(self.F_N.T, (self.F_N @ self.estimator.A).T).T
 
     @property
     def B(self) -> Array:
         """B_N = Fᴺ B (n×m)."""
-        return self.F_N @ self.steady.B
+        return self.F_N @ self.estimator.B
 
     @property
     def P(self) -> Array:
         """The covariance of the prediction's error in steady state (n×n)."""
-        return predicted_covariance(self.model, self.steady.P, self.steps)
+        return predicted_covariance(self.model, self.estimator.P, self.steps)

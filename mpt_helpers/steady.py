@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -16,7 +16,7 @@ from . import _checks as checks
 from . import riccati
 from ._base import Filter, RecursiveFilter
 from ._checks import Array
-from ._engine.columns import ConstantGainColumns, Rows
+from ._engine.algebra import LinearMap
 from ._engine.shared import TILE, tiles
 from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
 from .model import LinearModel
@@ -156,16 +156,26 @@ class SteadyStateFilter(RecursiveFilter):
         _require_whole_rows(seen)
         return self.A, self.B, corrected_covariance(P_predicted, self.B, self.model.H, self.model.R)
 
-    def on_columns(self, rows: Rows) -> Callable[..., Any]:
-        """Return the filter on columns, as in RecursiveFilter."""
-        _require_whole_rows(rows.seen)
-        return ConstantGainColumns(self.prediction, self.B, self.model.H, self.model.R).advance
+    def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Return x(k+1/k+1) and P(k+1/k+1) of one row of many tracks, and no innovations, as in RecursiveFilter."""
+        z, seen, *_ = row
+        _require_whole_rows(seen)
+        x, P = self.motion(x, P)
+        keep, noise = self._correction
+        x_seen, P_seen = keep(x, P)
+        x_seen += np.tensordot(self.B, z, axes=1)
+        return np.where(seen[0], x_seen, x), np.where(seen[0], P_seen + noise, P), x[:0]
+
+    @cached_property
+    def _correction(self):
+        """I - B H as a LinearMap, and B R Bᵀ (n, n, 1)."""
+        keep = LinearMap(np.eye(self.model.n) - self.B @ self.model.H)
+        return keep, (self.B @ self.model.R @ self.B.T)[..., None]
 
 
 def _require_whole_rows(seen):
-    """Raise a ValueError where a row of seen, (m,) or (N, m, M), is partly true: a constant gain is for a whole row."""
-    axis_of_m = 0 if seen.ndim == 1 else 1
-    if (seen.any(axis=axis_of_m) != seen.all(axis=axis_of_m)).any():
+    """Raise a ValueError where a row of seen, (m, ...), is partly true: a constant gain is for a whole row."""
+    if (seen != seen[:1]).any():
         need = "rows all of numbers or all of NaN, as the gain is constant (KalmanFilter takes others)"
         checks.refuse("z", need, "a row that is partly NaN")
 
@@ -305,7 +315,7 @@ class FIRFilter(Filter):
             return
         checks.no_infinity(z)
         seen = ~np.isnan(z)
-        _require_whole_rows(seen)
+        _require_whole_rows(seen.swapaxes(0, 1))
         self._convolve(x, np.where(seen, z, 0))
         missed: np.ndarray = ~seen.any(axis=1)
         F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]

@@ -60,35 +60,50 @@ def whitened(values, C):
     return values, log_det
 
 
-def product_for_covariances(T):
-    """Return W (m², n²) with vec(T P Tᵀ) = W vec(P) for T (m, n) and a symmetric P.
-
-    T P Tᵀ is linear in P, so that one matrix product makes it for all columns.
-    """
-    m, n = T.shape
-    W = np.kron(T, T).reshape(m, m, n * n)
-    # Equal rows for (a, b) and (b, a), so that T P Tᵀ is symmetric to the last bit.
-    return ((W + W.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
-
-
 class LinearMap:
-    """One matrix T (n, n) for all columns: x -> T x and P -> T P Tᵀ."""
+    """x -> T x and P -> T P Tᵀ, with one matrix T (m, n) for all columns or, where m = n, one for each (n, n, ...)."""
 
     def __init__(self, T):
-        self._T = T
-        self._product = product_for_covariances(T)
-        self._changes_nothing = np.array_equal(T, np.eye(len(T)))
+        self.T = T
+        if T.ndim == 2:
+            # T P Tᵀ is linear in P, so that one product makes it for all columns: vec(T P Tᵀ) = W vec(P). Rows for
+            # (a, b) and (b, a) are equal, so that T P Tᵀ is symmetric to the last bit.
+            m, n = T.shape
+            W = np.kron(T, T).reshape(m, m, n * n)
+            self._W = ((W + W.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
 
     def __call__(self, x, P):
-        """Return T x (n, ...) and T P Tᵀ (n, n, ...)."""
-        if self._changes_nothing:
-            return x, P
+        """Return T x and T P Tᵀ."""
         return self.of_state(x), self.of_covariance(P)
 
     def of_state(self, x):
-        """Return T x (n, ...)."""
-        return (self._T @ x.reshape(len(x), -1)).reshape(x.shape)
+        """Return T x of states x (n, ...), or T P of matrices."""
+        if self.T.ndim > 2:
+            return product(self.T, x)
+        return (self.T @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
 
     def of_covariance(self, P):
-        """Return T P Tᵀ (n, n, ...) for symmetric P."""
-        return (self._product @ P.reshape(len(P) ** 2, -1)).reshape(P.shape)
+        """Return T P Tᵀ of symmetric P (n, n, ...)."""
+        if self.T.ndim > 2:
+            P = product(self.T, transposed(product(self.T, P)))
+            return (P + transposed(P)) / 2
+        m = len(self.T)
+        return (self._W @ P.reshape(len(P) ** 2, -1)).reshape(m, m, *P.shape[2:])
+
+
+class Motion(LinearMap):
+    """The prediction x -> F x, P -> F P Fᵀ + Q, with F and Q (n, n) of all columns or (n, n, ...) of each."""
+
+    def __init__(self, F, Q):
+        super().__init__(F)
+        self.Q = Q
+
+    def of_covariance(self, P):
+        """Return F P Fᵀ + Q."""
+        predicted = super().of_covariance(P)
+        predicted += self.noise_of(P)
+        return predicted
+
+    def noise_of(self, P):
+        """Return Q, with as many axes as P."""
+        return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - self.Q.ndim))

@@ -9,12 +9,12 @@ for many rows as well as for one. So a long track is cut into pieces that run si
 3. every piece again, from its own start. It must end where the next one starts.
 
 Instead of N rows one after the other there are two runs of K rows, side by side, and N / K starts. It works for any
-`advance` (`columns`): of a filter, or of the smoother's way back.
+`advance` (`columns`), whose rows are a tuple of arrays (N, ..., W), or None, z first: of a filter, or of the smoother's
+way back.
 """
 
 import math
-from dataclasses import replace
-from functools import partial
+from itertools import repeat
 
 import numpy as np
 
@@ -42,64 +42,70 @@ NARROWEST = 1e-7
 
 
 def through(advance, rows, x0, P0, x, P, vague=False):
-    """Write the states x(1) ... x(N) of rows to x (N, n, c, M), and P(1) ... P(N) to P (N, n, n, M) unless it is None.
+    """Write the states x(1) ... x(N) of rows to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None.
 
-    They start from x0 (n, c, M) and P0 (n, n, M), which may be vague. Rows are cut into pieces where that is faster and
-    costs no digits. Returns the last P, of each piece if there are several, in which an overflow shows, and the least
-    variance of all.
+    They start from x0 (n, c, W) and P0 (n, n, W), which may be vague. Rows are cut into pieces where that is faster and
+    costs no digits. Returns whether doubles held the covariances.
     """
     if vague:
         k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
-        rows, x, P = _mapped(rows, lambda array: array[k:]), x[k:], P if P is None else P[k:]
-    N, _, c, M = x.shape
-    if N == 0:
-        return P0, P0.diagonal().min()
-    K = rows_per_piece(N, c * M)
+        rows, x, P = _of_each(rows, lambda array: array[k:]), x[k:], P if P is None else P[k:]
+    N, _, c, W = x.shape
+    K = rows_per_piece(N, c * W)
     with np.errstate(invalid="ignore"):  # the root of an S that rounding took below zero: NaN, which is refused
-        found = _in_pieces(advance, rows, K, x0, P0, x, P) if K < N else None
-        return found or _in_sequence(advance, rows, x0, P0, x, P)
+        if K < N and _in_pieces(advance, rows, K, x0, P0, x, P):
+            return True
+        _, held = _in_sequence(advance, rows, x0, P0, x, P)
+    return held
 
 
 def _in_sequence(advance, rows, x_k, P_k, x, P):
-    """Do what `through` does, one row after the other."""
-    least_variance = np.inf
-    for k, epoch in enumerate(rows):
-        x_k, P_k, _ = advance(epoch, x_k, P_k)
+    """Do what `through` does, one row after the other. Returns the last P, and whether doubles held all of them.
+
+    An overflow shows to the end; a variance below zero may come and go.
+    """
+    least_variance = 0.0
+    for k, row in enumerate(_one_by_one(rows)):
+        x_k, P_k, _ = advance(row, x_k, P_k)
         x[k] = x_k
         least_variance = min(least_variance, P_k.diagonal().min())
         if P is not None:
             P[k] = P_k
-    return P_k, least_variance
+    return P_k, least_variance == 0 and bool(np.isfinite(P_k).all())
 
 
 def _in_pieces(advance, rows, K, x0, P0, x, P):
-    """Do what `through` does, in pieces of K rows. Returns None where the pieces do not fit together."""
-    N, M = len(x), x.shape[-1]
-    pieces = _mapped(rows, partial(cut, K=K))
+    """Do what `through` does, in pieces of K rows. Returns False where the pieces do not fit together."""
+    N, W = len(x), x.shape[-1]
+    pieces = _of_each(rows, lambda array: cut(array, K))
     try:
         x_start, P_start = starts(advance, pieces, x0, P0)
     except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
-        return None
+        return False
     x_pieces = np.empty((K, *x_start.shape))
     P_pieces = None if P is None else np.empty((K, *P_start.shape))
     for _ in range(MOST_PASSES):
-        P_last, least_variance = _in_sequence(advance, pieces, x_start, P_start, x_pieces, P_pieces)
+        P_last, held = _in_sequence(advance, pieces, x_start, P_start, x_pieces, P_pieces)
         # Each piece starts where the one before it ends, the first one at x0 and P0.
-        x_next = np.concatenate([x0, x_pieces[-1, ..., :-M]], axis=-1)
-        P_next = np.concatenate([P0, P_last[..., :-M]], axis=-1)
-        if least_variance >= 0 and agree(x_start, P_start, x_next, P_next):
-            x[...] = uncut(x_pieces, N, M)
+        x_next = np.concatenate([x0, x_pieces[-1, ..., :-W]], axis=-1)
+        P_next = np.concatenate([P0, P_last[..., :-W]], axis=-1)
+        if held and agree(x_start, P_start, x_next, P_next):
+            x[...] = uncut(x_pieces, N, W)
             if P is not None:
-                P[...] = uncut(P_pieces, N, M)
-            return P_last, least_variance
+                P[...] = uncut(P_pieces, N, W)
+            return True
         x_start, P_start = x_next, P_next
-    return None
+    return False
 
 
-def _mapped(rows, function):
+def _of_each(rows, function):
     """Return rows with function(array) in the place of each of their arrays."""
-    arrays = {name: value for name, value in vars(rows).items() if isinstance(value, np.ndarray)}
-    return replace(rows, **{name: function(array) for name, array in arrays.items()})
+    return tuple(None if array is None else function(array) for array in rows)
+
+
+def _one_by_one(rows):
+    """Yield one row after the other."""
+    return zip(*(repeat(None) if array is None else array for array in rows), strict=False)
 
 
 def rows_per_piece(N, tracks):
@@ -114,31 +120,31 @@ def rows_per_piece(N, tracks):
 
 
 def cut(array, K):
-    """Return an array (N, ..., M) as (K, ..., C M): C pieces side by side. The last one is filled up with its last row.
+    """Return an array (N, ..., W) as (K, ..., C W): C pieces side by side. The last one is filled up with its last row.
 
     >>> cut(np.arange(5)[:, None], K=2)
     array([[0, 2, 4],
            [1, 3, 4]])
     """
-    N, M = len(array), array.shape[-1]
+    N, W = len(array), array.shape[-1]
     C = -(-N // K)
     filled = np.concatenate([array, np.repeat(array[-1:], C * K - N, axis=0)])
     pieces = np.moveaxis(filled.reshape(C, K, *array.shape[1:]), 0, -2)
-    return np.ascontiguousarray(pieces).reshape(*pieces.shape[:-2], C * M)
+    return np.ascontiguousarray(pieces).reshape(*pieces.shape[:-2], C * W)
 
 
-def uncut(array, N, M):
-    """Return the array (N, ..., M) that `cut` takes to this one (K, ..., C M).
+def uncut(array, N, W):
+    """Return the array (N, ..., W) that `cut` takes to this one (K, ..., C W).
 
-    >>> uncut(np.array([[0, 2, 4], [1, 3, 4]]), N=5, M=1)[:, 0]
+    >>> uncut(np.array([[0, 2, 4], [1, 3, 4]]), N=5, W=1)[:, 0]
     array([0, 1, 2, 3, 4])
     """
-    pieces = np.moveaxis(array.reshape(*array.shape[:-1], -1, M), -2, 0)  # (C, K, ..., M)
+    pieces = np.moveaxis(array.reshape(*array.shape[:-1], -1, W), -2, 0)  # (C, K, ..., W)
     return pieces.reshape(-1, *pieces.shape[2:])[:N]
 
 
 def starts(advance, pieces, x0, P0):
-    """Return the start of each piece: x (n, c, C M) and P (n, n, C M), from x0 (n, c, M) and P0 (n, n, M).
+    """Return the start of each piece: x (n, c, C W) and P (n, n, C W), from x0 (n, c, W) and P0 (n, n, W).
 
     Started from x instead of zero, a piece ends at x_piece + T x: a filter is linear in x. Then it has the innovations
     e - L x, and these are white and of unit variance, so that e = L x + noise measures x. Each start takes one
@@ -149,11 +155,11 @@ def starts(advance, pieces, x0, P0):
     zero, it stays there: x_piece = 0, with innovations e = [z1, z2]. Known to be at 1, where both measurements are
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
-    n, c, M = x0.shape
+    n, c, W = x0.shape
     x, P, innovations = zip(*_exactly_started(advance, pieces, n, c), strict=True)
-    x, P, e = (_as_matrices(each, M) for each in (x[-1], P[-1], np.concatenate(innovations)))
+    x, P, e = (_as_matrices(each, W) for each in (x[-1], P[-1], np.concatenate(innovations)))
     L, y = _compressed(-e[..., c:], e[..., :c])
-    found = [(_as_matrices(x0, M)[0], _as_matrices(P0, M)[0])]
+    found = [(_as_matrices(x0, W)[0], _as_matrices(P0, W)[0])]
     for piece in zip(x[:-1, ..., c:], x[:-1, ..., :c], P, L, y, strict=False):
         found.append(_next_start(*found[-1], *piece))
     return tuple(_as_columns(every) for every in zip(*found, strict=True))
@@ -165,12 +171,12 @@ def _exactly_started(advance, rows, n, c):
     Beside the c tracks of a column run n more, which have no measurements and start at one of the unit vectors each:
     they are at T, and have the innovations -L.
     """
-    _, m, _, width = rows.z.shape
-    x, P, z = np.zeros((n, c + n, width)), np.zeros((n, n, width)), np.zeros((m, c + n, width))
+    _, m, _, W = rows[0].shape
+    x, P, z = np.zeros((n, c + n, W)), np.zeros((n, n, W)), np.zeros((m, c + n, W))
     x[:, c:] = np.eye(n)[..., None]
-    for epoch in rows:
-        z[:, :c] = epoch.z
-        x, P, innovations = advance(epoch._replace(z=z), x, P)
+    for z_k, *conditions in _one_by_one(rows):
+        z[:, :c] = z_k
+        x, P, innovations = advance((z, *conditions), x, P)
         yield x, P, innovations
 
 
@@ -180,20 +186,19 @@ def _from_a_vague_start(advance, rows, x0, P0, x, P):
     From row to row, the first updates of a vague start would lose the digits of P0 / R, and without process noise for
     good. So each of these rows takes one Lainiotis step from the start, over all rows up to it.
     """
-    n, c, M = x0.shape
-    x_0, P_0 = (_as_matrices(each, M)[0] for each in (x0, P0))
-    L, y = np.zeros((M, 0, n)), np.zeros((M, 0, c))
-    seen = np.zeros(M, int)
-    for k, (x_k, P_k, e) in enumerate(_exactly_started(advance, rows, n, c)):
-        x_k, P_k, e = (_as_matrices(each, M)[0] for each in (x_k, P_k, e))
+    n, c, W = x0.shape
+    start = _as_matrices(x0, W)[0], _as_matrices(P0, W)[0]
+    L, y, measured = np.zeros((W, 0, n)), np.zeros((W, 0, c)), np.zeros(W, int)
+    for k, after_k in enumerate(_exactly_started(advance, rows, n, c)):
+        x_k, P_k, e = (_as_matrices(each, W)[0] for each in after_k)
         L, y = _compressed(np.concatenate([L, -e[..., c:]], axis=1), np.concatenate([y, e[..., :c]], axis=1))
-        after = _next_start(x_0, P_0, x_k[..., c:], x_k[..., :c], P_k, L, y)
+        after = _next_start(*start, x_k[..., c:], x_k[..., :c], P_k, L, y)
         x_k, P_k = (_as_columns([each]) for each in after)
         x[k] = x_k
         if P is not None:
             P[k] = P_k
-        seen += rows.seen[k].any(axis=0)
-        if seen.min() == 2 * n or k == MOST_OF_A_START - 1:
+        measured += rows[1][k].any(axis=0)
+        if measured.min() == 2 * n or k == MOST_OF_A_START - 1:
             break
     return k + 1, x_k, P_k
 
@@ -221,7 +226,7 @@ def _compressed(L, y):
 
 
 def agree(x, P, x_next, P_next):
-    """Say whether pieces start at x (n, c, M) and P (n, n, M) where the ones before them end, at x_next and P_next.
+    """Say whether pieces start at x (n, c, W) and P (n, n, W) where the ones before them end, at x_next and P_next.
 
     They are compared along the axes of P_next, each in its own sigma: after a gap a sum of states can be known far
     better than any state, and is what counts at the next measurement. With U diag(d) Uᵀ = P_next, the components of
@@ -240,18 +245,18 @@ def agree(x, P, x_next, P_next):
     axes = axes / np.sqrt(np.maximum(variances, NARROWEST))[:, None]
     of_x = np.abs(axes.swapaxes(1, 2) @ np.moveaxis((x - x_next) / unit[:, None], 2, 0))
     of_P = np.abs(axes.swapaxes(1, 2) @ np.moveaxis((P - P_next) / units, 2, 0) @ axes)
-    largest = np.moveaxis(np.abs(x_next / unit[:, None]).max(axis=0, keepdims=True), 2, 0)  # (M, 1, c), in sigmas
+    largest = np.moveaxis(np.abs(x_next / unit[:, None]).max(axis=0, keepdims=True), 2, 0)  # (W, 1, c), in sigmas
     rounding = STATE_ROUNDING * np.abs(axes).sum(axis=1)[..., None] * largest
     return bool((of_x <= AGREED + rounding).all() and (of_P <= AGREED).all())
 
 
-def _as_matrices(array, M):
-    """Return columns (a, b, C M) as matrices (C, M, a, b)."""
+def _as_matrices(array, W):
+    """Return columns (a, b, C W) as matrices (C, W, a, b)."""
     a, b, width = array.shape
-    return np.ascontiguousarray(np.moveaxis(array.reshape(a, b, width // M, M), (2, 3), (0, 1)))
+    return np.ascontiguousarray(np.moveaxis(array.reshape(a, b, width // W, W), (2, 3), (0, 1)))
 
 
 def _as_columns(matrices):
-    """Return a list of C matrices (M, a, b) as columns (a, b, C M)."""
+    """Return a list of C matrices (W, a, b) as columns (a, b, C W)."""
     stacked = np.moveaxis(np.array(matrices), (0, 1), (2, 3))
     return np.ascontiguousarray(stacked).reshape(*stacked.shape[:2], -1)

@@ -4,15 +4,22 @@
    several steps are taken in one product (`shared`).
 2. *All others* are columns (`columns`), one epoch after the other. A few long tracks are cut into pieces, which are
    columns side by side (`pieces`).
+
+The way of one track with gaps, z (N, m, 1):
+
+    estimates -> Epochs.rows -> through -> starts        each piece from zero: advance, row by row;  then its start
+                                        -> _in_sequence  each piece from its start: advance, row by row
 """
 
 import numpy as np
 
 from .. import _checks as checks
-from .algebra import product_for_covariances
-from .columns import as_columns
+from .algebra import LinearMap
 from .pieces import through
 from .shared import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
+
+# Numbers in the matrices that tracks take together: 32 MB.
+MOST_NUMBERS = 4_000_000
 
 
 def estimates(estimator, epochs, x, covariances):
@@ -25,15 +32,16 @@ def estimates(estimator, epochs, x, covariances):
     # Many tracks are not searched for gaps where no covariance is wanted: they go the first way, where the NaN of a gap
     # spreads to the last state. The tracks whose last state is NaN run again as columns.
     unsearched = M > FEW_TRACKS and not covariances
-    equal = epochs.dt is None and epochs.r is None and not estimator.vague
-    if equal and (unsearched or epochs.complete):
+    if epochs.dt is None and epochs.r is None and not estimator.vague and (unsearched or epochs.complete):
         shared = estimator.shared_steps(N, M)
     if shared is None:
         return _by_columns(estimator, epochs, x, covariances)
     steps, products = shared
     run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:
-        return _held(np.array([step.P for step in steps])[..., None])
+        P = np.array([step.P for step in steps])[..., None]
+        _require_held(np.isfinite(P).all())
+        return P
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.any():
         of_gaps = np.empty((*x.shape[:2], gaps.sum()))
@@ -44,30 +52,28 @@ def estimates(estimator, epochs, x, covariances):
 
 def _by_columns(estimator, epochs, x, covariances):
     """Do what `estimates` does by the second way, one tile of tracks after the other."""
-    (N, n, M), together = x.shape, epochs.alike
-    P = np.empty((N, n, n, 1 if together else M)) if covariances else None
-    for part in tiles(M, TILE if together else TILE_OF_COVARIANCES):
-        rows = epochs.of(part).rows(together)
+    (N, n, M), W = x.shape, epochs.width
+    P = np.empty((N, n, n, W)) if covariances else None
+    most = TILE if W == 1 else TILE_OF_COVARIANCES
+    if W > 1 and epochs.dt is not None:  # each row of each track has an F and a Q
+        most = min(most, max(FEW_TRACKS, MOST_NUMBERS // (N * n * n)))
+    for part in tiles(M, most):
+        tile = epochs.of(part)
+        rows = tile.rows()
+        _, _, c, W = rows[0].shape
+        x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, W))
+        P0 = np.repeat(estimator.P0[..., None], W, axis=2)
         # Views of x and P, which `through` writes to.
-        P_part = P if P is None or together else P[..., part]
-        written = as_columns(x[..., part], together), P_part
-        _held(*through(estimator.on_columns(rows), rows, *_start(estimator, rows), *written, estimator.vague))
+        written = x[..., part].reshape(N, n, c, W), P if P is None or P.shape[3] == 1 else P[..., part]
+        _require_held(through(estimator.advance, rows, x0, P0, *written, estimator.vague))
     return P
 
 
-def _start(estimator, rows):
-    """Return x(0/0) (n, c, M) and P(0/0) (n, n, M) of the columns of Rows."""
-    _, _, c, M = rows.z.shape
-    x0 = estimator.model.x0
-    return np.broadcast_to(x0[:, None, None], (len(x0), c, M)), np.repeat(estimator.P0[..., None], M, axis=2)
-
-
-def _held(P, least_variance=0.0):
-    """Return the covariances P, or raise where doubles do not hold them."""
-    if not np.isfinite(P).all() or least_variance < 0:
+def _require_held(held):
+    """Raise where doubles did not hold the covariances."""
+    if not held:
         need = "gaps over which the covariances stay within the range of doubles, and no far more precise measurements"
         checks.refuse("z", need, "an overflow, or a variance below zero by rounding")
-    return P
 
 
 def innovations(estimator, epochs):
@@ -76,17 +82,15 @@ def innovations(estimator, epochs):
     S is (N, m, m, 1) where all tracks share it. They are in the units of z, unlike those of an `advance`.
     """
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
-    x = np.empty((N, n, M))
+    x, H = np.empty((N, n, M)), LinearMap(model.H)
     P = estimates(estimator, epochs, x, covariances=True)
-    W = product_for_covariances(model.H)
     values, S = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks. The states are those before the measurements.
         before = np.moveaxis(_before(x, model.x0, part), 1, 0), np.moveaxis(_before(P, estimator.P0, part), 0, 2)
-        x_part, P_part = estimator.prediction(*before, epochs.steps(part))
-        expected = (model.H @ x_part.reshape(n, -1)).reshape(m, *x_part.shape[1:])
+        expected, S_part = H(*epochs.motions(part)(*before))
         values[part] = epochs.z[part] - np.moveaxis(expected, 0, 1)
-        S[part] = np.moveaxis((W @ P_part.reshape(n * n, -1)).reshape(m, m, *P_part.shape[2:]), 2, 0)
+        S[part] = np.moveaxis(S_part, 2, 0)
     return values, S + epochs.noise(model.R)
 
 
@@ -96,3 +100,18 @@ def _before(array, start, part):
         return array[part.start - 1 : part.stop - 1]
     first = np.broadcast_to(start[None, ..., None], (1, *array.shape[1:]))
     return np.concatenate([first, array[: part.stop - 1]])
+
+
+def in_tiles(function, estimator, epochs, d):
+    """Return function(estimator, epochs): values (N, d, M) and covariances (N, d, d, M or 1), for few tracks at a time.
+
+    So the covariances that it needs take little memory beside those that it returns.
+    """
+    N, _, M = epochs.z.shape
+    parts = tiles(M, max(1, MOST_NUMBERS // (N * estimator.model.n**2)))
+    if len(parts) == 1:
+        return function(estimator, epochs)
+    values, covariances = np.empty((N, d, M)), np.empty((N, d, d, M))
+    for part in parts:
+        values[..., part], covariances[..., part] = function(estimator, epochs.of(part))
+    return values, covariances

@@ -28,9 +28,7 @@ IN_CACHE = 16_384
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
 # The largest number of different steps that a filter makes and keeps for tracks without gaps. One that has not yet
 # converged, as without process noise, runs faster on columns. The papers' models converge within some 50 steps.
-MOST_STEPS = 256
-# The same for at most FEW_TRACKS tracks, which run faster on columns, as pieces.
-MOST_STEPS_OF_FEW = 64
+MOST_STEPS = 128
 # With at most so many tracks a call of numpy takes longer than its arithmetic.
 FEW_TRACKS = 64
 # A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
@@ -84,13 +82,11 @@ def make_shared_steps(next_step, P0, m, N, tracks):
 
     next_step(P, seen) is a filter's method, P0 its P(0/0) and m the number of its measurements.
     """
-    most = MOST_STEPS if tracks > FEW_TRACKS else MOST_STEPS_OF_FEW
-    steps = list(steps_without_gaps(next_step, P0, m, min(N, most)))
-    if most < N:
-        # A filter that has converged repeats one object.
-        if steps[-1] is not steps[-2]:
+    steps = list(steps_without_gaps(next_step, P0, m, min(N, MOST_STEPS)))
+    if N > MOST_STEPS:
+        if steps[-1] is not steps[-2]:  # a filter that has converged repeats one object
             return None
-        steps += steps[-1:] * (N - most)
+        steps += steps[-1:] * (N - MOST_STEPS)
     return steps, products_for(steps, tracks)
 
 
@@ -118,16 +114,14 @@ def products_for(steps, tracks):
     Blocks of the same objects, as after a filter has converged, share one W.
     """
     L = steps_per_product(len(steps[0].A) * min(tracks, TILE))
-    blocks = [steps[k : k + L] for k in range(0, len(steps), L)]
-    made = {}
-    for block in blocks:
-        if _objects(block) not in made:
-            made[_objects(block)] = product_of_steps([step.A for step in block], [step.B for step in block])
-    return [made[_objects(block)] for block in blocks]
-
-
-def _objects(block):
-    return tuple(map(id, block))
+    made, products = {}, []
+    for k in range(0, len(steps), L):
+        block = steps[k : k + L]
+        objects = tuple(map(id, block))
+        if objects not in made:
+            made[objects] = product_of_steps([step.A for step in block], [step.B for step in block])
+        products.append(made[objects])
+    return products
 
 
 def run_shared(products, x0, z, x):

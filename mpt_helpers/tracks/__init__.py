@@ -7,6 +7,7 @@ the same with numbers. `gpx` only reads, and refuses a file whose times are not 
 from __future__ import annotations
 
 import bisect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
@@ -23,7 +24,7 @@ from . import geodesy
 from .cleaning import Cleaned, Source, clean
 from .doubts import way_of
 from .fixes import FEWEST, grid_of
-from .readers import NO_TIME, Recording, moment_of, read, read_frame, read_gpx
+from .readers import MANY, NO_TIME, Recording, moment_of, read, read_frame, read_gpx
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
@@ -31,12 +32,10 @@ __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 # Latitudes and longitudes (°) and heights (m) are not beyond these, and no height is below the lowest. A number that
 # is counts as missing: some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
-LARGEST_METRES = 2e7  # m: half around the Earth
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
 # Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
 DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
-GRIDS_OF_METRES = DECIMALS
 
 
 class Track(NamedTuple):
@@ -107,33 +106,33 @@ def gpx(
     ...     print(segment.start, len(segment.t), "fixes")
 
     """
-    if pause is not None:
-        pause = checks.duration("pause", pause)
-    if origin is not None:
-        origin = _origin(origin)
+    pause = math.inf if pause is None else checks.duration("pause", pause)
+    origin = None if origin is None else _origin(origin)
     recording = read_gpx(Path(path))
-    if (recording.time == NO_TIME).all():
-        got = f"{len(recording.time)} fixes and {_no_times(recording)}"
-        raise ValueError(f"{path}: needs a recorded track, got {got}")
-    kept, left_out = [], 0
+    time = recording.time
+    segments, left_out = [], 0
     for number in np.unique(recording.segment).tolist():
         rows = np.flatnonzero(recording.segment == number)
-        _check_degrees(path, recording, number, rows)
-        in_order = longest_in_order(recording.time[rows])
-        wrong = np.setdiff1d(np.arange(len(rows)), in_order)
+        lat, lon = recording.lat[rows], recording.lon[rows]
+        nowhere = ~_on_earth(lat, lon)
+        if nowhere.any():
+            k = int(np.argmax(nowhere))
+            got = f"{lat[k]:g} and {lon[k]:g} in fix {k + 1} of segment {number}"
+            raise ValueError(f"{path}: needs latitudes and longitudes of at most 90 and 360 degrees, got {got}")
+        kept = longest_in_order(time[rows])
+        wrong = np.setdiff1d(np.arange(len(rows)), kept)
         if len(wrong) and not skip:
-            why = what_is_wrong(recording, rows, in_order, wrong[0])
-            got = f"{why} in fix {wrong[0] + 1} of segment {number} ({len(wrong)} such of its {len(rows)} fixes)"
+            got = f"{_time_in_words(recording, rows[wrong[0]])} in fix {wrong[0] + 1} of segment {number}"
+            got += f" ({len(wrong)} such of its {len(rows)} fixes)"
             raise ValueError(f"{path}: needs times that increase, got {got}; gpx(path, skip=True) leaves them out")
         left_out += len(wrong)
-        if len(in_order):
-            kept.append(rows[in_order])
+        rows = rows[kept]
+        segments += np.split(rows, np.flatnonzero(np.diff(time[rows]) > pause * 1e6) + 1) if len(rows) else []
+    if not segments:
+        raise ValueError(f"{path}: needs a recorded track, got {len(time)} fixes and no times")
     if left_out:
         checks.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase")
-    if pause is not None:
-        kept = [part for rows in kept for part in np.split(rows, _pauses(recording.time[rows], pause))]
-    start = kept[0][0]
-    return [_track(recording, rows, recording.time[start], origin, up) for rows in kept]
+    return [_track(recording, rows, time[segments[0][0]], origin, up) for rows in segments]
 
 
 def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = None) -> Array:
@@ -171,7 +170,7 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
         checks.refuse("lat, lon", "as many latitudes as longitudes, in one dimension", f"{lat.shape} and {lon.shape}")
     (there,) = np.nonzero(~np.isnan(lat) & ~np.isnan(lon))
     if not there.size or not _on_earth(lat[there], lon[there]).all():
-        checks.refuse("lat, lon", "degrees of at most 90 and 360", _no_degrees(lat[there], lon[there]))
+        checks.refuse("lat, lon", "degrees of at most 90 and 360", _no_degrees(lat, lon))
     origin = _origin((lat[there[0]], lon[there[0]]) if origin is None else origin)
     return geodesy.to_plane(lat, lon, origin)
 
@@ -244,22 +243,12 @@ def longest_in_order(time: Array) -> Array:
     return np.array(rows)
 
 
-def what_is_wrong(recording: Recording, rows: Array, in_order: Array, k: int) -> str:
-    """Return the reason why fix k of some rows was left out of those that are in order."""
-    time = recording.time[rows]
-    if time[k] == NO_TIME:
-        unread = recording.unread.get(int(rows[k]))
-        return "no time" if unread is None else f"a time that cannot be read ({unread!r:.40})"
-    moment, before = f"{moment_of(time[k]):%Y-%m-%d %H:%M:%S}", time[in_order[in_order < k]]
-    if time[k] in time[in_order]:
-        return f"{moment} twice"
-    return f"{moment} {'after a later time' if len(before) and before[-1] > time[k] else 'before an earlier time'}"
-
-
-def _no_times(recording):
-    """Say what stands in place of times."""
-    unread = next(iter(recording.unread.values()), None)
-    return "no times" if unread is None else f"times that cannot be read, as {way_of('time', unread)}"
+def _time_in_words(recording, row):
+    """Say what stands in place of a time, or which time that is."""
+    if recording.time[row] != NO_TIME:
+        return f"{moment_of(recording.time[row]):%Y-%m-%d %H:%M:%S}"
+    unread = recording.unread.get(int(row))
+    return "no time" if unread is None else f"a time that cannot be read ({unread!r:.40})"
 
 
 def _on_earth(lat, lon):
@@ -269,16 +258,11 @@ def _on_earth(lat, lon):
 
 def _no_degrees(lat, lon):
     """Say what stands in place of degrees."""
-    if not len(lat):
+    wrong = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ~_on_earth(lat, lon))
+    if not len(wrong):
         return "none"
-    if np.abs(lat).max() > LARGEST_METRES:
-        return "much larger numbers: are they 1e7 to a degree? frame[['lat', 'lon']] /= 1e7"
-    if np.abs(lat).max() <= 360 and np.abs(lon).max() <= 90:
-        return "latitudes beyond 90: are the two exchanged?"
-    if np.abs(lat).max() > MOST[0] and (np.abs([lat, lon]) % 100 < 60).all() and np.abs(lon).max() <= 18_000:
-        way = "frame['lat'] = frame['lat'] // 100 + frame['lat'] % 100 / 60, 'lon' alike, and signs"
-        return f"degrees and minutes as ddmm.mmmm of NMEA, {lat[0]:g}: {way}"
-    return "others: none, metres, or the two exchanged"
+    ways = "are the two exchanged, are they metres, 1e7 to a degree, or ddmm.mmmm (lat // 100 + lat % 100 / 60)?"
+    return f"{lat[wrong[0]]:.10g} and {lon[wrong[0]]:.10g}: {ways}"
 
 
 def _origin(origin):
@@ -289,24 +273,10 @@ def _origin(origin):
     return (*values[:2].tolist(), float(values[2]) if len(values) == 3 else 0.0)
 
 
-def _check_degrees(path, recording, number, rows):
-    """Refuse a segment with a fix that lies nowhere on the Earth."""
-    lat, lon = recording.lat[rows], recording.lon[rows]
-    on_earth = _on_earth(lat, lon)
-    if not on_earth.all():
-        k = int(np.argmin(on_earth))
-        got = f"{lat[k]:g} and {lon[k]:g} in fix {k + 1} of segment {number}"
-        raise ValueError(f"{path}: needs latitudes and longitudes of at most 90 and 360 degrees, got {got}")
-
-
-def _pauses(time, pause):
-    """Return the rows that come more than a pause (s) after those before them."""
-    return np.flatnonzero(np.diff(time) > pause * 1e6) + 1
-
-
 def _track(recording, rows, start, origin, up):
     """Return fixes as a Track; without an origin it is the first latitude, longitude and height of them."""
-    lat, lon, heights = recording.lat[rows], recording.lon[rows], _heights(recording.height[rows])
+    lat, lon, heights = recording.lat[rows], recording.lon[rows], recording.height[rows]
+    heights = np.where((heights >= LOWEST) & (heights <= MOST[2]), heights, np.nan)
     if origin is None:
         known = heights[np.isfinite(heights)]
         origin = (float(lat[0]), float(lon[0]), float(known[0]) if len(known) else 0.0)
@@ -314,11 +284,6 @@ def _track(recording, rows, start, origin, up):
     if up:
         z = np.column_stack([z, heights - origin[2]])
     return Track((recording.time[rows] - start) / 1e6, z, origin, moment_of(start))
-
-
-def _heights(heights):
-    """Return heights (N,), NaN where they are none."""
-    return np.where((heights >= LOWEST) & (heights <= MOST[2]), heights, np.nan)
 
 
 def track(
@@ -393,7 +358,7 @@ def of_recording(path: Path | str, recording: Recording, **how: Any) -> Cleaned:
         grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
     else:
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
-        grids = [grid_of(column, GRIDS_OF_METRES) for column in z.T]
+        grids = [grid_of(column, DECIMALS) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
     c = clean(t, z, relative, segment=recording.segment[rows], rounding=max(grids) ** 2 / 12, **how)
@@ -403,21 +368,14 @@ def of_recording(path: Path | str, recording: Recording, **how: Any) -> Cleaned:
 def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
     """Return the rows of a recording that can be used, and how many others there are by reason."""
     time, N = recording.time, len(recording.time)
-    if N == 0:
-        raise ValueError(f"{path}: needs a recorded track, got no fixes")
     if recording.metres is None:
         lat, lon = recording.lat, recording.lon
         somewhere = _on_earth(lat, lon)
-        if not somewhere.any() or np.mean(somewhere) < 0.5:
-            there = np.isfinite(lat) & np.isfinite(lon)
-            raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat[there], lon[there])}")
+        if somewhere.sum() < (1 - MANY) * (np.isfinite(lat) & np.isfinite(lon)).sum():
+            raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat, lon)}")
     else:
         somewhere = np.isfinite(recording.metres).all(axis=1)
     timed = time != NO_TIME
-    if not timed.any():
-        raise ValueError(f"{path}: needs a recorded track, got {N} fixes and {_no_times(recording)}")
-    if N > 1 and np.ptp(time[timed]) == 0:
-        raise ValueError(f"{path}: needs times that increase, got {moment_of(time[timed][0]):%Y-%m-%d %H:%M:%S} in all")
     kept = []
     for number in np.unique(recording.segment):
         rows = np.flatnonzero((recording.segment == number) & somewhere & timed)
@@ -434,13 +392,15 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
     left_out = {reason: count for reason, count in reasons.items() if count > 0}
     if len(rows) < FEWEST:
         got = ", ".join([f"{len(rows)} of {N}", *(f"{count} with {reason}" for reason, count in left_out.items())])
-        got += _what_ails(np.diff(time[somewhere & timed]))
+        got += _what_ails(recording.unread, np.diff(time[somewhere & timed]))
         raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
     return rows, left_out
 
 
-def _what_ails(steps):
-    """Say what is wrong with times if most steps between them are negative or zero."""
+def _what_ails(unread, steps):
+    """Say what is wrong with times that cannot be read, or of which most run back or stand still."""
+    if unread:
+        return f", as {way_of('time', next(iter(unread.values())))}"
     if len(steps) and np.mean(steps < 0) > 0.5:
         return ": most times are before the one before them; if the file begins with the last fix, turn it round"
     if len(steps) and np.mean(steps == 0) > 0.5:

@@ -30,18 +30,13 @@ KINDS = (
 )
 # How a COLUMN becomes numbers or times whose cells look so.
 WAYS = (
-    (r"[+-]?\d+,\d+", "pandas.read_csv(FILE, decimal=',')"),
+    (r"\d{13,}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms'), 'us' or 'ns'; of digits format='%Y%m%d%H%M%S'"),
+    (r"\d+(\.\d*)?", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
+    (r"[+-]?\d+([.,'\s]\d{3})*[.,]?\d*", "pandas.read_csv(FILE, decimal=',', thousands='.'), or the two exchanged"),
     (r"[\d.]+ *[NSEWnsew]", "COLUMN.str[:-1].astype(float) * COLUMN.str[-1].map({'N': 1, 'S': -1, 'E': 1, 'W': -1})"),
     (r".*\d *[°º'd].*", "degrees + minutes / 60 + seconds / 3600, negative south and west"),
-    (r"\d{12}(\.\d*)?", "pandas.to_datetime(COLUMN, format='%y%m%d%H%M%S')"),
-    (r"\d{13}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms')"),
-    (r"\d{14}(\.\d*)?", "pandas.to_datetime(COLUMN, format='%Y%m%d%H%M%S')"),
-    (r"\d{16}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='us')"),
-    (r"\d{19}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ns')"),
-    (r"\d+(\.\d*)?", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
-    (r"\d{1,2}[/.-]\d{1,2}[/.-]\d+.*", "is the day first? pandas.to_datetime(COLUMN, dayfirst=True)"),
     (r"\d{1,2}:\d\d.*", "a date is needed too: pandas.to_datetime(frame['date'] + ' ' + COLUMN)"),
-    (r"(?s).*", "numbers are decimal; of dates pandas.to_datetime(COLUMN) makes times"),
+    (r"(?s).*", "numbers are decimal; of dates, is the day first? pandas.to_datetime(COLUMN, dayfirst=True)"),
 )
 # Fixes of several mobiles lie so much farther from the line between any two neighbours than from that of their own.
 FARTHER, AT_LEAST = 2.5, 10
@@ -60,22 +55,20 @@ def way_of(column: str, text: str) -> str:
     return f"{text!r:.40}: {way.replace('COLUMN', f'frame[{column!r}]')}"
 
 
-def refuse_signs(name: str, others: dict[str, list[str]], numbers: dict[str, Array]) -> None:
-    """Refuse latitudes and longitudes, {column: degrees}, whose sign stands in a column of its own, as N or S.
+def refuse_signs(name: str, others: dict[str, list[str]], column: str, degrees: Array, words: tuple[str, str]) -> None:
+    """Refuse latitudes or longitudes of a column whose sign stands in another column, as NORTH, N or SOUTH, S.
 
-    A column with both letters is another one, as of a bus route, where the track stays away from 0° and 180°.
+    Another column with both letters is one of directions, as of a bus, where the track stays away from 0° and 180°.
     """
-    for (what, degrees), words in zip(numbers.items(), (("NORTH", "SOUTH"), ("EAST", "WEST")), strict=True):
-        plus, minus = (word[0] for word in words)
-        for column, cells in others.items():
-            cells = [cell.strip().upper() for cell in cells]
-            negative = np.array([cell.startswith(minus) for cell in cells], dtype=bool)
-            both = len({cell[:1] for cell in cells if cell}) > 1
-            if both and (np.abs(np.abs(degrees) - 90) < 89).all():
-                continue
-            if set(cells) <= {*words, plus, minus, ""} and (degrees[negative] > 0).any():
-                way = f"frame[{what!r}] *= frame[{column!r}].str.upper().str[0].map({{{plus!r}: 1, {minus!r}: -1}})"
-                raise ValueError(f"{name}: needs signed degrees, got the sign of {what} in column {column!r}: {way}")
+    plus, minus = (word[0] for word in words)
+    near_zero = (np.abs(np.abs(degrees) - 90) > 89).any()
+    for other, cells in others.items():
+        cells = [cell.strip().upper() for cell in cells]
+        south = np.array([cell.startswith(minus) for cell in cells], dtype=bool)
+        signs = set(cells) <= {*words, plus, minus, ""} and (near_zero or not any(cell[:1] == plus for cell in cells))
+        if signs and (degrees[south] > 0).any():
+            way = f"frame[{column!r}] *= frame[{other!r}].str.upper().str[0].map({{{plus!r}: 1, {minus!r}: -1}})"
+            raise ValueError(f"{name}: needs signed degrees, got the sign of {column} in column {other!r}: {way}")
 
 
 def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int64], place: Array) -> None:
@@ -88,25 +81,24 @@ def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int
     rows = rows[np.argsort(time[rows], kind="stable")]
     apart = _off_the_line(time[rows], place[rows], np.zeros(len(rows)))
     for column, cells in others.items():
-        number = {cell: k for k, cell in enumerate(dict.fromkeys(cells))}
-        value = np.array([number[cells[row]] for row in rows])
-        if not 1 < len(number) <= len(rows) / 3:
+        values, value = np.unique([cells[row] for row in rows], return_inverse=True)
+        if not 1 < len(values) <= len(rows) / 3:
             continue
         own, by_value = np.empty(len(rows)), np.argsort(value, kind="stable")
         own[by_value] = _off_the_line(time[rows][by_value], place[rows][by_value], value[by_value])
         mixed = np.isfinite(own) & np.isfinite(apart)
         mixed[1:-1] &= (value[1:-1] != value[:-2]) | (value[1:-1] != value[2:])
         if mixed.sum() >= AT_LEAST and np.median(apart[mixed]) > FARTHER * np.median(own[mixed]):
-            one = f"frame[frame[{column!r}] == {cells[rows[0]]!r}]"
-            got = f"{len(number)}, by their column {column!r}"
-            raise ValueError(f"{name}: needs one mobile, got {got}: take one: {one}, in quotes only if it is a text")
+            one = f"frame[frame[{column!r}] == {cells[rows[0]]!r}], in quotes only if it is a text"
+            raise ValueError(
+                f"{name}: needs one mobile, got {len(values)}, by their column {column!r}: take one: {one}"
+            )
 
 
 def _off_the_line(time, place, value):
     """Return how far each fix is from the line between its neighbours (N,), NaN where these have other values."""
     off, t = np.full(len(time), math.nan), time / 1e6
-    long = t[2:] - t[:-2]
-    part = np.divide(t[1:-1] - t[:-2], long, out=np.full(len(long), 0.5), where=long > 0)
+    part = (t[1:-1] - t[:-2]) / np.maximum(t[2:] - t[:-2], 1e-6)
     off[1:-1] = np.linalg.norm(place[1:-1] - place[:-2] - part[:, None] * (place[2:] - place[:-2]), axis=1)
     off[1:-1][value[2:] != value[:-2]] = math.nan
     return off

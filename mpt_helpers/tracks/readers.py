@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import codecs
 import csv
+import gzip
+import io
 import itertools
 import math
 import re
@@ -32,12 +34,14 @@ NO_TIME = -(2**63)  # a time that is not there, in microseconds; it is also the 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 CUT = [expat.errors.codes[words] for words in ("no element found", "unclosed token", "partial character")]
 LEAP = re.compile(r"(:\d\d):60(?!\d)")  # a leap second is the one before it, and one more
+ZONE = re.compile(r"([Zz]|:.*[+-]\d\d(:?\d\d)?)\s*$")
 COLUMNS = ("time", "lat", "lon", "x", "y", "ele", "hdop", "accuracy")
 MISSING = frozenset(["", "nan", "nat", "none", "null", "na", "n/a", "<na>", "-"])
 MANY = 0.1  # of the cells: so many that are no numbers are another way of writing them
 # Unix seconds are between these, the years 1973 and 2255. Smaller numbers are seconds only if they count from the first
-# fix: the first one is below a hundred then, which no clock's digits are after the first minute of a day.
-UNIX, LATEST, FROM_ZERO = 1e8, 9e9, 100.0
+# fix: the first one is below a hundred then, which no clock's digits are after the first minute of a day. Digits from
+# midnight on are never 60 to 99 in a minute, which steps below FORTY seconds do not pass over.
+UNIX, LATEST, FROM_ZERO, FORTY = 1e8, 9e9, 100.0, 40.0
 FEW = 10  # lines, of which the last one cannot be told to be cut
 
 
@@ -97,18 +101,18 @@ def _contents(path):
     """Return the bytes of a file, unpacked and in an encoding where ASCII is ASCII, and what is said of their end."""
     if path.exists() and not path.is_file():
         raise ValueError(f"{path}: needs a file, got a folder, a pipe or a device")
-    data, said, packed = path.read_bytes(), [], []
-    while data[:2] == b"\x1f\x8b":  # a file may be packed in several parts
-        unpacker = zlib.decompressobj(wbits=31)
+    data, said = path.read_bytes(), []
+    if data.startswith(b"\x1f\x8b"):
+        file, parts = gzip.GzipFile(fileobj=io.BytesIO(data)), []
         try:
-            packed.append(unpacker.decompress(data))
-        except zlib.error as error:
-            raise ValueError(f"{path}: needs a file that can be unpacked, got a damaged one ({error})") from None
-        if not unpacker.eof:
+            while part := file.read1():
+                parts.append(part)
+        except EOFError:
             said.append("ATTENTION: the packed file is cut: what follows is lost")
-        data = unpacker.unused_data
-    data = b"".join(packed) if packed else data
-    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        except (OSError, zlib.error) as error:
+            raise ValueError(f"{path}: needs a file that can be unpacked, got a damaged one ({error})") from None
+        data = b"".join(parts)
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         text = data.decode("utf-16", errors="replace")
         data = re.sub(r"\A(<\?xml[^>]*encoding\s*=\s*[\"'])[\w-]+", r"\1UTF-8", text).encode()
     if data.endswith(b"\0"):
@@ -181,43 +185,36 @@ def _of_csv(path, text, columns, said):
 
     Each line is a row for itself, so that a quote that is never closed costs no other one.
     """
-    lines = [line for line in re.split(r"[\r\n]+", text) if line.strip()]
-    while lines and lines[0].startswith("#"):
-        del lines[0]
-    names, *rows = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines] or [[]]
-    other = max(";\t|", key=",".join(names).count)
-    if len(names) == 1 and other in names[0]:
-        way = f"pandas.read_csv(FILE, sep={other!r}).to_csv('new.csv'), with decimal=',' where numbers have commas"
-        raise ValueError(f"{path}: needs commas between the cells, got {lines[0]!r:.60}: {way}")
-    longer = [k for k, row in enumerate(rows) if any(row[len(names) :])]
-    if len(longer) > MANY * len(rows):
-        got = f"{len(rows[longer[0]])} in {lines[longer[0] + 1]!r:.60}: are commas decimal, too? Write points"
-        raise ValueError(f"{path}: needs {len(names)} cells in a line, got {got}")
-    for k in longer:
-        rows[k] = []
+    lines = filter(str.strip, re.split(r"[\r\n]+", text))
+    lines = list(itertools.dropwhile(lambda line: line.startswith("#"), lines))
+    names, *rows = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines or ["nothing"]]
     if text[-1:] not in "\r\n" and len(rows) > FEW and len(lines[-1]) < min(map(len, lines[1:-1])):
-        del rows[-1]
+        del rows[-1], lines[-1]
         said = [*said, "ATTENTION: the last line is cut, and left out"]
-    table = list(itertools.zip_longest(names, *rows, fillvalue=""))
-    return _of_table(str(path), [name.strip() for name, *_ in table], [cells for _, *cells in table], columns, said)
+    for line, row in zip(lines, [names, *rows], strict=False):
+        if line.count('"') % 2 and (row is names or len(row) < len(names)):
+            way = "pandas.read_csv(FILE).replace('\\n', ' ', regex=True).to_csv('new.csv')"
+            raise ValueError(f"{path}: needs each row in one line, got a quote left open in {line!r:.60}: {way}")
+    longer = [k for k, row in enumerate(rows) if any(row[len(names) :])]
+    for k in longer:
+        if len(longer) > MANY * len(rows) and len(names) > 1:
+            got = f"{len(rows[k])} in {lines[k + 1]!r:.60}: are commas decimal, too? Write points"
+            raise ValueError(f"{path}: needs {len(names)} cells in a line, got {got}")
+        rows[k] = []
+    if longer:
+        said = [*said, f"ATTENTION: lines of more cells than names are left out: {len(longer)}"]
+    cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
+    return _of_table(str(path), [name.strip() for name in names], cells, columns, said)
 
 
 def read_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Recording:
     """Return the Recording of a pandas frame, whose index may hold the times. Raises ValueError for another table."""
     names, index = [str(name) for name in frame.columns], getattr(frame, "index", None)
     values = [frame.iloc[:, k] if hasattr(frame, "iloc") else frame[name] for k, name in enumerate(names)]
-    time = (columns or {}).get("time", "time")
+    time = columns.get("time", "time") if isinstance(columns, Mapping) else "time"
     if time not in names and (getattr(index, "name", None) == time or _kind(index) in ("M", "m")):
         names, values, columns = [*names, "the index"], [*values, index], {**(columns or {}), "time": "the index"}
     return _of_table("frame", names, values, columns, [], index)
-
-
-def _are_digits_of_a_clock(times):
-    """Tell whether numbers are hhmmss from midnight on: never 60 to 99, with a step 40 longer at a full minute."""
-    steps = np.diff(times)
-    usual = np.median(steps) if len(steps) else 0.0
-    below_sixty = (times % 100 < 60) & (times // 100 % 100 < 60)
-    return bool(0 < usual < 60 and below_sixty.all() and (steps == usual + 40).any())
 
 
 def _kind(values):
@@ -226,7 +223,7 @@ def _kind(values):
 
 def _of_table(name, names, values, columns, said, index=None):
     """Return the Recording of a table of named columns of numbers, times or texts."""
-    found = _found(name, names, columns)
+    found = _found(name, names, {} if columns is None else columns)
     texts = {column: list(map(str, each)) for column, each in zip(names, values, strict=True)}
     numbers = {what: _numbers(name, column, texts[column]) for what, column in found.items() if what != "time"}
     time, unread, dated = _times(name, found["time"], values[names.index(found["time"])], texts[found["time"]])
@@ -235,36 +232,33 @@ def _of_table(name, names, values, columns, said, index=None):
     if lat is None:
         metres = place = np.column_stack([numbers["x"], numbers["y"]])
     else:
-        refuse_signs(name, others, {found["lat"]: lat, found["lon"]: lon})
+        refuse_signs(name, others, found["lat"], lat, ("NORTH", "SOUTH"))
+        refuse_signs(name, others, found["lon"], lon, ("EAST", "WEST"))
         place = np.column_stack([lon * np.cos(np.radians(lat)), lat])
     refuse_several(name, others, time, place)
-    N = len(time)
-    nothing, one = np.full(N, math.nan), np.ones(N, dtype=np.int64)
+    nothing, one = np.full(len(time), math.nan), np.ones(len(time), dtype=np.int64)
     height, hdop, accuracy = numbers.get("ele", nothing), numbers.get("hdop", nothing), numbers.get("accuracy")
     return Recording(time, lat, lon, metres, height, hdop, one, unread, tuple(said), b"", accuracy, dated, index)
 
 
 def _found(name, names, columns):
     """Return {what: its column} of a table: the names of COLUMNS, or those given instead."""
-    columns = {} if columns is None else columns
     if not isinstance(columns, Mapping) or not set(columns) <= set(COLUMNS):
         need = f"names of some of {', '.join(COLUMNS)}, as {{'time': 'when'}}"
         raise ValueError(f"columns: needs {need}, got {columns!r:.80}")
     found = {what: what for what in COLUMNS if what in names} | dict(columns)
-    degrees, metres = {"lat", "lon"}, {"x", "y"}
-    in_metres = bool(metres & set(columns)) or not degrees <= set(found)
-    got = ", ".join(map(ascii, names)) or "nothing"
-    if not {"time", *(metres if in_metres else degrees)} <= set(found):
-        need = "columns time and lat, lon (degrees) or x, y (metres)"
+    in_degrees = {"lat", "lon"} <= set(found) and not {"x", "y"} & set(columns)
+    place, unused = (("lat", "lon"), ("x", "y")) if in_degrees else (("x", "y"), ("lat", "lon"))
+    got = f"{', '.join(map(ascii, names)):.300}"
+    if not {"time", *place} <= set(found):
+        need = "columns time and lat, lon (degrees) or x, y (metres), with commas between"
         way = "name others: --time when --lat y ..., or columns={'time': 'when', 'lat': 'y', ...}"
-        raise ValueError(f"{name}: needs {need}, got {got:.300}: {way}")
-    for what in degrees if in_metres else metres:
-        found.pop(what, None)
-    if len(set(found.values())) < len(found):
-        raise ValueError(f"columns: needs a column of its own for each, got {columns!r:.80}")
+        comma = "of ; or tabs make commas: pandas.read_csv(FILE, sep=';', decimal=',').to_csv('new.csv')"
+        raise ValueError(f"{name}: needs {need}, got {got}: {comma if len(names) == 1 else way}")
+    found = {what: column for what, column in found.items() if what not in unused}
     for what, column in found.items():
-        if names.count(column) != 1:
-            raise ValueError(f"{name}: needs one column {column!r} of {what}, got {names.count(column)} in {got:.300}")
+        if names.count(column) != 1 or list(found.values()).count(column) != 1:
+            raise ValueError(f"{name}: needs one column {column!r} of {what} alone, got {got}")
     return found
 
 
@@ -272,7 +266,7 @@ def _numbers(name, column, texts):
     """Return the numbers of a column (N,), NaN where there is none, or refuse one that is written in another way."""
     numbers = np.array([_number(text) for text in texts])
     others = [texts[k] for k in np.flatnonzero(np.isnan(numbers)) if not _is_missing(texts[k])]
-    if len(others) > MANY * len(texts):
+    if len(others) > MANY * len(texts) or any("," in text for text in others):
         raise ValueError(f"{name}: needs decimal numbers in column {column!r}, got {way_of(column, others[0])}")
     return numbers
 
@@ -282,16 +276,26 @@ def _times(name, column, values, texts):
     if (kind := _kind(values)) in ("M", "m"):
         return np.asarray(values, dtype=f"{kind}8[us]").astype(np.int64), {}, kind == "M"
     times = np.array([_number(text) for text in texts])
-    known = np.isfinite(times)
-    dated = known.sum() <= 0.5 * sum(not _is_missing(text) for text in texts)
+    known = times[np.isfinite(times)]
+    dated = len(known) <= 0.5 * sum(not _is_missing(text) for text in texts)
     if dated:
         times = np.array([_time_of(text) for text in texts])
-    else:
-        first, usual = texts[np.argmax(known)], float(np.median(times[known]))
-        from_zero = 0 <= float(first) < FROM_ZERO and not re.match(r"\s*0\d", first) and usual < LATEST
-        if not (UNIX <= usual < LATEST or (from_zero and not _are_digits_of_a_clock(times[known]))):
-            need = f"ISO 8601, Unix seconds, or seconds from 0 in column {column!r}"
-            raise ValueError(f"{name}: needs {need}, got {way_of(column, first)}")
-        times = np.round(np.where(np.abs(times) < LATEST, times, math.nan) * 1e6)
+        zoned = [text for text, time in zip(texts, times, strict=True) if math.isfinite(time) and ZONE.search(text)]
+        if 0 < len(zoned) < np.isfinite(times).sum():
+            way = f"pandas.to_datetime(frame[{column!r}], utc=True, format='ISO8601') where the others are UTC"
+            raise ValueError(f"{name}: needs a zone in all times or none, got one in {zoned[0]!r:.40} only: {way}")
+    elif not _are_seconds(known):
+        times[:] = math.nan
+    times = times if dated else np.round(np.where(np.abs(times) < LATEST, times, math.nan) * 1e6)
     unread = {row: texts[row] for row in np.flatnonzero(np.isnan(times)).tolist() if not _is_missing(texts[row])}
+    if len(unread) > MANY * len(texts):
+        got = way_of(column, next(iter(unread.values())))
+        raise ValueError(f"{name}: needs ISO 8601, Unix seconds, or seconds from 0 in column {column!r}, got {got}")
     return _whole(times), unread, bool(dated)
+
+
+def _are_seconds(times):
+    """Tell whether numbers are Unix seconds or seconds from 0, and no digits of a clock from midnight on."""
+    usual, step = np.median(times), np.median(np.diff(times)) if len(times) > 1 else 0.0
+    clock = step < FORTY and times.max() >= FROM_ZERO and (times % 100 < 60).all()
+    return UNIX <= usual < LATEST or (0 <= times[0] < FROM_ZERO and usual < LATEST and not clock)

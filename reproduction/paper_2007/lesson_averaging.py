@@ -54,7 +54,6 @@ def draw_wall(case, stretches=9):
     for part, mean in zip(np.split(hours, stretches), np.split(errors, stretches), strict=True):
         panel.plot(part[[0, -1]], [mean.mean()] * 2, **means)
         means.pop("label", None)
-    panel.set_ylim(-7, 7)
     plots.finish(panel, "hour", f"error of the height (m), {case.station}, {case.kind}")
     plots.legend_below(panel, 2)
     return fig
@@ -124,8 +123,8 @@ def judged(cases, fits, kalman):
 def carried(cases, fits, kalman):
     """Return a row for each origin of the constants: made over stated of the mean of a window, and of the filter.
 
-    They are those of the other half of the day, of the same kind of range at each other station, and for a mean of four
-    hours those of the same day.
+    They are those of the other half of the day, and of the same kind of range at each other station; for a mean of four
+    hours those of the same day, and of each other station.
     """
 
     def of_filter(z, step, constants):
@@ -143,11 +142,15 @@ def carried(cases, fits, kalman):
         if some:  # a reader's own may be the only station
             of_mean = [mean_over_stated(z, constants, step) for z, step, constants in some]
             rows.append([where, spread(of_mean, TENTH), spread([of_filter(*each) for each in some], TENTH)])
-    hours = [
-        mean_over_stated(case.errors[:, UP], constants_of(fits[name]), case.step, n=round(4 * 3600 / case.step))
-        for name, case in cases.items()
-    ]
-    return [*rows, ["the same day, over four hours", spread(hours, TENTH), ""]]
+
+    def over_hours(some):
+        return [mean_over_stated(z, constants, step, n=round(4 * 3600 / step)) for z, step, constants in some]
+
+    same = [(case.errors[:, UP], case.step, constants_of(fits[name])) for name, case in cases.items()]
+    rows.append(["the same day, over four hours", spread(over_hours(same), TENTH), ""])
+    if stations:
+        rows.append(["another station, over four hours", spread(over_hours(stations), TENTH), ""])
+    return rows
 
 
 # What smoothing and corrections do

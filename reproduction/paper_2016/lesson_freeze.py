@@ -97,9 +97,10 @@ def draw_braking(misses, seconds=5):
     misses maps a brake in m/s² to {name of a filter: misses (m) of the predictions of seconds 0, 1, ...}.
     """
     of_acceleration = plots.COLOUR_OF["acceleration"]
-    styles = [(plots.COLOUR_OF["kalman"], "-"), (of_acceleration, "--"), (of_acceleration, "-")]
+    of_velocity = plots.COLOUR_OF["kalman"]
+    styles = [(of_velocity, ":"), (of_velocity, "-"), (of_acceleration, "--"), (of_acceleration, "-")]
     names = [f"{brake:g} m/s²" for brake in misses]
-    fig, ax = plots.panels([names], height=3.4)
+    fig, ax = plots.panels([names], height=3.9)
     ax[names[1]].sharey(ax[names[0]])
     for name, of_filters in zip(names, misses.values(), strict=True):
         lines = []

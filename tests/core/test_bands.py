@@ -218,7 +218,7 @@ def test_the_live_band_refuses_steps_that_are_longer_than_its_horizon():
         live = LiveBand(kf, 10.0, before=before)
         return [live.step(t, [0.0], AXIS.x0, AXIS.P0) for t in times]
 
-    with pytest.raises(ValueError, match=r"seconds: needs a horizon with fixes .* got 10, and none .* 98 s later"):
+    with pytest.raises(ValueError, match=r"seconds: needs a horizon with fixes .* got 10, and none of 30 fixes"):
         steps(98.0 * np.arange(31))
     assert len(steps(98.0 * np.arange(30))) == 30
     late = 98.0 * np.arange(1, 40)
@@ -303,15 +303,15 @@ def test_one_early_pause_does_not_stop_the_live_band():
         x, P = kf.step(x, P, [0.0], dt=t - last)
         live.step(t, [0.0], x, P)
         last = t
-    assert live.unchecked is None  # it has learnt since
+    assert live.unchecked < 0  # it has learnt since
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"z": [np.inf]}, "z: needs finite numbers"),
-        ({"z": [1.0], "r": [np.nan]}, "r: needs a vector of 1 positive variances"),
-        ({"z": [1.0], "r": [-1.0]}, "r: needs a vector of 1 positive variances"),
+        ({"z": [np.inf]}, "z: needs .* of numbers, got infinity"),
+        ({"z": [1.0], "r": [np.nan]}, "r: needs a positive variance"),
+        ({"z": [1.0], "r": [-1.0]}, "r: needs a positive variance"),
         ({"z": [1.0], "r": [1.0, 1.0]}, "r: needs a vector of 1 positive variances, got shape"),
     ],
 )
@@ -514,7 +514,7 @@ def test_the_score_is_least_for_the_true_quantiles():
 def test_a_model_of_one_step_length_and_a_horizon_without_fixes_are_refused():
     with pytest.raises(ValueError, match="estimator: needs a model that knows steps of any length"):
         ahead(mpt.KalmanFilter(mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)), np.zeros((9, 1)), 1.0)
-    with pytest.raises(ValueError, match=r"seconds: needs a horizon with fixes .* got 1 with steps of 3 s"):
+    with pytest.raises(ValueError, match=r"seconds: needs a horizon with fixes .* later than others, got 1$"):
         ahead(mpt.KalmanFilter(AXIS, t=np.arange(9) * 3.0), np.zeros((9, 1)), 1.0)
     for made in (mpt.JoinFilter, mpt.Separate):
         whole = made(*2 * [mpt.KalmanFilter(AXIS, t=np.arange(9))])

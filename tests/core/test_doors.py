@@ -111,7 +111,7 @@ DOORS = {
     ),
     "from_kalman": (mpt.SteadyStateFilter.from_kalman, {"model": (AXIS, [*NO_MODEL, replace(AXIS, Q=0 * EYE)])}),
     "from_lainiotis": (mpt.SteadyStateFilter.from_lainiotis, {"model": (AXIS, [*NO_MODEL, replace(AXIS, Q=0 * EYE)])}),
-    "predictor": (mpt.SteadyStatePredictor, {"steady": (STEADY, NO_STEADY), "steps": (1, NO_COUNT)}),
+    "predictor": (mpt.SteadyStatePredictor, {"estimator": (STEADY, NO_STEADY), "steps": (1, NO_COUNT)}),
     "FIRFilter": (
         mpt.FIRFilter,
         {"model": (AXIS, NO_MODEL), "taps": (FIR.taps, NO_TAPS)},

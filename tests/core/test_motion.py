@@ -206,9 +206,9 @@ def of(transition, dt=1.0):
 
 
 REFUSED = {
-    "no function": (lambda: of(3), TypeError, "transition: needs a function of dt that returns F and Q, got 3"),
+    "no function": (lambda: of(3), TypeError, "transition: needs a function of dt that returns F and Q as arrays"),
     "no pair": (lambda: of(lambda dt: np.eye(1)), TypeError, "transition: needs a function of dt"),
-    "lists": (lambda: of(lambda dt: ([[1.0]], [[dt]])), TypeError, "returns F and Q as arrays, got lists"),
+    "lists": (lambda: of(lambda dt: ([[1.0]], [[dt]])), TypeError, r"returns F and Q as arrays, got \(\[\["),
     "no dt": (lambda: of(wrong(), dt=None), TypeError, "dt: needs to be given beside transition"),
     "dt of zero": (lambda: of(wrong(), dt=0.0), ValueError, "dt: needs"),
     "Q of the square of the length": (lambda: of(wrong(power=2.0)), ValueError, "two steps of dt / 2 to be one"),
@@ -258,22 +258,25 @@ def test_an_advance_keeps_its_promises(make):
     t, z = np.cumsum(rng.uniform(0.1, 2.0, 30)), rng.standard_normal((30, model.m, 5))
     z[rng.random(z.shape) < 0.2] = np.nan
     kf = mpt.KalmanFilter(model, t=t)
-    rows = kf.epochs_of(z).rows(together=False)
-    advance, x, P = kf.on_columns(rows), np.tile(model.x0[:, None, None], 5), np.tile(model.P0[..., None], 5)
+    x, P = np.tile(model.x0[:, None, None], 5), np.tile(model.P0[..., None], 5)
     nis = metrics.nis(kf, z)
-    for k, row in enumerate(rows):
+    for k, (z_k, *conditions) in enumerate(zip(*kf.epochs_of(z).rows()[:4], [None] * 30, strict=True)):
+
+        def advance(z, x, P, conditions=conditions):
+            return kf.advance((z, *conditions), x, P)
+
         before = x.copy(), P.copy()
-        first, second = advance(row, x, P), advance(row, x, P)
+        first, second = advance(z_k, x, P), advance(z_k, x, P)
         for a, b in zip(first, second, strict=True):
             np.testing.assert_array_equal(a, b)
         np.testing.assert_array_equal(x, before[0])
         np.testing.assert_array_equal(P, before[1])
-        of_zero = advance(row._replace(z=0 * row.z), x, P)
+        of_zero = advance(0 * z_k, x, P)
         np.testing.assert_array_equal(of_zero[1], first[1])
-        from_zero = advance(row, 0 * x, P)
-        both = advance(row._replace(z=2 * row.z), 3 * x, P)
+        from_zero = advance(z_k, 0 * x, P)
+        both = advance(2 * z_k, 3 * x, P)
         for i in (0, 2):
-            alone = advance(row._replace(z=0 * row.z), x, P)[i]
+            alone = advance(0 * z_k, x, P)[i]
             np.testing.assert_allclose(both[i], 2 * from_zero[i] + 3 * alone, rtol=1e-9, atol=1e-12)
         squares = (first[2] ** 2).sum(axis=(0, 1))
         np.testing.assert_allclose(squares, np.nan_to_num(nis[k]), rtol=1e-12, atol=1e-13)

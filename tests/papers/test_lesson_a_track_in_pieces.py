@@ -67,9 +67,10 @@ def with_gaps(rng, rows, push=0.1):
 # The plain loop
 
 
-def test_the_loop_is_the_filter_of_the_package(taught):
+def test_the_loop_is_the_filter_of_the_package_by_the_lines_that_the_lesson_gives(taught):
     z = taught["recordings"]["50% missing"][:300]
-    expected = mpt.KalmanFilter(model_of(taught)).filter(z[:, None])
+    model, call = re.findall(r"`(?:model = )?(mpt\.[LK].*?)`", "".join(LESSON.cell("do")["source"]))
+    expected = eval(call, {"mpt": mpt, "model": eval(model, {"mpt": mpt, **taught}), "z": z})
     np.testing.assert_allclose(taught["one_by_one"](z), expected, rtol=0, atol=1e-9)
     np.testing.assert_allclose(taught["Q"], Q)
 
@@ -196,6 +197,8 @@ def test_the_best_length_of_a_piece():
     best = min(steps, key=steps.get)
     says("Their sum is smallest at L = \\sqrt{N/2}, about 70 here. Near it little changes.")
     assert best == round(np.sqrt(N / 2))
+    says("If that takes more than some 1.5 \\sqrt N early rows, use the runner. That is 150 of 10,000 rows.")
+    assert round(1.5 * np.sqrt(N), -1) == 150
     assert round(best, -1) == 70
     assert steps[80] < 1.01 * steps[best]
 
@@ -254,8 +257,8 @@ def test_a_filter_that_remembers_shows_at_the_seams():
     z = truth + rng.normal(0, np.sqrt(0.1), 10_000)
     begun_early = with_model(F, 1e-4 * Q)["begun_early"]
     says("With a ten-thousandth of this Q, as for a ship on a steady course,")
-    says(f"40 early rows leave seams of up to {begun_early(z, 80, 40)[1]:.0f} σ")
-    says("and it takes 160 to bring them to a hundredth")
+    says(f"40 early rows leave seams of some {begun_early(z, 80, 40)[1]:.0f} σ")
+    says("and 160, with pieces of 320, some 0.01 σ")
     assert begun_early(z, 320, 160)[1] == pytest.approx(0.01, rel=0.3)
     assert begun_early(z, 160, 80)[1] > 0.05
 
@@ -307,13 +310,13 @@ def test_the_table_says_what_was_measured():
         "the loop in Python's own numbers, written out": "Python numbers",
     }.items():
         to_one_digit = float(f"{ms['plain loop of numpy'] / ms[name]:.0e}")
-        says(f"| {way} | {to_one_digit:,.0f} |")
-    runner = round(ms["plain loop of numpy"] / ms["in pieces"])
-    says(f"| none of these | pieces, begun early or with the runner | {2 * runner} or {runner} |")
+        says(f"| {way} | {to_one_digit:,.0f}")
 
 
 def test_early_rows_must_outlast_the_gaps(taught):
-    says("a gap of 200 rows needs 240 of them, and with 160 the seams are thousands of σ")
+    says(
+        "where a gap of 200 rows covers the 160 early rows of a piece, the seam is thousands of σ; 240 of them suffice"
+    )
     z = taught["complete"][:2000].copy()
     z[760:960] = np.nan  # pieces begin at row 960, of either length
     whole = taught["one_by_one"](z)[:, 0]
@@ -324,7 +327,7 @@ def test_early_rows_must_outlast_the_gaps(taught):
 
 
 def test_a_combination_that_drifts_costs_the_short_mend_digits():
-    says("If no measurement holds some combination of the unknowns, so that it drifts, the short `mend` loses digits.")
+    says("holds some combination of the unknowns, so that it drifts, the short `mend` loses digits of it")
     blocks = np.eye(2)
     z = np.cumsum(np.random.default_rng(5).normal(0, 1.0, 3000))
     off = {}
@@ -354,7 +357,7 @@ def times_as_fast(way, other, rounds):
 @pytest.mark.parametrize(("unknowns", "said"), [(4, 9), (6, 7), (12, 4)])
 def test_pieces_are_faster_than_the_loop_and_gain_less_with_more_unknowns(taught, unknowns, said):
     """Within a factor of two, since machines, numpy's builds and other programs differ by as much."""
-    says("On 10,000 rows with 4, 6 and 12 unknowns the runner was 9, 7 and 4 times as fast as the loop over the rows")
+    says("| none of these | pieces with the runner | 9 with four unknowns, 7 with six, 4 with twelve |")
     z = taught["recordings"]["5% missing"]
     blocks = np.eye(unknowns // 2)
     H = np.random.default_rng(unknowns).standard_normal((1, unknowns))
@@ -368,7 +371,8 @@ def test_pieces_are_faster_than_the_loop_and_gain_less_with_more_unknowns(taught
 def test_pieces_begun_early_take_half_the_time_of_the_runner(taught, early, said):
     """Within a factor of two, as above."""
     says("Forty early rows took half the time of the runner.")
-    says("it takes 160 to bring them to a hundredth. With 10,000 rows the runner is then about as fast.")
+    says("| none of these, and the filter soon forgets | pieces begun early | twice that |")
+    says("With 10,000 rows the runner is then about as fast.")
     z = taught["recordings"]["5% missing"]
     ways = partial(taught["begun_early"], z, 2 * early, early), partial(taught["in_pieces"], z, 80)
     assert said / 2 < times_as_fast(*ways, 10) < 2 * said

@@ -96,15 +96,14 @@ def test_a_line_through_two_measurements_is_a_start_for_a_good_sensor_only(sigma
     exact = lesson.errors_from_two_measurements(sigma**2)
     np.testing.assert_allclose(rms, exact, rtol=0.02)  # known to 0.5 %
     if sigma == 10:
-        says(f"there two measurements give a velocity that is wrong by {sigma * np.sqrt(2):.0f} m/s")
-        says(f"forgets it slowly, and is up to {exact.max():.0f} m off")
+        says(f"begun on two of its measurements the frozen filter is up to {exact.max():.0f} m off")
     else:
         says("With this sensor a good guess is nearly enough.")
         assert exact.max() < 1.2 * sigma
 
 
 def test_the_steps_to_freeze(taught):
-    says("eight for our sensor, 39 for one that is wrong by 10 m")
+    says("eight for our sensor and a calm car, 39 if the sensor is wrong by 10 m")
     assert taught["freeze_from"](*taught["motion"](1.0, 0.01), 0.1) == 8
     assert taught["freeze_from"](*taught["motion"](1.0, 0.01), 100.0) == 39
 
@@ -113,11 +112,11 @@ def test_the_operations_are_those_of_the_paper():
     says("As the paper counts, a step takes 69 operations while a Kalman filter computes its gain, and 10 with $A$")
     assert burden.total(burden.kalman(2, 1)) == 69
     assert burden.total(burden.steady_state(2, 1)) == 10
-    says("59 of 69 operations a step")
+    says("59 of 69 operations a step as the paper counts")
 
 
 def test_the_error_of_a_prediction(taught):
-    says("here 1.1 m (rms) at five seconds")
+    says("here 1.1 m (rms) at five seconds, with the small pushes of an even road")
     F, Q = taught["motion"](5, 0.01)
     assert round(np.sqrt((F @ SETTLED.P @ F.T + Q)[0, 0]), 1) == 1.1
 
@@ -128,7 +127,7 @@ def rms(off):
 
 def test_the_braking(taught):
     misses, motion, motion_3 = (taught[name] for name in ("misses", "motion", "motion_3"))
-    says("it needs a surprise of 2/0.212 = 9.4 m each time")
+    says("the filter of the dotted line needs a surprise of 2/0.212 = 9.4 m each time")
     assert round(2 / SETTLED.B[1, 0], 1) == 9.4
     says("the filter that knows the acceleration is ahead, by 16 m against 26 and by 29 against 33")
     says("If the driver lets go after three seconds, velocity is ahead, by 10 m against 16")
@@ -143,16 +142,18 @@ def test_the_braking(taught):
         for lasting in (1, 2, 3):
             assert rms(misses(motion, 1, brake, lasting)) < rms(misses(motion_3, 0.01, brake, lasting))
         assert rms(misses(motion, 1, brake)) > rms(misses(motion_3, 0.01, brake))
-    says("the prediction is 25 m too far at once and then 51 m at 2 m/s², and 50 m and then 76 m at 4.")
-    worst = [misses(motion, 0.01, brake)[:, 0].max() for brake in (2, 4)]
-    assert [round(each) for each in worst] == [51, 76]
-    assert [round(misses(make, 0.01, brake)[0, 0]) for brake in (2, 4) for make in (motion, motion_3)] == [
-        25,
-        25,
-        50,
-        50,
-    ]
-    says("With the rule it does not.")
+    says("The gain is large only if the stop takes clearly longer than the five seconds that you look ahead.")
+    gain = {each: rms(misses(motion, 1, each)) / rms(misses(motion_3, 0.01, each)) for each in (2, 3, 4, 6, 8)}
+    assert min(gain[2], gain[3]) > 1.25  # ten and seven seconds
+    assert max(gain[4], gain[6], gain[8]) < 1.2  # five seconds and less
+    says(
+        "the prediction is up to 31 m too far at 2 m/s² and up to 60 m at 4, with either filter that the table compares"
+    )
+    for brake, (first, worst) in {2: (25, 31), 4: (50, 60)}.items():
+        for off in (misses(motion, 1, brake), misses(motion_3, 0.01, brake)):
+            assert round(off[0, 0]) == first
+            assert off.max() == pytest.approx(worst, abs=1)
+    says("With the rule it does not, and at 2 m/s² it is right to 1.5 m from second 6 on.")
     assert np.abs(misses(motion_3, 0.01, 2)[6:]).max() < 1.5
     assert misses(motion_3, 0.01, 2, stops=False)[10] < -20
 
@@ -165,31 +166,44 @@ def test_the_rule_makes_no_braking_to_a_standstill_worse(taught, brake):
         assert with_rule <= 1.001 * without
 
 
-def ratios_after(missed, steps=12):
+def worst_ratio_after(missed, make, q):
     """How much larger the error of a prediction for five seconds later is with the frozen gain than with the best."""
-    F, H, K, Q = VELOCITY.F, VELOCITY.H, SETTLED.B, VELOCITY.Q
-    ahead = mpt.constant_velocity(5.0, lesson.Q, lesson.R)
-    best = SETTLED.P
+    (F, Q), (far, pushed) = make(1.0, q), make(5.0, q)
+    H, best = np.eye(1, len(F)), 1e4 * np.eye(len(F))
+    for _ in range(300):
+        best = F @ best @ F.T + Q
+        K = best @ H.T / (H @ best @ H.T + lesson.R)
+        best = best - K @ H @ best
     for _ in range(missed):
         best = F @ best @ F.T + Q
-    frozen, found = best, []
-    for _ in range(steps):
+    frozen, found, left = best, [], np.eye(len(F)) - K @ H
+    for _ in range(12):
         best, frozen = (F @ P @ F.T + Q for P in (best, frozen))
-        best = best - best @ H.T @ H @ best / (H @ best @ H.T + 0.1)
-        left = np.eye(2) - K @ H
-        frozen = left @ frozen @ left.T + 0.1 * K @ K.T
-        of_both = [(ahead.F @ P @ ahead.F.T + ahead.Q)[0, 0] for P in (frozen, best)]
-        found.append(np.sqrt(of_both[0] / of_both[1]))
-    return np.array(found)
+        best = best - best @ H.T @ H @ best / (H @ best @ H.T + lesson.R)
+        frozen = left @ frozen @ left.T + lesson.R * K @ K.T
+        found.append((far @ frozen @ far.T + pushed)[0, 0] / (far @ best @ far.T + pushed)[0, 0])
+    return np.sqrt(max(found))
 
 
-def test_a_miss_costs_a_frozen_gain_little_and_ten_much():
-    says("After one miss the frozen filter predicts 1 % worse than one whose gain varies, after three up to 6 %.")
-    assert ratios_after(1).max() == pytest.approx(1.01, abs=0.005)
-    assert ratios_after(3).max() == pytest.approx(1.06, abs=0.005)
-    says("After ten it is twice as bad for some seconds.")
-    assert 2 < ratios_after(10).max() < 2.5
-    assert (ratios_after(10) > 1.5).sum() >= 3
+def test_a_miss_costs_a_frozen_gain_little_and_ten_much(taught):
+    filters = (taught["motion"], 0.01), (taught["motion"], 1.0), (taught["motion_3"], 0.01)
+    after = {missed: [worst_ratio_after(missed, *each) for each in filters] for missed in (1, 3, 10)}
+    for missed, ratios in after.items():
+        cells = [f"{each:.2f}" if each < 1.095 else f"{each:.1f}" if each < 5 else f"{each:.0f}" for each in ratios]
+        says(f"| {missed} | {' | '.join(cells)} |")
+
+
+@pytest.mark.parametrize("sigma", [0.32, 10.0])
+def test_a_gain_that_is_off_by_a_fiftieth_costs_hardly_anything(sigma):
+    says("From the eighth on the gain stays within 2 % of its limit; so near the best gain a deviation costs hardly")
+    model = mpt.constant_velocity(1.0, lesson.Q, sigma**2)
+    best = mpt.SteadyStateFilter.from_kalman(model)
+    for signs in ([1, 1], [1, -1]):
+        K = best.B * (1 + 0.02 * np.array(signs)[:, None])
+        left, P = np.eye(2) - K @ model.H, best.P
+        for _ in range(500):
+            P = left @ (model.F @ P @ model.F.T + model.Q) @ left.T + K @ model.R @ K.T
+        assert np.sqrt(np.diag(P) / np.diag(best.P)).max() < 1.001
 
 
 def test_with_a_worse_sensor_the_acceleration_gains_nothing_that_counts(taught):

@@ -11,7 +11,7 @@ from oracles import plain_loop, plain_smoother
 
 import mpt_helpers as mpt
 from mpt_helpers import equations, kalman, lainiotis, metrics, steady
-from mpt_helpers._engine import columns, pieces, run, shared, smoother
+from mpt_helpers._engine import algebra, columns, pieces, run, shared, smoother
 
 CV = mpt.constant_velocity(0.7, 0.04, 0.5, x0=[1.0, 2.0], P0=np.eye(2) + 0.1)
 T = np.cumsum(np.random.default_rng(1).choice([0.1, 0.7, 3.0], 60))
@@ -55,13 +55,8 @@ def with_gain_where_missing(x, P, z, seen, variance, i, corrected=columns.correc
     return corrected(x, P, z, np.ones_like(seen), variance, i)
 
 
-def without_noise(self, P, steps=None, covariance=columns.Prediction.covariance):
-    quiet = columns.Prediction(self.F, 0 * self.Q)
-    return covariance(quiet, P, None if steps is None else steps._replace(Q=0 * steps.Q))
-
-
-def turned(self, x, steps=None, state=columns.Prediction.state):
-    return state(columns.Prediction(self.F.T, self.Q), x, steps)
+def turned(self, x, of_state=algebra.LinearMap.of_state):
+    return of_state(algebra.LinearMap(self.T.swapaxes(0, 1)), x)
 
 
 def without_the_noise_of_z(P, K, H, R):
@@ -84,9 +79,8 @@ def starts_at_zero(advance, rows, x0, P0, starts=pieces.starts):
     return np.zeros_like(x), P
 
 
-def coefficients_without_noise(prediction, steps, x, P, coefficients=smoother._coefficients):
-    quiet = columns.Prediction(prediction.F, 0 * prediction.Q)
-    return coefficients(quiet, steps and steps._replace(Q=0 * steps.Q), x, P)
+def steps_back_without_noise(motion, x, P, steps_back=smoother._steps_back):
+    return steps_back(algebra.Motion(motion.T, 0 * motion.Q), x, P)
 
 
 def step_from_zero(P, constants, lainiotis_step=equations.lainiotis_step):
@@ -99,14 +93,14 @@ def twice_the_noise(H, R, unit_measurements=equations.unit_measurements):
 
 MUTANTS = {
     "a missing measurement has a gain": (columns, "corrected", with_gain_where_missing),
-    "columns without process noise": (columns.Prediction, "covariance", without_noise),
-    "F transposed on columns": (columns.Prediction, "state", turned),
+    "columns without process noise": (algebra.Motion, "noise_of", lambda self, P: 0.0),
+    "F transposed on columns": (algebra.Motion, "of_state", turned),
     "several steps in one product, with A halved": (shared, "product_of_steps", half_a_step),
     "a filter has converged at once": (shared, "_has_not_moved", lambda before, after: True),
-    "tracks of other gaps share a column": (columns.Epochs, "alike", True),
+    "tracks of other gaps share a column": (columns.Epochs, "width", 1),
     "a piece starts as the one before it": (pieces, "_next_start", lambda x, P, *piece: (x, P)),
     "all pieces start at zero": (pieces, "starts", starts_at_zero),
-    "the way back without process noise": (smoother, "_coefficients", coefficients_without_noise),
+    "the way back without process noise": (smoother, "_steps_back", steps_back_without_noise),
     "innovations against the state after": (run, "_before", lambda array, start, part: array[part]),
     "Joseph's form without K R K'": (steady, "corrected_covariance", without_the_noise_of_z),
     "a Lainiotis step that forgets P": (lainiotis, "lainiotis_step", step_from_zero),
