@@ -217,30 +217,24 @@ def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
 def longest_in_order(time: Array) -> Array:
     """Return the rows of the most fixes whose times (microseconds, NO_TIME where there is none) increase.
 
-    So one clock error does not cost all that follows it. It is the longest increasing subsequence, found from the end:
-    of all that are as long, the one that starts latest can be continued by most (Fredman 1975).
+    So one clock error does not cost all that follows it. It is the longest increasing subsequence (Fredman 1975).
     """
     known = np.flatnonzero(time != NO_TIME)
     if (np.diff(time[known]) > 0).all():
         return known
-    turned = (-time).tolist()
-    # Entry k of `starts` and `starts_of` is of all orders of k + 1 rows the one that starts latest: -time of its first
-    # row, turned since bisect wants numbers that increase, and that row. `after` has the row that follows each one.
-    # Times 1, 9, 2, 3 make, from the end, starts of [-3], [-3, -2], [-9, -2], [-9, -2, -1]: the order is 1, 2, 3.
-    starts: list[int] = []
-    starts_of: list[int] = []
-    after: dict[int, int | None] = {}
-    for row in known[::-1].tolist():
-        length = bisect.bisect_left(starts, turned[row])
-        after[row] = starts_of[length - 1] if length else None
-        if starts[length : length + 1] != [turned[row]]:  # of several at one time the last stays: it is the newest
-            starts[length : length + 1] = [turned[row]]
-            starts_of[length : length + 1] = [row]
-    rows, row = [], starts_of[-1]
+    # Of all orders of k + 1 rows the one that ends earliest can be continued by most: ends[k] is its last time, rows[k]
+    # the row of that, the newest of several at one time. `before` has the row before each one.
+    ends, rows, before = [], [], {}
+    for row in known.tolist():
+        k = bisect.bisect_left(ends, time[row])
+        before[row] = rows[k - 1] if k else None
+        ends[k : k + 1] = [time[row]]
+        rows[k : k + 1] = [row]
+    kept, row = [], rows[-1]
     while row is not None:
-        rows.append(row)
-        row = after[row]
-    return np.array(rows)
+        kept.append(row)
+        row = before[row]
+    return np.array(kept[::-1])
 
 
 def _time_in_words(recording, row):
@@ -420,10 +414,9 @@ def _said_of_order(t, segment):
 
 def _precision(recording, rows):
     """Return the relative variances (N,) of fixes and where they are from, or None and None."""
-    for name, sigma in (("accuracy", recording.accuracy), ("hdop", recording.hdop)):
-        if sigma is None:
-            continue
-        known = np.isfinite(sigma[rows]) & (sigma[rows] > 0)
-        if known.mean() > 0.9 and np.ptp(sigma[rows][known]) > 0:
-            return np.where(known, sigma[rows], np.median(sigma[rows][known])) ** 2, name
+    for name in ("accuracy", "hdop"):
+        sigma = getattr(recording, name)[rows]
+        known = sigma > 0
+        if known.mean() > 0.9 and np.ptp(sigma[known]) > 0:
+            return np.where(known, sigma, np.median(sigma[known])) ** 2, name
     return None, None

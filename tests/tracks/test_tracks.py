@@ -106,7 +106,7 @@ def test_heights_are_a_column_where_they_are_wanted_and_nan_where_the_file_has_n
     ("fixes", "said"),
     [
         ([fix(0), fix(1), fix(1)], r"got 2024-05-03 12:00:01 in fix 2 of segment 2 \(1 such of its 3 fixes\)"),
-        ([fix(0), fix(9), fix(4)], r"got 2024-05-03 12:00:04 in fix 3 of segment 2"),
+        ([fix(0), fix(9), fix(4)], r"got 2024-05-03 12:00:09 in fix 2 of segment 2"),
         ([fix(99), fix(1), fix(2)], r"got 2024-05-03 12:01:39 in fix 1 of segment 2"),
         ([fix(0), fix(None), fix(None)], r"got no time in fix 2 of segment 2 \(2 such of its 3 fixes\)"),
     ],
