@@ -310,14 +310,11 @@ class FIRFilter(Filter):
         """Write the estimates to x, as in Filter; there are no covariances."""
         if covariances:
             raise self._not_recursive()
-        if np.isfinite(z).all():
-            self._convolve(x, z)
-            return
         checks.no_infinity(z)
         seen = ~np.isnan(z)
         _require_whole_rows(seen.swapaxes(0, 1))
         self._convolve(x, np.where(seen, z, 0))
-        missed: np.ndarray = ~seen.any(axis=1)
+        missed = ~seen[:, 0]
         F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]
         for k in np.flatnonzero(missed.any(axis=1)):
             predicted = F @ (x[k - 1] if k > 0 else x0)
