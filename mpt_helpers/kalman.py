@@ -54,8 +54,6 @@ class KalmanFilter(RecursiveFilter):
 
     Raises
     ------
-    TypeError
-        For anything but a model.
     ValueError
         For times that decrease or that the model does not take, and for variances that are not positive.
 

@@ -27,11 +27,6 @@ class LainiotisFilter(RecursiveFilter):
     model : LinearModel
         The model of motion and measurements.
 
-    Raises
-    ------
-    TypeError
-        For anything but a model.
-
     Examples
     --------
     >>> import mpt_helpers as mpt

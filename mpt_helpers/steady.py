@@ -50,8 +50,6 @@ class SteadyStateFilter(RecursiveFilter):
 
     Raises
     ------
-    TypeError
-        For anything but a model and arrays of real numbers.
     ValueError
         For arrays of another shape, and for an A that is not (I - B H) F.
 
@@ -245,11 +243,6 @@ class FIRFilter(Filter):
     taps : array_like (order, n, m)
         The weights of the last measurements, the newest first.
 
-    Raises
-    ------
-    TypeError, ValueError
-        For anything but a model and such an array.
-
     Examples
     --------
     >>> import mpt_helpers as mpt
@@ -291,8 +284,8 @@ class FIRFilter(Filter):
 
         Raises
         ------
-        TypeError, ValueError
-            For another filter, and as `fir_order`.
+        ValueError
+            As `fir_order`.
 
         """
         checks.instance("steady", steady, SteadyStateFilter)
