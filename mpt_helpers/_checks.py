@@ -108,15 +108,15 @@ def count(name: str, value: object, least: int = 1) -> int:
     return whole
 
 
-def array(name: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Return a read-only copy of an array of finite real numbers of this shape."""
-    need = f"a {shape} array of finite numbers"
+def array(name: str, value: object, shape: tuple[int, ...], finite: bool = True) -> Array:
+    """Return a read-only copy of an array of real numbers of this shape, finite or with NaN."""
+    need = f"a {shape} array of {'finite numbers' if finite else 'numbers'}"
     # In C order, since the rounding of a product depends on the memory layout.
     copy = real_numbers(name, value, need).astype(float, order="C")
     if copy.shape != shape:
         refuse(name, need, f"shape {copy.shape}")
-    if not np.isfinite(copy).all():
-        refuse(name, need, "NaN or infinity")
+    if np.isinf(copy).any() or (finite and np.isnan(copy).any()):
+        refuse(name, need, "NaN or infinity" if finite else "infinity")
     copy.flags.writeable = False
     return copy
 
@@ -129,12 +129,9 @@ def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
         values = np.asarray(value)
     except ValueError:
         refuse(name, need, "rows of different lengths")
-    if values.dtype == object and hasattr(value, "to_numpy"):
-        with suppress(TypeError, ValueError):  # of a column of anything else
-            numbers = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
-            others = np.reshape([not isinstance(each, Real) for each in values.flat], values.shape)
-            if np.isnan(numbers[others]).all():  # and not texts, or times with a zone, which have a number too
-                values = numbers
+    if values.dtype == object and hasattr(value, "to_numpy") and any(isinstance(each, Real) for each in values.flat):
+        with suppress(TypeError, ValueError):  # of numbers and texts
+            values = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
     if values.dtype == object:
         kinds = ", ".join(sorted({type(each).__name__ for each in values.flat}))
         refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
@@ -170,9 +167,9 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
     unit = np.where(sigma > 0, sigma, np.sqrt(rounding) * sigma.max() or np.finfo(float).tiny)
     with np.errstate(over="ignore"):
         scaled = np.clip(matrix / unit[:, None] / unit, -1e9, 1e9)
+    lowest = np.linalg.eigvalsh(scaled)[0]
     if np.abs(scaled - scaled.T).max() > rounding:
         refuse(name, need, "a matrix that is not symmetric")
-    lowest = np.linalg.eigvalsh(scaled)[0]
     if lowest < -rounding or (definite and lowest <= rounding):
         refuse(name, need, f"an eigenvalue of {lowest:.6g} (at unit variances)")
     return matrix
@@ -206,14 +203,10 @@ def no_infinity(z: np.ndarray, name: str = "z") -> None:
         refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
 
-def one_measurement(value: object, m: int, name: str = "z_k") -> tuple[np.ndarray, np.ndarray]:
-    """Return a measurement as a new vector of floats of length m, and which of them are there."""
-    need = f"a vector of length {m}"
-    z_k = real_numbers(name, value, need).astype(float)
-    if z_k.shape != (m,):
-        refuse(name, need, f"shape {z_k.shape}")
-    no_infinity(z_k, name)
-    return z_k, np.isfinite(z_k)
+def one_measurement(value: object, m: int, name: str = "z_k") -> tuple[Array, np.ndarray]:
+    """Return a measurement as a new vector (m,), NaN where it is missing, and which of its components are there."""
+    z_k = array(name, value, (m,), finite=False)
+    return z_k, ~np.isnan(z_k)
 
 
 def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
@@ -222,8 +215,7 @@ def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
     values = real_numbers(name, value, need).astype(float)
     if values.shape != seen.shape:
         refuse(name, need, f"shape {values.shape}")
-    if not ((values[seen] > 0) & (values[seen] < np.inf)).all():
-        refuse(name, need, f"{values}")
+    used_variances(name, values[seen])
     return values
 
 

@@ -180,10 +180,8 @@ def nis(estimator: Filter, z: ArrayLike) -> Array:
 
     Parameters
     ----------
-    estimator : Filter
-        A filter as for `innovations`.
-    z : array_like (N, m) or (N, m, M)
-        Measurements, NaN where one is missing.
+    estimator, z : Filter, array_like (N, m) or (N, m, M)
+        As for `innovations`.
 
     Returns
     -------
@@ -212,10 +210,8 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
 
     Parameters
     ----------
-    estimator : Filter
-        A filter as for `innovations`.
-    z : array_like (N, m) or (N, m, M)
-        Measurements, NaN where one is missing.
+    estimator, z : Filter, array_like (N, m) or (N, m, M)
+        As for `innovations`.
 
     Returns
     -------
@@ -243,12 +239,12 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     - "correlated": successive innovations are correlated, as where q and r are exchanged;
     - "same time": two rows measure the same axis at the same time.
 
+    The medians leave out numbers that repeat the one before.
+
     Parameters
     ----------
-    estimator : Filter
-        A filter as for `innovations`.
-    z : array_like (N, m) or (N, m, M)
-        Measurements, NaN where one is missing. The medians leave out numbers that repeat the one before.
+    estimator, z : Filter, array_like (N, m) or (N, m, M)
+        As for `innovations`.
 
     Returns
     -------
@@ -275,11 +271,10 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     median = float(np.nanmedian(squares)) if np.isfinite(squares).any() else 0.0
     found = {}
     if median > 0:
-        ratio = median / MEDIAN_OF_A_SQUARE
+        ratio, largest = median / MEDIAN_OF_A_SQUARE, np.nanmax(squares) / median
         if not FAR_TOO_SMALL < ratio < FAR_TOO_LARGE:
             units = "in the units of q and r (metres and seconds, not degrees, kilometres or milliseconds)?"
             found["units"] = f"the median NIS is {ratio:.0e} times what it should be: are z and t {units}"
-        largest = np.nanmax(squares) / median
         if largest > OUTLIER:
             k, _, track = np.unravel_index(np.nanargmax(squares), squares.shape)
             row = f"row {k} of z" if z.shape[2] == 1 else f"row {k} of track {track} of z"
@@ -290,19 +285,13 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
             size = "small" if correlation > 0 else "large"
             why = f"q is too {size} beside r (are the two exchanged?), or the mobile moves in another way"
             found["correlated"] = f"innovations are correlated by {correlation:.2f} with the ones before them: {why}"
-    t = next((leaf.t for leaf in estimator.leaves if leaf.t is not None), None)
-    if (again := _same_time(t, np.isfinite(z))).any():
+    seen = np.isfinite(z)
+    stopped = np.diff(estimator.times_of(len(z)).reshape(len(z), -1), axis=0) == 0  # (N-1, 1 or M)
+    again = (stopped & (seen[1:] & seen[:-1]).any(axis=1)).any(axis=1)
+    if again.any():
         rows = f"{again.sum()} row(s) have the time of the one before, the first is row {again.argmax() + 1}"
         found["same time"] = f"{rows}: is it one fix, twice?"
     return found
-
-
-def _same_time(t, seen):
-    """Tell which rows but the first (N-1,) have the time of the one before, and an axis of seen (N, m, M) with it."""
-    if t is None:
-        return np.zeros(len(seen) - 1, bool)
-    equal = np.diff(t.reshape(len(t), -1), axis=0) == 0
-    return (equal & (seen[1:] & seen[:-1]).any(axis=1)).any(axis=1)
 
 
 def nees(errors: ArrayLike, P: ArrayLike) -> Array:
@@ -334,23 +323,21 @@ def nees(errors: ArrayLike, P: ArrayLike) -> Array:
     array([2.])
 
     """
-    need = "an (N, n) or (N, n, M) array of finite numbers"
-    errors = checks.real_numbers("errors", errors, need).astype(float)
-    if errors.ndim not in (2, 3) or not np.isfinite(errors).all():  # of NaN `whitened` would make nothing
+    errors = checks.real_numbers("errors", errors, "numbers").astype(float)
+    P = checks.real_numbers("P", P, "numbers").astype(float)
+    if errors.ndim not in (2, 3) or not np.isfinite(errors).all():  # NaN would count nothing
+        need = "an (N, n) or (N, n, M) array of finite numbers"
         checks.refuse("errors", need, f"shape {errors.shape}, or NaN or infinity")
-    P = checks.real_numbers("P", P, "covariances").astype(float)
     many = errors.ndim == 3
     errors = errors if many else errors[..., None]
     N, n, M = errors.shape
     if P.shape not in ((n, n), (N, n, n), (N, n, n, M)):
-        need = f"an (n, n), (N, n, n) or (N, n, n, M) array for errors of {errors.shape}"
-        checks.refuse("P", need, f"shape {P.shape}")
-    P = np.broadcast_to(P, (N, n, n)) if P.ndim == 2 else P
-    P = P[..., None] if P.ndim == 3 else P  # one for all tracks
+        checks.refuse("P", f"a covariance of each error, whose shape is {errors.shape}", f"shape {P.shape}")
+    P = P.reshape(-1, n, n, M if P.ndim == 4 else 1)  # one for all epochs, or tracks, is given once
     sigma = np.sqrt(np.abs(np.einsum("kii...->ki...", P)))
     if (np.abs(P - P.swapaxes(1, 2)) > checks.SOLVED * sigma[:, :, None] * sigma[:, None]).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
-    squares = np.square(_at_unit_covariance(errors, P)[0]).sum(axis=1)
+    squares = np.square(_at_unit_covariance(errors, np.broadcast_to(P, (N, *P.shape[1:])))[0]).sum(axis=1)
     if not np.isfinite(squares).all():
         checks.refuse("P", "positive definite matrices", "one that is not")
     return squares if many else squares[:, 0]
@@ -423,7 +410,7 @@ def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: 
     N : int
         Number of steps.
     steps : int
-        How far ahead s the filter's state is predicted.
+        Number of steps s that the filter's state is predicted ahead.
 
     Returns
     -------

@@ -311,9 +311,9 @@ def test_one_early_pause_does_not_stop_the_live_band():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"z": [np.inf]}, "z: needs finite numbers"),
-        ({"z": [1.0], "r": [np.nan]}, "r: needs a vector of 1 positive variances"),
-        ({"z": [1.0], "r": [-1.0]}, "r: needs a vector of 1 positive variances"),
+        ({"z": [np.inf]}, "z: needs .* of numbers, got infinity"),
+        ({"z": [1.0], "r": [np.nan]}, "r: needs a positive variance"),
+        ({"z": [1.0], "r": [-1.0]}, "r: needs a positive variance"),
         ({"z": [1.0], "r": [1.0, 1.0]}, "r: needs a vector of 1 positive variances, got shape"),
     ],
 )

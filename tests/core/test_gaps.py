@@ -279,7 +279,7 @@ def test_filters_of_many_states_converge():
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf])
 def test_a_step_refuses_an_infinite_measurement(value):
-    with pytest.raises(ValueError, match="z_k: needs finite numbers"):
+    with pytest.raises(ValueError, match=r"z_k: needs .* of numbers, got infinity"):
         mpt.KalmanFilter(AXIS).step(AXIS.x0, AXIS.P0, [value])
 
 

@@ -197,6 +197,8 @@ def test_the_best_length_of_a_piece():
     best = min(steps, key=steps.get)
     says("Their sum is smallest at L = \\sqrt{N/2}, about 70 here. Near it little changes.")
     assert best == round(np.sqrt(N / 2))
+    says("If that takes more than some 1.5 \\sqrt N early rows, use the runner. That is 150 of 10,000 rows.")
+    assert round(1.5 * np.sqrt(N), -1) == 150
     assert round(best, -1) == 70
     assert steps[80] < 1.01 * steps[best]
 
@@ -255,8 +257,8 @@ def test_a_filter_that_remembers_shows_at_the_seams():
     z = truth + rng.normal(0, np.sqrt(0.1), 10_000)
     begun_early = with_model(F, 1e-4 * Q)["begun_early"]
     says("With a ten-thousandth of this Q, as for a ship on a steady course,")
-    says(f"40 early rows leave seams of up to {begun_early(z, 80, 40)[1]:.0f} σ")
-    says("and it takes 160, with pieces of 320, to bring them to a hundredth")
+    says(f"40 early rows leave seams of some {begun_early(z, 80, 40)[1]:.0f} σ")
+    says("and 160, with pieces of 320, some 0.01 σ")
     assert begun_early(z, 320, 160)[1] == pytest.approx(0.01, rel=0.3)
     assert begun_early(z, 160, 80)[1] > 0.05
 
@@ -308,11 +310,13 @@ def test_the_table_says_what_was_measured():
         "the loop in Python's own numbers, written out": "Python numbers",
     }.items():
         to_one_digit = float(f"{ms['plain loop of numpy'] / ms[name]:.0e}")
-        says(f"| {way} | {to_one_digit:,.0f} |")
+        says(f"| {way} | {to_one_digit:,.0f}")
 
 
 def test_early_rows_must_outlast_the_gaps(taught):
-    says("a gap of 200 rows needs 240 of them, and with 160 the seams are thousands of σ")
+    says(
+        "where a gap of 200 rows covers the 160 early rows of a piece, the seam is thousands of σ; 240 of them suffice"
+    )
     z = taught["complete"][:2000].copy()
     z[760:960] = np.nan  # pieces begin at row 960, of either length
     whole = taught["one_by_one"](z)[:, 0]
@@ -323,7 +327,7 @@ def test_early_rows_must_outlast_the_gaps(taught):
 
 
 def test_a_combination_that_drifts_costs_the_short_mend_digits():
-    says("If no measurement holds some combination of the unknowns, so that it drifts, the short `mend` loses digits.")
+    says("holds some combination of the unknowns, so that it drifts, the short `mend` loses digits of it")
     blocks = np.eye(2)
     z = np.cumsum(np.random.default_rng(5).normal(0, 1.0, 3000))
     off = {}

@@ -228,7 +228,7 @@ def test_how_often_a_minute_raises_an_alarm():
     says("| pushes (m/s) | 0.1 | 0.3 | 0.6 | 1 |")
     says(f"| push × Δt, in σ of a measurement | {' | '.join(f'{push / np.sqrt(0.1):.1g}' for push in pushes)} |")
     nis, tuned = alarms(0.6, NEXT, share=0.5)
-    says(f"whoever tunes $Q$ until NIS is 1 silences it: with half the $Q$ at 0.6 m/s it is {100 * tuned:.0f} %")
+    says(f"whoever tunes Q until NIS is 1 silences it: with half the Q at 0.6 m/s it is {100 * tuned:.0f} %")
     assert nis == pytest.approx(1, abs=0.05)
 
 
