@@ -571,7 +571,7 @@ def test_degrees_and_metres_are_those_of_another_package():
 
 
 def test_q_and_r_and_their_errors_are_those_of_fit():
-    """A search in one dimension and the general one, on one track of the model. (What the errors hold is in test_fit.)"""
+    """A search in one dimension and the general one, on one track of the model. (test_fit: what errors hold)"""
     z, _, _ = positions(N=600)
     c = tracks.clean(np.arange(600.0), z, rounding=0.0)
     make = lambda q, r: mpt.stack(*[mpt.constant_velocity(dt=1.0, q=q, r=r, P0=np.diag([1e4, 1e3]))] * 2)  # noqa: E731
