@@ -128,6 +128,11 @@ def _clock(seconds):
     return f"{days:,} days {hours}:{minutes % 60:02d}:{seconds:02d}"
 
 
+def counted(left_out: dict[str, int]) -> str:
+    """Return how many fixes were left out for which reason, in words."""
+    return ", ".join(f"{count:,} with {reason}" for reason, count in left_out.items())
+
+
 def _count(number, one, many=None):
     return f"{number:,} {one if number == 1 else many or one + 's'}"
 
@@ -150,8 +155,7 @@ def _heading(c):
 def _faults(c):
     lines = []
     if c.source is not None and c.source.left_out:
-        why = ", ".join(f"{count:,} with {reason}" for reason, count in c.source.left_out.items())
-        lines.append(f"not used: {why}")
+        lines.append(f"not used: {counted(c.source.left_out)}")
     if len(c.refused):
         first_of_runs = c.refused[np.diff(c.refused, prepend=-2) > 1]
         fixes = _count(len(c.refused), "fix", "fixes")

@@ -518,7 +518,7 @@ def test_a_time_that_cannot_be_read_is_said_to_be_one(tmp_path):
     path = tmp_path / "track.gpx"
     fixes = [fix(57, 9, 0), re.sub("10:00:01", "10:00:71", fix(57, 9, 1)), fix(57, 9, 2)]
     path.write_text(gpx_of(fixes), encoding="utf-8")
-    with pytest.raises(ValueError, match=r"a time that cannot be read \('2024-05-03T10:00:71Z'\) in fix 2"):
+    with pytest.raises(ValueError, match="1 with a time that cannot be read, first in fix 2"):
         tracks.gpx(path)
 
 
