@@ -55,11 +55,11 @@ class Recording:
     metres: Array | None  # x and y (N, 2), or None where the file has degrees
     height: Array  # m, NaN where there is none
     hdop: Array
+    accuracy: Array  # the standard deviation of each fix that the file states, m
     segment: NDArray[np.int64]  # the number of the fix' segment, from 1
     unread: dict[int, str]  # what stands in place of a time and cannot be read as one, by row
     said: tuple[str, ...] = ()  # what is to be said of the file
     data: bytes = b""  # of a whole GPX file
-    accuracy: Array | None = None  # the standard deviation of each fix that the file states, m
     dated: bool = True  # whether times stand there as dates, and not as numbers
     index: Any = None  # the labels of a frame's rows
 
@@ -150,7 +150,8 @@ def _of_gpx(path, data, said):
             raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from None
         said, data = [*said, f"ATTENTION: the file is cut after {len(numbers) // 6} fixes: what follows is lost"], b""
     segment, lat, lon, height, hdop, time = np.array(numbers).reshape(-1, 6).T
-    return Recording(_whole(time), lat, lon, None, height, hdop, _whole(segment), unread, tuple(said), data)
+    nothing = np.full(len(time), math.nan)
+    return Recording(_whole(time), lat, lon, None, height, hdop, nothing, _whole(segment), unread, tuple(said), data)
 
 
 def _number(text):
@@ -236,9 +237,9 @@ def _of_table(name, names, values, columns, said, index=None):
         refuse_signs(name, others, found["lon"], lon, ("EAST", "WEST"))
         place = np.column_stack([lon * np.cos(np.radians(lat)), lat])
     refuse_several(name, others, time, place)
-    nothing, one = np.full(len(time), math.nan), np.ones(len(time), dtype=np.int64)
-    height, hdop, accuracy = numbers.get("ele", nothing), numbers.get("hdop", nothing), numbers.get("accuracy")
-    return Recording(time, lat, lon, metres, height, hdop, one, unread, tuple(said), b"", accuracy, dated, index)
+    more = [numbers.get(what, np.full(len(time), math.nan)) for what in ("ele", "hdop", "accuracy")]
+    one = np.ones(len(time), dtype=np.int64)
+    return Recording(time, lat, lon, metres, *more, one, unread, tuple(said), b"", dated, index)
 
 
 def _found(name, names, columns):
