@@ -292,6 +292,15 @@ def test_of_a_file_that_is_cut_the_whole_fixes_are_read_and_it_is_said(tmp_path,
     np.testing.assert_allclose(readers.read(tmp_path / "b.gpx").lat, LAT[c.source.rows], atol=1e-4)
 
 
+def test_a_clock_that_is_put_back_within_a_recording_is_asked_about(tmp_path):
+    (tmp_path / "a.csv").write_text(text_of("time,lat,lon", np.where(np.arange(N) < 200, UNIX, UNIX - 3600), LAT, LON))
+    c = mpt.track(tmp_path / "a.csv")
+    assert c.source.left_out == {"a time that is not after the one before": 100}
+    assert c.source.said == [
+        "ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?"
+    ]
+
+
 def test_a_damaged_packed_file_is_refused(tmp_path):
     data = bytearray(packed(TABLE))
     data[2000:2100] = b"\xff" * 100
