@@ -173,10 +173,8 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     """
     model = _model_of_any_step(estimator)
     seconds = checks.duration("seconds", seconds)
-    z = checks.measurements(z, model.m)
+    z, _ = estimator.as_tracks(z)
     x, P = estimator.estimates(z)
-    if z.ndim == 2:
-        z, x, P = z[..., None], x[..., None], P[..., None]
     N, m, M = z.shape
     t = np.broadcast_to(estimator.times_of(N).reshape(N, -1), (N, M))
     R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
