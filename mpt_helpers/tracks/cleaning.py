@@ -347,14 +347,14 @@ def clean(
     # For the gate, which starts anew with each recording, times run on an hour later, however long a pause was.
     clock = np.cumsum(np.append(0.0, np.where(fixes.begin[1:], PAUSE_OF_THE_GATE, np.diff(t[fixes.rows]))))
     own = z[fixes.rows]
-    largest = None if relative is None else relative[fixes.rows].max(axis=1)[:, None]
+    weights = None if relative is None else relative[fixes.rows]
     scale = scale_of(clock, own, rounding, fixes.begin)
     noise, segments = first_guess(clock, own, scale, fixes.begin), None
     for _ in range(TURNS):
         say("looking for faults")
         before, segments = segments, np.full(len(t), -1)
-        kf = filter_of(noise, scale, clock, largest, 1)  # each axis is a track for it
-        segments[fixes.rows] = gate.segments_of(kf, own[:, None], np.flatnonzero(fixes.begin), limit, 3)
+        kf = filter_of(noise, scale, clock, weights, z.shape[1])
+        segments[fixes.rows] = gate.segments_of(kf, own, np.flatnonzero(fixes.begin), limit, 3)
         line = on_one_line(t, z, relative, fixes.repeats, segments, noise, scale)
         segments = seen_from_both_sides(line, noise, scale, segments)
         if before is not None and np.array_equal(segments, before):

@@ -16,6 +16,8 @@ tracks, whose motion is alternately smooth and highly dynamic. Refused fixes bec
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -23,9 +25,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks as checks
+from .. import metrics
+from ..equations import corrected_covariance, gain, neutralised
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
+# Where no fault was found, or not for so many fixes, the filter runs over many rows at once, in place of one after the
+# other: over all of the recording, or over so many times the fixes since the last fault.
+CALM, GROWTH = 30, 10
 # Two segments are joined, without a jump, where the way between them is at most so many times as fast as the fastest
 # twentieth of all steps: between consecutive fixes of a clean track none was.
 FASTER, OF_STEPS = 2.0, 0.95
@@ -40,14 +47,15 @@ MOST_TOO_FAST = 2
 # A receiver without signal repeats its position, or writes another one, and jumps when the signal is back: so many
 # fixes that stray by less than this part of the jump, and of the way from the fix before them to the one after them.
 STUCK, HARDLY = 3, 0.1
-# The mobile has come to that position with at least this part of the speed at which it would have gone on.
-ARRIVED = 0.5
-# And it has gone on with at least this part of the speed with which it came: one that rests for long would crawl.
-WENT_ON = 0.25
+# The mobile came to that position at this part of the speed at which it would have gone on, or more, and went on at
+# this part of the speed at which it came, or more: one that rests for long would crawl.
+ARRIVED, WENT_ON = 0.5, 0.25
 # A way that is so many times as fast as a track usually is leads to a wrong position, and is no jump of a receiver.
 IMPOSSIBLE = 1000.0
 # A segment is tried after the ones that ended at most so many before it. More in a row are never dropped.
 LOOK_BACK = 30
+# Two fixes at one time count as so many seconds apart.
+NO_TIME = 1e-9
 
 
 def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 3) -> NDArray[np.intp]:
@@ -105,133 +113,38 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
     need = "a squared distance in variances, above 1, as 100"
     limit = checks.number("limit", limit, need, lambda value: value > 1)
     patience = checks.count("patience", patience)
-    _warn_of_a_far_start(_Sequence(kf, z[..., None]), limit, patience)
-    return segments_of(kf, z[..., None], [], limit, patience)
+    _warn_of_a_far_start(_Rows(kf, z), limit, patience)
+    return segments_of(kf, z, [], limit, patience)
 
 
 def segments_of(kf, z, begins, limit, patience):
-    """Return the segment of each fix as `gated` does, of z (N, m, A): A axes of one track that share P.
+    """Return the segment of each fix of z (N, m) as `gated` does.
 
     The filter starts anew at each row of `begins`, where a recording begins, and from x0 and P0 at row 0 unless that is
     one of them. No segment goes on into another recording, and the way between two recordings is no jump.
     """
-    found = _in_sequence(_Sequence(kf, z), set(begins), limit, patience)
-    recording = np.zeros(len(z), dtype=int)
-    recording[list(begins)] = 1
+    found = _in_sequence(_Rows(kf, z), begins, limit, patience)
     number = np.full(len(z), -1)
     if found:
-        way = _Way(found, z / np.sqrt(np.diag(kf.model.R))[:, None], kf.times_of(len(z)), np.cumsum(recording))
+        recording = np.searchsorted(begins, np.arange(len(z)), side="right")
+        way = _Way(found, z / np.sqrt(np.diag(kf.model.R)), kf.times_of(len(z)), recording)
         for k, rows in enumerate(_cheapest_chain(_without_stuck_ones(_without_excursions(found, way), way), way)):
             number[rows] = k
     return number
 
 
-def _warn_of_a_far_start(sequence, limit, patience):
+def _warn_of_a_far_start(track, limit, patience):
     """Warn where x0 and P0 expect none of the first fixes: good ones are refused then until some of them agree."""
-    state, off = sequence.first(), []
-    for k, fix in enumerate(sequence.fixes):
-        look = sequence.look(state, k)
+    state, off = track.first(), []
+    for k in range(len(track.z)):
+        look = track.look(state, k)
         state = look.refused
-        off += [look.nis] if fix else []
+        off += [look.nis] if track.fixes[k] else []
         if len(off) == patience:
             break
     if min(off, default=0.0) > limit:
         where = "say where the track begins: x0 at the first fix, and a P0 that holds its position and velocity"
         checks.warn(f"gated: the first fixes are {math.sqrt(min(off)):.0f} standard deviations from x0: {where}")
-
-
-class _Sequence:
-    """A Kalman filter that is led through z (N, m, A) row by row; A axes of one track share P. A state is x (n, A), P.
-
-    A step depends on no measured value. On even steps P comes to rest, and then its steps are `made` already.
-    """
-
-    def __init__(self, kf, z):
-        epochs = kf.epochs_of(z)
-        self.model, self.z, self.made = kf.model, z, {}
-        self.missing = np.isnan(z)
-        self.seen = ~self.missing.all(axis=2)
-        self.fixes = self.seen.any(axis=1).tolist()
-        # Whether no axis lacks what others have.
-        self.whole = (~self.missing | ~self.seen[:, :, None]).all(axis=(1, 2)).tolist()
-        self.dt, self.motions = [None] * len(z), {None: (kf.model.F, kf.model.Q)}  # F and Q by the length of a step
-        if epochs.dt is not None:
-            self.dt = epochs.dt[:, 0].tolist()
-            lengths = np.unique(epochs.dt)
-            self.motions |= dict(zip(lengths.tolist(), zip(*kf.model.over(lengths), strict=True), strict=True))
-        # What is missing has zeros in H and a one in R.
-        R = np.broadcast_to(epochs.noise(kf.model.R)[..., 0], (len(z), kf.model.m, kf.model.m))
-        both = self.seen[:, :, None] & self.seen[:, None]
-        self.H = np.where(self.seen[:, :, None], kf.model.H, 0.0)
-        self.R = np.where(both, R, np.eye(kf.model.m) * ~self.seen[:, None])
-
-    def first(self):
-        """Return the state before the first row."""
-        return np.repeat(self.model.x0[:, None], self.z.shape[2], axis=1), self.model.P0
-
-    def start(self, k):
-        """Return the state after a first fix, of row k: x0 and P0 moved there."""
-        x, P = self.first()
-        step = self._step(P, k, None)
-        x = step.F @ x
-        e = self._innovation(x, k)
-        moved = np.linalg.pinv(self.H[k]) @ e
-        return x + moved + step.gain @ (e - self.H[k] @ moved), step.corrected
-
-    def look(self, state, k):
-        """Return what the fix of row k, if it has one, makes of a state."""
-        x, P = state
-        step = self._step(P, k, self.dt[k])
-        x = step.F @ x
-        if not self.fixes[k]:
-            return _Look((x, step.predicted))
-        e = self._innovation(x, k)
-        nis = float(np.vdot(e, step.precision @ e))
-        return _Look((x, step.predicted), (x + step.gain @ e, step.corrected), nis, nis + step.log_det)
-
-    def _innovation(self, x, k):
-        e = self.z[k] - self.H[k] @ x
-        e[self.missing[k]] = 0.0
-        return e
-
-    def _step(self, P, k, dt):
-        key = P.tobytes(), dt, self.seen[k].tobytes(), self.R[k].tobytes()
-        if key not in self.made:
-            self.made[key] = self._made(P, k, dt)
-        return self.made[key]
-
-    def _made(self, P, k, dt):
-        """Return the _Step from P (n, n) over dt to row k."""
-        F, Q = self.motions[dt]
-        P = F @ P @ F.T + Q
-        if not self.fixes[k]:
-            return _Step(F, P)
-        HP = self.H[k] @ P
-        S = HP @ self.H[k].T + self.R[k]
-        precision, log_det = _inverse_and_log_det(S)
-        gain = HP.T @ precision
-        return _Step(F, P, gain, P - gain @ HP, precision, log_det * self.z.shape[2])
-
-
-def _inverse_and_log_det(S):
-    """Return S⁻¹ and log det S; of a single measurement, ten times as fast, by a division."""
-    if len(S) == 1 and S[0, 0] > 0:
-        return 1 / S, math.log(S[0, 0])
-    sign, log_det = np.linalg.slogdet(S)
-    if not sign > 0:
-        checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
-    return np.linalg.inv(S), float(log_det)
-
-
-class _Step(NamedTuple):
-    """F, the predicted P, and, where there is a fix: the gain, the corrected P, S⁻¹ and log det S of all axes."""
-
-    F: Any
-    predicted: Any
-    gain: Any = None
-    corrected: Any = None
-    precision: Any = None
-    log_det: float = 0.0
 
 
 class _Look(NamedTuple):
@@ -243,6 +156,63 @@ class _Look(NamedTuple):
     deviance: float = 0.0
 
 
+class _Rows:
+    """The rows of a track z (N, m), and what a Kalman filter makes of them. A state is x (n,) and P (n, n)."""
+
+    def __init__(self, kf, z):
+        kf.epochs_of(z[..., None])  # refuses times and variances that are not those of z
+        self.model, self.z, self.seen = kf.model, z, np.isfinite(z)
+        self.fixes = self.seen.any(axis=1)
+        self.t = None if kf.t is None else kf.t.ravel()
+        self.dt = None if kf.t is None else np.diff(self.t, prepend=self.t[0] - self.model.dt)
+        self.r = None if kf.r is None else kf.r.reshape(z.shape)
+        self._over = lru_cache(kf.model.over)
+
+    def first(self):
+        """Return the state before the first row."""
+        return self.model.x0, self.model.P0
+
+    def start(self, k):
+        """Return the state after a first fix, of row k: x0 and P0 moved there."""
+        x, P = self._predicted(self.first(), None)
+        H = np.where(self.seen[k][:, None], self.model.H, 0.0)
+        moved = np.linalg.pinv(H) @ np.where(self.seen[k], self.z[k] - H @ x, 0.0)
+        return self._corrected(x + moved, P, k).taken
+
+    def look(self, state, k):
+        """Return what the fix of row k, if it has one, makes of a state."""
+        x, P = self._predicted(state, None if self.dt is None else self.dt[k])
+        return self._corrected(x, P, k) if self.fixes[k] else _Look((x, P))
+
+    def _predicted(self, state, dt):
+        x, P = state
+        F, Q = (self.model.F, self.model.Q) if dt is None else self._over(dt)
+        return F @ x, F @ P @ F.T + Q
+
+    def _corrected(self, x, P, k):
+        """Return the _Look at a fix of row k from a prediction."""
+        seen = self.seen[k]
+        R = self.model.R if self.r is None else np.diag(np.where(seen, self.r[k], 1.0))
+        H, R = neutralised(self.model.H, R, seen)
+        innovation = np.where(seen, self.z[k] - H @ x, 0.0)
+        S = H @ P @ H.T + R
+        sign, log_det = np.linalg.slogdet(S)
+        if not (sign > 0 and math.isfinite(log_det)):
+            checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
+        nis = float(innovation @ np.linalg.solve(S, innovation))
+        K = gain(P, H, R)
+        taken = x + K @ innovation, corrected_covariance(P, K, H, R)
+        return _Look((x, P), taken, nis, nis + float(log_det))
+
+    def part(self, state, k, stop):
+        """Return the filter that goes on from a state before row k, and the rows k to `stop`, which it is for."""
+        model = replace(self.model, x0=state[0], P0=state[1])
+        if self.dt is not None:
+            model = replace(model, F=None, Q=None, dt=max(self.dt[k], NO_TIME))  # that of the first step
+        t, r = (None if each is None else each[k:stop] for each in (self.t, self.r))
+        return KalmanFilter(model, t, r), self.z[k:stop]
+
+
 class _Candidate(NamedTuple):
     """A new start: refused fixes that agree, the state after them, and the deviance of the last of them."""
 
@@ -251,23 +221,43 @@ class _Candidate(NamedTuple):
     deviance: float = -math.inf
 
 
-def _in_sequence(sequence, begins, limit, patience):
+def _in_sequence(track, begins, limit, patience):
     """Return the rows of each segment, in order of their first rows, by rules 1 and 2."""
-    found, rows = [], []
-    state, candidates = sequence.first(), []
-    for k, fix in enumerate(sequence.fixes):
-        if k in begins:
-            found.append(rows)
-            rows, state, candidates = [], None, []
-        if state is None:  # before the first fix of a recording that says where all axes begin
-            if fix and sequence.whole[k]:
-                state, rows = sequence.start(k), [k]
+    found = []
+    for begin, stop in pairwise(sorted({0, *begins, len(track.z)})):
+        if begin not in begins:
+            found += _of_recording(track, track.first(), [], begin, stop, limit, patience)
             continue
-        look = sequence.look(state, k)
-        looks = [sequence.look(each.state, k) for each in candidates]
-        if not fix:
+        whole = begin + np.flatnonzero(track.seen[begin:stop].all(axis=1))  # only these tell where all axes begin
+        if len(whole):
+            first = int(whole[0])
+            found += _of_recording(track, track.start(first), [first], first + 1, stop, limit, patience)
+    return [rows for rows in found if rows]
+
+
+def _of_recording(track, state, rows, k, stop, limit, patience):
+    """Return the rows of each segment from row k to `stop`; the first one has some rows already, and their state."""
+    found, candidates = [], []
+    calm = stop - k  # fixes since the last fault; before the first one as many as there are rows
+    while k < stop:
+        if not candidates and calm >= CALM:
+            kf, z = track.part(state, k, min(k + GROWTH * calm, stop))
+            over = np.flatnonzero(metrics.nis(kf, z) > limit)
+            count = int(over[0]) if len(over) else len(z)
+            if 0 < count < stop - k:
+                kf, z = track.part(state, k, k + count)
+                x, P = kf.estimates(z)
+                state = x[-1], P[-1]
+            rows += (k + np.flatnonzero(track.fixes[k : k + count])).tolist()
+            k += count
+            calm = 0 if len(over) else calm + count
+            continue
+        look = track.look(state, k)
+        looks = [track.look(each.state, k) for each in candidates]
+        if not track.fixes[k]:
             state = look.refused
             candidates = [each._replace(state=own.refused) for each, own in zip(candidates, looks, strict=True)]
+            k += 1
             continue
         agreed = [
             _Candidate(own.taken, [*each.rows, k], own.deviance)
@@ -277,43 +267,75 @@ def _in_sequence(sequence, begins, limit, patience):
         if look.nis <= limit and all(look.deviance <= each.deviance + RARE for each in agreed):
             state, candidates = look.taken, []
             rows.append(k)
-            continue
-        state, candidates = look.refused, [*agreed, _Candidate(sequence.start(k), [k])]
-        oldest = candidates[0]
-        if len(oldest.rows) == patience:
-            found.append(rows)
-            state, rows, candidates = oldest.state, oldest.rows, []
-    found.append(rows)
-    return [rows for rows in found if rows]
+            calm += 1
+        else:
+            state, candidates = look.refused, [*agreed, _Candidate(track.start(k), [k])]
+            calm = 0
+            oldest = candidates[0]
+            if len(oldest.rows) == patience:
+                found.append(rows)
+                state, rows, candidates = oldest.state, oldest.rows, []
+        k += 1
+    return [*found, rows]
+
+
+class _Way:
+    """The way between fixes, z (N, m) in units of their noise: its length, and whether it is too fast.
+
+    That is measured by the steps within the segments found. The way to a fix of another recording never is.
+    """
+
+    def __init__(self, found, z, times, recording):
+        self.z, self.times, self.recording = z, times, recording
+        a = np.concatenate([rows[:-1] for rows in found]).astype(int)
+        b = np.concatenate([rows[1:] for rows in found]).astype(int)
+        later = times[b] > times[a]
+        speeds = self.speed(a, b)[later]
+        self.fast = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
+
+    def distance(self, a, b):
+        """Return the distance between fixes a and b, along the axes that both have measured."""
+        return np.sqrt(np.nansum((self.z[b] - self.z[a]) ** 2, axis=-1))
+
+    def speed(self, a, b):
+        """Return the speed of the way from fixes a to b."""
+        return self.distance(a, b) / np.maximum(self.times[b] - self.times[a], NO_TIME)
+
+    def too_fast(self, a, b, at_most=FASTER):
+        """Tell which ways, from fixes a to b, are more than `at_most` times as fast as the track usually is."""
+        return (self.recording[a] == self.recording[b]) & (self.speed(a, b) > at_most * self.fast)
 
 
 def _without_excursions(found, way):
-    """Return the segments without those that stand in one wrong position, as 0° N 0° E, from where the track returns.
-
-    The mobile goes there and back too fast, from and to where it could have gone without. At an end of a recording,
-    which has no way back, it must go there impossibly fast. Of the two positions that with more fixes is right.
-    """
+    """Return the segments but those that stand in a wrong position, as 0° N 0° E, from where the track returns."""
     if way.fast == 0:  # a track that mostly stands still, but for the steps of a coarse grid
         return found
     rows, left = np.concatenate(found), []
     for own, following in zip(found, [*found[1:], None], strict=True):
-        here = own[0], own[-1]
-        ways = [(left[-1][-1], here[0])] if left else []
-        ways += [(here[1], following[0])] if following else []
-        ways = [(a, b) for a, b in ways if way.recording[a] == way.recording[b]]
-        both = len(ways) == 2
-        at_most = FASTER if both else IMPOSSIBLE
-        if not ways or not all(way.too_fast([a], [b], at_most)[0] for a, b in ways):
-            left.append(own)
-            continue
-        near = HARDLY * min(way.distance(a, b) for a, b in ways)
-        other = ways[0][0] if ways[0][1] == here[0] else ways[0][1]
-        leads_on = both and way.too_fast([ways[0][0]], [ways[1][1]])[0]
-        moves = way.distance(np.array(own), here[0]).max() > near
-        at_other = (way.distance(rows, other) <= near).sum()
-        if leads_on or moves or (way.distance(rows, here[0]) <= near).sum() >= at_other:
+        before = left[-1][-1] if left and way.recording[left[-1][-1]] == way.recording[own[0]] else None
+        after = following[0] if following and way.recording[following[0]] == way.recording[own[0]] else None
+        if not _is_excursion(own, before, after, rows, way):
             left.append(own)
     return left
+
+
+def _is_excursion(own, before, after, rows, way):
+    """Tell whether a segment stands in a wrong position; before and after are the fixes beside it, or None.
+
+    The mobile goes there and back too fast, from and to where it could have gone without. At an end of a recording,
+    which has no way back, it must go there impossibly fast. Of the two positions that with more fixes is right.
+    """
+    ways = [(before, own[0])] if before is not None else []
+    ways += [(own[-1], after)] if after is not None else []
+    both = len(ways) == 2
+    if not ways or not all(way.too_fast(a, b, FASTER if both else IMPOSSIBLE) for a, b in ways):
+        return False
+    if both and way.too_fast(before, after):
+        return False
+    near = HARDLY * min(way.distance(a, b) for a, b in ways)
+    here, there = own[0], after if before is None else before
+    stays = way.distance(own, here).max() <= near
+    return stays and (way.distance(rows, here) <= near).sum() < (way.distance(rows, there) <= near).sum()
 
 
 def _without_stuck_ones(found, way):
@@ -338,48 +360,19 @@ def _without_stuck_ones(found, way):
         tail = k
         while tail > 0 and not stuck[tail - 1] and way.distance(rows[tail - 1], rows[k]) <= near:
             tail -= 1
-        before = tail - 1
-        if tail == 0 or k + 1 - tail < STUCK or way.too_fast(rows[before : before + 1], rows[k + 1 : k + 2])[0]:
+        if tail == 0 or k + 1 - tail < STUCK:
             continue
-        gone_on = way.distance(rows[before], rows[k + 1])
-        if max(way.distance(row, rows[k]) for row in rows[tail:k]) > HARDLY * gone_on:
-            continue  # they have moved: it is the fixes before and after them that are in one wrong position
-        arrived = way.speed(rows[max(before - STUCK, 0)], rows[before])
-        speed = way.speed(rows[before], rows[k + 1])
+        before, after = rows[tail - 1], rows[k + 1]
+        # Where they have moved, the fixes before and after them are in one wrong position.
+        moved = way.distance(rows[tail:k], rows[k]).max() > HARDLY * way.distance(before, after)
+        if moved or way.too_fast(before, after):
+            continue
+        arrived, speed = way.speed(rows[max(tail - 1 - STUCK, 0)], before), way.speed(before, after)
         if ARRIVED * speed <= arrived <= speed / WENT_ON:
             stuck[tail : k + 1] = True
     refused = set(rows[stuck].tolist())
     left = ([row for row in each if row not in refused] for each in found)
     return [each for each in left if each]
-
-
-class _Way:
-    """The distance between fixes, z (N, m, A) in units of their noise, and whether one is too far from another.
-
-    Fixes of different recordings never are.
-    """
-
-    def __init__(self, found, z, times, recording):
-        self.z, self.times, self.recording = z.reshape(len(z), -1), times, recording
-        a = np.concatenate([rows[:-1] for rows in found]).astype(int)
-        b = np.concatenate([rows[1:] for rows in found]).astype(int)
-        seconds = times[b] - times[a]
-        speeds = self.distance(a, b)[seconds > 0] / seconds[seconds > 0]
-        self.fast = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
-
-    def too_fast(self, a, b, at_most=FASTER):
-        """Tell which ways, from rows of a to those of b, are over `at_most` times as fast as a track usually is."""
-        a, b = np.array(a, dtype=int), np.array(b, dtype=int)
-        most = at_most * self.fast * np.maximum(self.times[b] - self.times[a], 1e-9)
-        return (self.recording[a] == self.recording[b]) & (self.distance(a, b) > most)
-
-    def distance(self, a, b):
-        """Return the distance between two fixes, along the axes that both of them have measured."""
-        return np.sqrt(np.nansum((self.z[b] - self.z[a]) ** 2, axis=-1))
-
-    def speed(self, a, b):
-        """Return the speed of the way between two fixes."""
-        return self.distance(a, b) / max(self.times[b] - self.times[a], 1e-9)
 
 
 def _cheapest_chain(found, way):
@@ -391,15 +384,12 @@ def _cheapest_chain(found, way):
         cost[j] = to_keep[j] + min over i of (cost[i] + fixes of the parts between i and j + JUMP if there is one)
         cost[j] = to_keep[j] + fixes of all parts before j
     """
-    parts, of_segment = [], []
-    for k, rows in enumerate(found):
+    parts, segment = [], []
+    for number, rows in enumerate(found):
         own = _parts(rows)
         parts += own
-        of_segment += [k] * len(own)
-    firsts, lasts = [rows[0] for rows in parts], [rows[-1] for rows in parts]
-    dropped = np.concatenate([[0], np.cumsum([len(rows) for rows in parts])]).tolist()  # [j]: fixes of all before j
-    too_fast = [int(way.too_fast(rows[:-1], rows[1:]).sum()) for rows in parts]
-    to_keep = [JUMP * min(steps, MOST_TOO_FAST) for steps in too_fast]
+        segment += [number] * len(own)
+    dropped = np.cumsum([0, *map(len, parts)]).tolist()  # [j]: the fixes of all parts before j
 
     def jump(i, j):
         """Tell whether the way from the end of a part to the start of one of another segment is too fast.
@@ -407,25 +397,26 @@ def _cheapest_chain(found, way):
         Where parts are dropped between them it must be a usual speed, so that parts are not dropped just to lower it.
         """
         at_most = 1.0 if j > i + 1 else FASTER
-        return of_segment[i] != of_segment[j] and way.too_fast(lasts[i : i + 1], firsts[j : j + 1], at_most)[0]
+        return segment[i] != segment[j] and bool(way.too_fast(parts[i][-1], parts[j][0], at_most))
 
     cost, before = [], []  # before[j]: the part that is kept before j, or None
-    for j in range(len(parts)):
+    for j, rows in enumerate(parts):
         ways = [(dropped[j], 0, None)] if j < LOOK_BACK else []  # cost, how far back i is, and i
         for i in range(max(j - LOOK_BACK, 0), j):
             ways.append((cost[i] + dropped[j] - dropped[i + 1] + JUMP * jump(i, j), j - i, i))
         least, _, i = min(ways, key=lambda each: each[:2])  # of equal costs the nearest
-        cost.append(least + to_keep[j])
+        to_keep = JUMP * min(int(way.too_fast(rows[:-1], rows[1:]).sum()), MOST_TOO_FAST)
+        cost.append(least + to_keep)
         before.append(i)
-    ends = range(max(0, len(parts) - LOOK_BACK), len(parts))
-    j = min(ends, key=lambda j: (cost[j] + dropped[-1] - dropped[j + 1], -j))
+    last = range(len(parts))[-LOOK_BACK:]
+    j = min(last, key=lambda j: (cost[j] + dropped[-1] - dropped[j + 1], -j))
     kept = []
     while j is not None:
         kept.insert(0, j)
         j = before[j]
     joined = [list(parts[kept[0]])]
     for i, j in pairwise(kept):
-        if jump(i, j) or way.recording[lasts[i]] != way.recording[firsts[j]]:
+        if jump(i, j) or way.recording[parts[i][-1]] != way.recording[parts[j][0]]:
             joined.append([])
         joined[-1] += parts[j]
     return joined
@@ -433,6 +424,5 @@ def _cheapest_chain(found, way):
 
 def _parts(rows):
     """Return the rows of a segment between those that are refused, its first and its last one apart."""
-    cuts = np.flatnonzero(np.diff(rows) > 1) + 1
-    cuts = np.unique(np.concatenate([[0, 1], cuts, [len(rows) - 1, len(rows)]]))
-    return [rows[begin:end] for begin, end in pairwise(cuts.tolist()) if end > begin]
+    cuts = {0, 1, *(np.flatnonzero(np.diff(rows) > 1) + 1).tolist(), len(rows) - 1, len(rows)}
+    return [rows[begin:end] for begin, end in pairwise(sorted(cuts))]

@@ -72,7 +72,7 @@ def test_the_example_of_a_receiver_that_stood_still():
     """The fixes of 30 m, at 30 to 33 s, in the middle of a track that moves 1 m a second."""
     z, times = np.arange(80.0)[:, None], np.arange(80.0)
     z[30:34] = 30.0
-    way = gate._Way([list(range(80))], z[:, None], times, np.zeros(80, dtype=int))
+    way = gate._Way([list(range(80))], z, times, np.zeros(80, dtype=int))
     (left,) = gate._without_stuck_ones([list(range(80))], way)
     assert left == [*range(30), *range(34, 80)]
 
@@ -137,7 +137,7 @@ def test_each_step_has_the_nis_of_the_engine_for_any_model_times_variances_corre
     if kind < 3:
         z[rng.random(z.shape) < 0.2] = np.nan
     refused = rng.random(N) < 0.2
-    steps = gate._Sequence(kf, z[..., None])
+    steps = gate._Rows(kf, z)
     state, found = steps.first(), np.full(N, np.nan)
     for k in range(N):
         looked = steps.look(state, k)
@@ -149,22 +149,32 @@ def test_each_step_has_the_nis_of_the_engine_for_any_model_times_variances_corre
     assert np.isfinite(found).sum() > 60
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_axes_that_share_a_covariance_take_the_same_steps_as_the_stacked_model(seed):
+@pytest.mark.parametrize("size", [1.0, 1e8, 3e16, 1e20, 1e26])
+def test_a_vague_start_refuses_no_good_fix(track, size):
+    """At 3e16 R the second fix and the third were refused: P - K H P had lost its digits."""
+    _, z = track
+    z[100] += 300.0
+    kf = mpt.KalmanFilter(replace(model(), P0=4.0 * size * np.eye(4)))
+    np.testing.assert_array_equal(np.flatnonzero(mpt.gated(kf, z) == -1), [100])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_many_rows_at_once_are_judged_as_one_after_the_other(seed, monkeypatch):
+    """With times, two fixes at one time, variances, gaps, partial rows, faults, jumps, and two recordings."""
     rng = np.random.default_rng(seed)
-    t = np.cumsum(rng.choice([1, 2, 5], 300)).astype(float)
-    r = rng.uniform(1, 9, (300, 1)) if seed else np.full((300, 1), 4.0)
-    axis = mpt.constant_velocity(dt=1.0, q=0.04, r=4.0, P0=np.diag([100.0, 100.0]))
-    _, z = mpt.simulate(model(), 300, rng)
-    z[rng.choice(300, 9, replace=False)] += 200
-    z[150:] -= 700
-    z[40:44] = np.nan
-    stacked = gate._Sequence(mpt.KalmanFilter(model(), t=t, r=r * np.ones(2)), z[..., None])
-    shared = gate._Sequence(mpt.KalmanFilter(axis, t=t, r=r), z[:, None])
-    found = [gate._in_sequence(each, {0, 90}, 100.0, 3) for each in (stacked, shared)]
-    assert found[0] == found[1]
-    assert len(found[0]) >= 3  # the steps are longer than those of the model that drew z, so there are more
-    assert sum(map(len, found[0])) < 296
+    t = np.cumsum(rng.choice([1, 2, 5], 400)).astype(float)
+    t[250] = t[249]
+    kf = mpt.KalmanFilter(model(), t=t, r=rng.uniform(1, 9, (400, 2)))
+    if seed == 0:
+        kf = mpt.LainiotisFilter(stable_model(seed))
+    _, z = mpt.simulate(kf.model, 400, rng)
+    z[rng.choice(400, 6, replace=False)] += 900 * z.std()
+    z[150:] -= 700 * z.std()
+    z[rng.random(z.shape) < 0.05] = np.nan
+    at_once = gate._in_sequence(gate._Rows(kf, z), [90, 300], 100.0, 3)
+    monkeypatch.setattr(gate, "CALM", 1000)
+    assert at_once == gate._in_sequence(gate._Rows(kf, z), [90, 300], 100.0, 3)
+    assert sum(map(len, at_once)) < 397
 
 
 @pytest.mark.parametrize(
