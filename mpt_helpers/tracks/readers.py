@@ -196,14 +196,10 @@ def _of_csv(path, text, columns, said):
         if line.count('"') % 2 and (row is names or len(row) < len(names)):
             way = "pandas.read_csv(FILE).replace('\\n', ' ', regex=True).to_csv('new.csv')"
             raise ValueError(f"{path}: needs each row in one line, got a quote left open in {line!r:.60}: {way}")
-    longer = [k for k, row in enumerate(rows) if any(row[len(names) :])]
-    for k in longer:
-        if len(longer) > MANY * len(rows) and len(names) > 1:
-            got = f"{len(rows[k])} in {lines[k + 1]!r:.60}: are commas decimal, too? Write points"
-            raise ValueError(f"{path}: needs {len(names)} cells in a line, got {got}")
-        rows[k] = []
-    if longer:
-        said = [*said, f"ATTENTION: lines of more cells than names are left out: {len(longer)}"]
+        if len(names) > 1 and any(row[len(names) :]):
+            got = f"{len(row)} in {line!r:.60}: are commas decimal, too, or in a text without quotes?"
+            way = "pandas.read_csv(FILE, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
+            raise ValueError(f"{path}: needs {len(names)} cells in a line, got {got} {way}")
     cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
     return _of_table(str(path), [name.strip() for name in names], cells, columns, said)
 
@@ -239,7 +235,7 @@ def _of_table(name, names, values, columns, said, index=None):
     refuse_several(name, others, time, place)
     more = [numbers.get(what, np.full(len(time), math.nan)) for what in ("ele", "hdop", "accuracy")]
     one = np.ones(len(time), dtype=np.int64)
-    return Recording(time, lat, lon, metres, *more, one, unread, tuple(said), b"", dated, index)
+    return Recording(time, lat, lon, metres, *more, one, unread, tuple(said), dated=dated, index=index)
 
 
 def _found(name, names, columns):
@@ -254,8 +250,9 @@ def _found(name, names, columns):
     if not {"time", *place} <= set(found):
         need = "columns time and lat, lon (degrees) or x, y (metres), with commas between"
         way = "name others: --time when --lat y ..., or columns={'time': 'when', 'lat': 'y', ...}"
-        comma = "of ; or tabs make commas: pandas.read_csv(FILE, sep=';', decimal=',').to_csv('new.csv')"
-        raise ValueError(f"{name}: needs {need}, got {got}: {comma if len(names) == 1 else way}")
+        if re.search(r"[;\t|]", "".join(names)):
+            way = "of ; or tabs make commas: pandas.read_csv(FILE, sep=';', decimal=',').to_csv('new.csv')"
+        raise ValueError(f"{name}: needs {need}, got {got}: {way}")
     found = {what: column for what, column in found.items() if what not in unused}
     for what, column in found.items():
         if names.count(column) != 1 or list(found.values()).count(column) != 1:
