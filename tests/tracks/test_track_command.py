@@ -580,7 +580,7 @@ def test_errors_of_q_and_r_hold_on_simulated_tracks():
 
 
 def line_of(t, z, segment, noise, scale, relative=None):
-    return cleaning.on_one_line(t, z, relative, np.zeros(len(t), bool), segment, noise, scale)
+    return cleaning.on_one_line(t, z, relative, np.arange(len(t)), segment, noise, scale)
 
 
 def fitted_by_turns(seed):
