@@ -20,9 +20,9 @@ A `RecursiveFilter` defines `next_step`, and the engine runs it. The way of z th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -284,6 +284,11 @@ class Filter(Immutable):
         """The prediction by the model on columns, x <- F x and P <- F P Fᵀ + Q."""
         return Motion(self.model.F, self.model.Q)
 
+    @cached_property
+    def measurement(self) -> LinearMap:
+        """The expected measurement H x and its covariance H P Hᵀ on columns."""
+        return LinearMap(self.model.H)
+
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
         """Write the estimates of z (N, m, M) to x (N, n, M); return their covariances, or None if they are not wanted.
 
@@ -366,6 +371,20 @@ class RecursiveFilter(Filter):
         P : ndarray (n, n)
             The covariance P(k+1/k+1).
 
+        Examples
+        --------
+        The gains B_k of a track that misses an epoch:
+
+        >>> import mpt_helpers as mpt
+        >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.eye(2)))
+        >>> P, z = kf.P0, np.array([[1.0], [np.nan], [3.1]])
+        >>> for seen in ~np.isnan(z):
+        ...     _, gain, P = kf.next_step(P, seen)
+        ...     print(gain.T.round(3))
+        [[0.952 0.478]]
+        [[0. 0.]]
+        [[0.961 0.445]]
+
         """
         raise NotImplementedError
 
@@ -385,8 +404,7 @@ class RecursiveFilter(Filter):
         z, seen, *_ = row
         innovations = x[:0]
         if self.optimal:
-            x_predicted, P_predicted = self.motion(x, P)
-            expected, S = LinearMap(self.model.H)(x_predicted, P_predicted)
+            expected, S = self.measurement(*self.motion(x, P))
             S += self.model.R[..., None]
             innovations, _ = whitened(np.where(seen[:, None], z - expected, np.nan), S[:, :, None])
         x, P, z = (np.moveaxis(each, 2, 0).copy() for each in (x, P, z))  # stacks of matrices
@@ -477,16 +495,7 @@ class RecursiveFilter(Filter):
         """Return the innovations and their covariances, as in Filter."""
         return engine.in_tiles(engine.innovations, self, self.epochs_of(z), self.model.m)
 
-    def shared_steps(self, N: int, tracks: int) -> tuple[list[Step], list[Array]] | None:
-        """Return steps and products for tracks without gaps, None for too many steps; kept for the next call."""
-        # Read once: another thread may write to `_kept` meanwhile.
-        kept_for, kept = self._kept.get("last", (None, None))
-        if kept_for != (N, tracks):
-            kept = steps.make_shared_steps(self.next_step, self.P0, self.model.m, N, tracks)
-            self._kept["last"] = (N, tracks), kept
-        return kept
-
     @cached_property
-    def _kept(self):
-        """The memory of `shared_steps`: a frozen filter takes no new value, but a dict does."""
-        return {}
+    def shared_steps(self) -> Callable[[int, int], Any]:
+        """Return steps and products of N epochs of M tracks without gaps; those of the last call are kept."""
+        return lru_cache(maxsize=1)(partial(steps.make_shared_steps, self.next_step, self.P0, self.model.m))

@@ -40,8 +40,6 @@ class JoinFilter(Filter):
 
     Raises
     ------
-    TypeError
-        For anything but two filters.
     ValueError
         Where their models, times, variances or steps ahead differ.
 
@@ -136,8 +134,6 @@ class Separate(Filter):
 
     Raises
     ------
-    TypeError
-        For anything but filters.
     ValueError
         For no filter, and where the dt of their models or their steps ahead differ.
 

@@ -1,4 +1,4 @@
-"""The Kalman filter: one step as the papers print it, by filterpy.
+"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` is that of many tracks.
 
 A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros
 in H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed,
@@ -37,8 +37,9 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    Tracks without gaps share filterpy's gains and covariances. All others are filtered side by side, as columns of
-    arrays.
+    filterpy makes the gains and covariances of tracks without gaps, which share them, and of single steps. Tracks with
+    gaps, times or variances of their own do not pass through filterpy: they are filtered side by side, as columns of
+    arrays, by the same equations (`_engine.columns`).
 
     Parameters
     ----------
@@ -53,8 +54,6 @@ class KalmanFilter(RecursiveFilter):
 
     Raises
     ------
-    TypeError
-        For anything but a model.
     ValueError
         For times that decrease or that the model does not take, and for variances that are not positive.
 

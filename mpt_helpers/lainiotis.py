@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -27,11 +27,6 @@ class LainiotisFilter(RecursiveFilter):
     model : LinearModel
         The model of motion and measurements.
 
-    Raises
-    ------
-    TypeError
-        For anything but a model.
-
     Examples
     --------
     >>> import mpt_helpers as mpt
@@ -48,7 +43,7 @@ class LainiotisFilter(RecursiveFilter):
 
         Raises ValueError for a P so large that doubles hold no digit of the next one.
         """
-        constants = self._constants_of(seen)
+        constants = self._constants(*seen.tolist())
         A, B, P_next = lainiotis_step(P, constants)
         times_R = (constants.C.T @ P @ constants.C).max()
         if not times_R < VAGUE:
@@ -58,22 +53,13 @@ class LainiotisFilter(RecursiveFilter):
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) of stacks (M, n, n), as in RecursiveFilter, all at once."""
-        return lainiotis_step(P, self._constants_of(seen))
-
-    def _constants_of(self, seen):
-        if seen.all():
-            return self._of_a_whole_row
-        if not seen.any():
-            return self._of_a_missed_row
-        return self._of_a_part(seen)
-
-    def _of_a_part(self, seen):
-        return lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
+        return lainiotis_step(P, self._constants(*seen.tolist()))
 
     @cached_property
-    def _of_a_whole_row(self):
-        return lainiotis_matrices(self.model)
+    def _constants(self):
+        """Return the LainiotisMatrices of rows in which these measurements are there; a few are kept."""
 
-    @cached_property
-    def _of_a_missed_row(self):
-        return self._of_a_part(np.zeros(self.model.m, bool))
+        def constants(*seen):
+            return lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, np.array(seen)))
+
+        return lru_cache(maxsize=16)(constants)

@@ -30,11 +30,6 @@ class Predictor(Filter):
     steps : int
         The number of steps N, each of the model's dt, also where the filter has times of its own.
 
-    Raises
-    ------
-    TypeError, ValueError
-        For anything but a filter and a count.
-
     Examples
     --------
     >>> import mpt_helpers as mpt
@@ -99,11 +94,6 @@ class SteadyStatePredictor(Predictor):
         The filter with A and B.
     steps : int
         The number of steps N.
-
-    Raises
-    ------
-    TypeError, ValueError
-        For anything but such a filter and a count.
 
     Examples
     --------

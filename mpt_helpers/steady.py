@@ -50,8 +50,6 @@ class SteadyStateFilter(RecursiveFilter):
 
     Raises
     ------
-    TypeError
-        For anything but a model and arrays of real numbers.
     ValueError
         For arrays of another shape, and for an A that is not (I - B H) F.
 
@@ -245,11 +243,6 @@ class FIRFilter(Filter):
     taps : array_like (order, n, m)
         The weights of the last measurements, the newest first.
 
-    Raises
-    ------
-    TypeError, ValueError
-        For anything but a model and such an array.
-
     Examples
     --------
     >>> import mpt_helpers as mpt
@@ -291,8 +284,8 @@ class FIRFilter(Filter):
 
         Raises
         ------
-        TypeError, ValueError
-            For another filter, and as `fir_order`.
+        ValueError
+            As `fir_order`.
 
         """
         checks.instance("steady", steady, SteadyStateFilter)
@@ -310,14 +303,11 @@ class FIRFilter(Filter):
         """Write the estimates to x, as in Filter; there are no covariances."""
         if covariances:
             raise self._not_recursive()
-        if np.isfinite(z).all():
-            self._convolve(x, z)
-            return
         checks.no_infinity(z)
         seen = ~np.isnan(z)
         _require_whole_rows(seen.swapaxes(0, 1))
         self._convolve(x, np.where(seen, z, 0))
-        missed: np.ndarray = ~seen.any(axis=1)
+        missed = ~seen[:, 0]
         F, H, x0 = self.model.F, self.model.H, self.model.x0[:, None]
         for k in np.flatnonzero(missed.any(axis=1)):
             predicted = F @ (x[k - 1] if k > 0 else x0)

@@ -14,7 +14,6 @@ The way of one track with gaps, z (N, m, 1):
 import numpy as np
 
 from .. import _checks as checks
-from .algebra import LinearMap
 from .pieces import through
 from .shared import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
@@ -82,13 +81,13 @@ def innovations(estimator, epochs):
     S is (N, m, m, 1) where all tracks share it. They are in the units of z, unlike those of an `advance`.
     """
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
-    x, H = np.empty((N, n, M)), LinearMap(model.H)
+    x = np.empty((N, n, M))
     P = estimates(estimator, epochs, x, covariances=True)
     values, S = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks. The states are those before the measurements.
         before = np.moveaxis(_before(x, model.x0, part), 1, 0), np.moveaxis(_before(P, estimator.P0, part), 0, 2)
-        expected, S_part = H(*epochs.motions(part)(*before))
+        expected, S_part = estimator.measurement(*epochs.motions(part)(*before))
         values[part] = epochs.z[part] - np.moveaxis(expected, 0, 1)
         S[part] = np.moveaxis(S_part, 2, 0)
     return values, S + epochs.noise(model.R)

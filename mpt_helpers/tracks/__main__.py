@@ -32,19 +32,21 @@ def main(argv: Sequence[str]) -> int:
     options = _parser().parse_args(argv)
     try:
         _run(options)
-    except (ValueError, OSError) as error:
-        print(f"track: {_words(error)}", file=sys.stderr)
-        return 1
-    except ImportError as error:
-        print(f"track: {error}: python -m pip install {error.name or 'mpt_helpers'}", file=sys.stderr)
-        return 1
-    except MemoryError:
-        print(f"track: {options.file}: needs more memory than there is", file=sys.stderr)
-        return 1
     except KeyboardInterrupt:
         print("track: interrupted; nothing was written", file=sys.stderr)
         return 130
+    except (ValueError, OSError, ImportError, MemoryError) as error:
+        print(f"track: {_words(error, options.file)}", file=sys.stderr)
+        return 1
     return 0
+
+
+def _words(error, path):
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, ImportError):
+        return f"{error}: python -m pip install {error.name or 'mpt_helpers'}"
+    return f"{path}: needs more memory than there is" if isinstance(error, MemoryError) else str(error)
 
 
 def _parser():
@@ -66,77 +68,44 @@ def _parser():
 
 def _run(options):
     path, folder = options.file, options.out or options.file.parent
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: there is no such file")
     if path.absolute().parts[1:2] in (("dev",), ("proc",)):
         raise ValueError(f"{path}: needs a file with a name of its own: save the recording to one first")
     if not folder.is_dir():
-        raise ValueError(
-            f"{folder}: needs a folder that exists, to write to; make it: mkdir -p {shlex.quote(str(folder))}"
-        )
-    show = _Progress()
+        make = f"mkdir -p {shlex.quote(str(folder))}"
+        raise ValueError(f"{folder}: needs a folder that exists, to write to; make it: {make}")
     named = {what: getattr(options, f"column_{what}") for what in readers.COLUMNS}
+    stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
     try:
-        show("reading")
+        _show("reading")
         recording = readers.read(path, {what: name for what, name in named.items() if name is not None})
-        N = len(recording.time)
+        N, in_degrees = len(recording.time), recording.metres is None
+        smooth, picture = folder / f"{stem}_smooth.{'gpx' if in_degrees else 'csv'}", folder / f"{stem}.png"
+        require_free([smooth, picture], options.overwrite, path)
         if N > LARGE:
-            show.clear()
+            _show()
             minutes, gigabytes = N / FIXES_A_SECOND / 60, N * BYTES_OF_MEMORY / 1e9
             words = f"{path.name}: {N:,} fixes: about {minutes:.0f} min and {gigabytes:.1f} GB of memory"
             print(words, file=sys.stderr)
-        smooth, picture = _written(path, folder, recording.metres is None)
-        require_free([smooth, picture], options.overwrite, path)
-        how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": show}
+        how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
         c = tracks.of_recording(path, recording, **how)
-        show("drawing")
-        contents = {smooth: _track_of(c), picture: _picture_of(c)}
+        _show("drawing")
+        png = io.BytesIO()
+        c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
+        track = writers.gpx_bytes(c) if in_degrees else writers.csv_bytes(c)
     finally:
-        show.clear()
-    replaced = [each.name for each in contents if each.exists()]
-    write_together(contents, options.overwrite, path)
-    files = [str(each) for each in contents]
+        _show()
+    replaced = [each.name for each in (smooth, picture) if each.exists()]
+    write_together({smooth: track, picture: png.getvalue()}, options.overwrite, path)
+    files = [str(smooth), str(picture)]
     if options.json:
-        print(
-            json.dumps(report.summary(c) | {"files": files, "replaced": replaced}, ensure_ascii=False, allow_nan=False)
-        )
+        found = report.summary(c) | {"files": files, "replaced": replaced}
+        print(json.dumps(found, ensure_ascii=False, allow_nan=False))
         return
     print(c.report())
     print(f"written: {', '.join(files)}" + (f" (replaced: {', '.join(replaced)})" if replaced else ""))
 
 
-def _written(path, folder, in_degrees):
-    """Return the paths of the smoothed track and of the picture."""
-    stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
-    return folder / f"{stem}_smooth.{'gpx' if in_degrees else 'csv'}", folder / f"{stem}.png"
-
-
-def _track_of(c):
-    return writers.gpx_bytes(c) if c.source.recording.metres is None else writers.csv_bytes(c)
-
-
-def _picture_of(c):
-    fig, png = c.plot(), io.BytesIO()
-    fig.savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
-    return png.getvalue()
-
-
-class _Progress:
-    """The present task, on a terminal, in one line that is cleared at the end."""
-
-    def __init__(self):
-        self._shown = sys.stderr.isatty()
-
-    def __call__(self, what):
-        if self._shown:
-            print(f"\r\033[K{what} ...", end="", file=sys.stderr, flush=True)
-
-    def clear(self):
-        if self._shown:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
-
-
-def _words(error):
-    if isinstance(error, OSError) and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    return str(error)
+def _show(what=""):
+    """Say on a terminal what is done, in one line; nothing clears it."""
+    if sys.stderr.isatty():
+        print(f"\r\033[K{what and what + ' ...'}", end="", file=sys.stderr, flush=True)

@@ -26,8 +26,7 @@ def write_together(contents: dict[Path, bytes], overwrite: bool = True, source: 
             try:
                 with part.open("xb") as file:
                     file.write(contents[path])
-            except OSError as error:
-                # A full disk is reported without the file's name.
+            except OSError as error:  # a full disk is reported without the file's name
                 raise OSError(error.errno, error.strerror, str(path)) from None
         for path, part in parts.items():
             os.replace(part, path)
@@ -37,10 +36,12 @@ def write_together(contents: dict[Path, bytes], overwrite: bool = True, source: 
 
 
 def require_free(paths: list[Path], overwrite: bool, source: Path | str | None = None) -> None:
-    """Raise FileExistsError for a path that is the source, and, unless `overwrite` is True, for one that exists."""
+    """Raise FileExistsError for a path that is the source or no file, and, unless `overwrite` is True, for any file."""
     for path in paths:
         if path.is_dir():
             raise IsADirectoryError(f"a folder is in the place of the file {path}")
+        if path.exists() and not path.is_file():
+            raise FileExistsError(f"{path}: is a pipe or a device, and no file")
         if isinstance(source, Path) and path.exists() and source.exists() and path.samefile(source):
             raise FileExistsError(f"{path}: is the recording itself, which is not written over")
         if not overwrite and (path.exists() or path.is_symlink()):

@@ -1,6 +1,6 @@
 """A cleaned track for people: in words, and as numbers by name.
 
-The words need no knowledge of filters; what a specialist looks for stands in brackets.
+The words need no knowledge of filters; a specialist's numbers stand in brackets.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from . import geodesy
+from .readers import UNIX, moment_of
 from .writers import degrees_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
@@ -25,6 +26,7 @@ COLUMNS = 100  # of a terminal
 TOGETHER = "\u00a0"  # a blank at which no line is broken
 A_FEW, VAGUE = 0.3, math.log(10)  # errors of a logarithm: below the first one they are a percentage
 LISTED = 5  # times of faults
+OF_THE_BAND = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
 # A usual recording is neither so fast nor so slow: a fighter's speed, a snail's. Between fixes of RARELY or more a
 # tenth of a second may lie, in milliseconds. A larger share of fixes than MANY is hardly one of faults.
 VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
@@ -33,34 +35,29 @@ MANY = 0.1
 
 
 def text(c: Cleaned) -> str:
-    """Return the report of a Cleaned."""
-    lines = [_heading(c), *_faults(c), _motion_line(c), _precision(c), _prediction(c), _way(c)]
-    lines += [f"note: {each}" for each in _notes(c)]
+    """Return the report of a Cleaned; what is to be asked stands before the numbers that it makes doubtful."""
+    lines = [_heading(c), *(f"note: {each}" for each in _notes(c))]
+    lines += [*_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
     filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
     return "\n".join(filled).replace(TOGETHER, " ")
 
 
 def summary(c: Cleaned) -> dict[str, Any]:
     """Return the numbers of the report; infinite and missing ones are None."""
-    band = None
-    if c.band is not None:
-        b = c.band
-        band = {"seconds": b.seconds, "half_width": b.half_width, "asked": b.asked, "held": b.held, "own": b.own}
-        band |= {"checked": b.checked, "independent": b.independent}
     left_out = {} if c.source is None else c.source.left_out
-    fixes = len(c.t) + sum(left_out.values())
+    row_of_file = np.arange(len(c.t)) if c.source is None else c.source.rows
     kilometres, moving, speed, fastest, error = numbers_of_the_way(c)
     return {
-        "fixes": fixes,
-        "refused": _of_file(c, c.refused),
-        "starts": _of_file(c, c.starts),
+        "fixes": len(c.t) + sum(left_out.values()),
+        "refused": row_of_file[c.refused].tolist(),
+        "starts": row_of_file[c.starts].tolist(),
         "left_out": left_out,
         "stretches": c.stretches,
         "q": c.q,
         "r": c.r,
         "r_is_rounding": c.rounding,
         "log_errors": {name: error if math.isfinite(error) else None for name, error in c.log_errors.items()},
-        "ahead": band,
+        "ahead": None if c.band is None else {name: getattr(c.band, name) for name in OF_THE_BAND},
         "kilometres": kilometres,
         "moving_seconds": moving,
         "median_speed_km_h": speed,
@@ -79,15 +76,22 @@ def unusual(c: Cleaned) -> list[str]:
     """Return what is unusual for a recorded track, as questions: it may be in other units, or have too few digits.
 
     Times in milliseconds that are taken for seconds make a quarter of an hour of each second, and a snail of a car: a
-    track that hardly moves is asked about, and one with rare fixes that would be no faster than a usual one.
+    track that hardly moves is asked about, and one with rare fixes that would be no faster than a usual one. Degrees in
+    radians make a track in the Atlantic of any other.
     """
     found = []
     fixes = np.isfinite(c.z).all(axis=1) & c.mask
     seconds, moved = np.diff(c.t[fixes]), np.linalg.norm(np.diff(c.z[fixes], axis=0), axis=1)
     later = seconds > 0
+    in_degrees = c.source is not None and bool(c.source.charts)
     if later.any():
-        in_degrees = c.source is not None and bool(c.source.charts)
         found += _of_speeds(moved[later] / seconds[later], float(np.median(seconds[later])), in_degrees)
+    if in_degrees:
+        recording, rows = c.source.recording, c.source.rows[fixes]
+        if (np.abs(recording.lat[rows]) < math.pi / 2).all() and (np.abs(recording.lon[rows]) < math.pi).all():
+            found.append(
+                "ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians? numpy.degrees(lat)"
+            )
     share = _share_refused(c)
     if share > MANY:
         many = f"{share:.0%} of the fixes are refused. So many are hardly faults"
@@ -116,10 +120,6 @@ def _share_refused(c):
     return len(c.refused) / max(np.isfinite(c.z).any(axis=1).sum(), 1)
 
 
-def _of_file(c, rows):
-    return (rows if c.source is None else c.source.rows[rows]).tolist()
-
-
 def _clock(seconds):
     minutes, seconds = divmod(round(seconds), 60)
     days, hours = divmod(minutes // 60, 24)
@@ -137,8 +137,11 @@ def _heading(c):
     steps = np.diff(c.t[np.isfinite(c.z).any(axis=1)])
     steps = steps[steps >= 0]
     usual = float(np.median(steps))
-    every = f"every {usual:g} s" if np.mean(steps == usual) > 0.99 else f"mostly every {usual:g} s"
+    every = f"{'' if np.mean(steps == usual) > 0.99 else 'mostly '}every {usual:g} s"
     parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(np.ptp(c.t[c.line.rows]))}, {every}"]
+    if c.source is not None:  # GPS seconds look like Unix seconds ten years ago
+        start = c.source.recording.time[c.source.rows[c.line.rows]].min()
+        parts += [f"from {moment_of(start):%Y-%m-%d %H:%M:%S} UTC"] if start >= UNIX * 1e6 else []
     if len(c.recordings) > 1:
         parts.append(f"in {len(c.recordings)} parts (pauses, or segments of the file)")
     return "; ".join(parts)
@@ -150,8 +153,9 @@ def _faults(c):
         why = ", ".join(f"{count:,} with {reason}" for reason, count in c.source.left_out.items())
         lines.append(f"not used: {why}")
     if len(c.refused):
+        first_of_runs = c.refused[np.diff(c.refused, prepend=-2) > 1]
         fixes = _count(len(c.refused), "fix", "fixes")
-        lines.append(f"refused as faults: {fixes} ({_share_refused(c):.2%}), {_moments(c, _first_of_runs(c.refused))}")
+        lines.append(f"refused as faults: {fixes} ({_share_refused(c):.2%}), {_moments(c, first_of_runs)}")
     else:
         lines.append("refused as faults: none")
     if len(c.starts):
@@ -161,37 +165,29 @@ def _faults(c):
 
 def _moments(c, rows):
     """Say when the first few of some rows were recorded."""
-    seconds = c.t[rows] - c.t[c.line.rows].min()
-    seconds = seconds[(seconds >= 0) & (seconds <= np.ptp(c.t[c.line.rows]))]  # without faults of time
-    when = ", ".join(map(_clock, seconds[:LISTED]))
+    t = c.t[c.line.rows]
+    seconds = c.t[rows][(c.t[rows] >= t.min()) & (c.t[rows] <= t.max())] - t.min()  # without faults of time
+    if not len(seconds):
+        return "at impossible times"
+    return f"{', '.join(map(_clock, seconds[:LISTED]))}{', ...' if len(seconds) > LISTED else ''} after the start"
+
+
+def _motion(c):
     return (
-        f"{when}{', ...' if len(seconds) > LISTED else ''} after the start" if len(seconds) else "at impossible times"
-    )
-
-
-def _first_of_runs(rows):
-    return rows[np.diff(rows, prepend=-2) > 1]
-
-
-def _motion_line(c):
-    change = math.sqrt(c.q)
-    return (
-        f"motion: from one second to the next the speed changes by about {_digits(change)} m/s, east and north each "
-        f"({_symbol('q', c.q, 'm²/s³')}, {_known(c.log_errors['q'])})"
+        f"motion: from one second to the next the speed changes by about {_digits(math.sqrt(c.q))} m/s, east and north "
+        f"each ({_symbol('q', c.q, 'm²/s³')}, {_known(c.log_errors['q'])})"
     )
 
 
 def _precision(c):
+    sigma, r = _digits(math.sqrt(c.r)), _symbol("r", c.r, "m²")
     if c.rounding:
         return (
             "fixes: the recorder had smoothed them already, so how far they are from the true way does not show; they "
-            f"count as exact to {_digits(math.sqrt(c.r))} m, the last digit of the numbers ({_symbol('r', c.r, 'm²')})"
+            f"count as exact to {sigma} m, the last digit of the numbers ({r})"
         )
     known = _known(c.log_errors["r"])
-    return (
-        f"fixes: each scatters around the line by about {_digits(math.sqrt(c.r))} m, east and north each "
-        f"({_symbol('r', c.r, 'm²')}, {known})"
-    )
+    return f"fixes: each scatters around the line by about {sigma} m, east and north each ({r}, {known})"
 
 
 def _symbol(name, value, unit):
@@ -209,13 +205,12 @@ def _prediction(c):
     if b is None:
         return "prediction: the track is too short, or its fixes too far apart, to test one"
     few = "" if b.independent >= 30 else f" (only {b.independent} of them apart in time: too few to rely on)"
-    parts = [
-        f"prediction: {b.seconds:g} s ahead the position can be told to ± {_digits(b.half_width)} m, east and north",
-        f"each. Tested on the second half of the track, from which nothing was learnt beforehand: {b.held:.0%} of",
-        f"{b.checked:,} fixes lay within, {b.asked:.0%} was the aim{few}. The band that the filter states by itself,",
-        f"without a test, would have held {b.own:.0%}.",
-    ]
-    return " ".join(parts)
+    return (
+        f"prediction: {b.seconds:g} s ahead the position can be told to ± {_digits(b.half_width)} m, east and north "
+        f"each. Tested on the second half of the track, from which nothing was learnt beforehand: {b.held:.0%} of "
+        f"{b.checked:,} fixes lay within, {b.asked:.0%} was the aim{few}. The band that the filter states by itself, "
+        f"without a test, would have held {b.own:.0%}."
+    )
 
 
 def numbers_of_the_way(c: Cleaned) -> tuple[float, float | None, float, float, float]:

@@ -172,22 +172,6 @@ def test_what_a_step_does_not_take_is_refused_by_name(call, words):
         call()
 
 
-class Forgetting(dict):
-    """As if another thread cleared what is kept as soon as it is there."""
-
-    def __setitem__(self, key, value):
-        super().__setitem__(key, value)
-        self.clear()
-
-
-def test_what_is_kept_may_be_gone_at_any_time():
-    lf = mpt.LainiotisFilter(AXIS)
-    vars(lf)["_kept"] = Forgetting()
-    z = np.array([[1.0], [np.nan], [2.0]])
-    np.testing.assert_array_equal(lf.filter(z), LF.filter(z))
-    np.testing.assert_array_equal(lf.filter(np.ones((5, 1))), LF.filter(np.ones((5, 1))))
-
-
 @pytest.mark.parametrize("infinite", [np.inf, -np.inf])
 def test_an_infinite_measurement_of_a_step_is_refused_by_name_also_beside_a_missing_one(infinite):
     kf = mpt.KalmanFilter(mpt.stack(AXIS, AXIS))

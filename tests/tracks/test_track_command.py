@@ -169,6 +169,13 @@ def test_the_method_replaces_no_file_unasked_and_never_its_source(spoilt):
     assert (spoilt.read_bytes(), photo.read_bytes()) == (before, b"mine")
     c.gpx(photo, overwrite=True)
     assert b"trkpt" in photo.read_bytes()
+    pipe, linked = spoilt.parent / "pipe.gpx", spoilt.parent / "linked.gpx"
+    os.mkfifo(pipe)
+    os.link(spoilt, linked)
+    with pytest.raises(FileExistsError, match=r"pipe.gpx: is a pipe or a device"):
+        c.gpx(pipe, overwrite=True)  # a device would be a file afterwards
+    with pytest.raises(FileExistsError, match=r"linked.gpx: is the recording itself"):
+        c.gpx(linked, overwrite=True)
 
 
 def test_what_is_written_is_the_recording_as_it_was_read(spoilt):
@@ -206,7 +213,7 @@ def test_a_pipe_a_device_or_nothing_is_refused_at_once(tmp_path, capsys):
     for path, words in {
         tmp_path / "pipe.gpx": "needs a file, got",
         "/dev/stdin": "needs a file with a name of its own",
-        tmp_path / "none.gpx": "there is no such file",
+        tmp_path / "none.gpx": "No such file",
     }.items():
         code, _, err = said(capsys, path)
         assert code == 1
@@ -424,7 +431,9 @@ def test_other_units_are_asked_for_where_numbers_are_handed_in_too(step, metres,
     z, _, _ = positions()
     c = tracks.clean(step * np.arange(300.0), metres * z)
     asked = " ".join(c.unusual)
-    assert in_one_line(c.report()).endswith(asked)
+    before, _, after = in_one_line(c.report()).partition("refused as faults")
+    assert before.endswith(f"every {step:g} s {f'note: {asked} ' if asked else ''}")  # before all numbers
+    assert "note" not in after
     assert c.summary()["notes"] == c.unusual
     if words is None:
         assert asked == ""
@@ -445,6 +454,19 @@ def test_a_file_in_degrees_is_asked_for_its_times_only(tmp_path):
     (asked,) = c.unusual
     assert asked.endswith(", with a fix every 1000 s: are the times in seconds, not milliseconds?")
     assert c.summary()["notes"][-1] == asked
+
+
+def test_radians_are_asked_for_and_the_date_is_told(tmp_path):
+    """Nobody can see that GPS seconds of 2024 are no Unix seconds of 2014, but the one who reads the date."""
+    _, lat, lon = positions()
+    c = mpt.track(table(tmp_path / "car.csv", "time,lat,lon", 1.39e9 + np.arange(300), *np.radians([lat, lon])))
+    assert [each for each in c.unusual if "are they in radians?" in each] == c.unusual
+    assert in_one_line(c.report()).startswith(
+        "car.csv: 300 fixes in 0:04:59, every 1 s; from 2014-01-17 23:06:40 UTC note"
+    )
+    c = mpt.track(table(tmp_path / "car.csv", "time,lat,lon", np.arange(300), lat, lon))
+    assert c.unusual == []
+    assert "UTC" not in c.report()
 
 
 def test_so_many_refused_fixes_are_called_no_faults():
@@ -726,9 +748,11 @@ def test_the_track_of_the_guide_as_a_whole_process(tmp_path):
     assert len(picture) > 20_000
 
 
-def test_the_moved_commands_are_still_named(capsys):
+def test_another_command_is_said_to_be_elsewhere(capsys):
     assert main(["reproduce"]) == 2
-    assert "python -m reproduction reproduce" in capsys.readouterr().err
+    assert "the papers are reproduced in a checkout, by python -m reproduction" in capsys.readouterr().err
+    assert main(["--help"]) == 0
+    assert "track FILE.gpx" in capsys.readouterr().out
 
 
 def walked(seed=5, N=2000):
