@@ -140,10 +140,10 @@ def test_each_step_has_the_nis_of_the_engine_for_any_model_times_variances_corre
     steps = gate._Rows(kf, z)
     state, found = steps.first(), np.full(N, np.nan)
     for k in range(N):
-        looked = steps.look(state, k)
-        state = looked.refused
         if steps.fixes[k] and not refused[k]:
-            found[k], state = looked.nis, looked.taken
+            state, found[k] = steps.with_fix(state, k)
+        else:
+            state = steps.without_fix(state, k)
     masked = np.where(refused[:, None], np.nan, z)
     np.testing.assert_allclose(found, mpt.metrics.nis(kf, masked), rtol=1e-6)
     assert np.isfinite(found).sum() > 60
