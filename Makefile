@@ -10,13 +10,14 @@ NOT_INSTALLED := error: pip could not install environment.lock. If it could not 
 # The end of a command that fails, whose own exit code stays: what it said may stand far above.
 NOT_RUN = || { code=$$?; echo "make $@: not everything ran: see the error above" >&2; exit $$code; }
 NOT_WELL = || { code=$$?; echo "make $@: not all is well: see FAILED, or the error, above" >&2; exit $$code; }
-# The tests run side by side, one on each processor: threads of the linear algebra would wait for one another.
-ONE_THREAD := OPENBLAS_NUM_THREADS=1
-# What `make test-all` runs too: tests/README.md says which. `make test LEFT_OUT=` runs them here.
+# The tests run side by side, one on each processor: threads of the linear algebra would wait for one another. What
+# Python has compiled is kept, also where the environment says otherwise: some fifty processes import the package.
+ONE_THREAD := OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=
+# What `make slow` runs: tests/README.md says which. `make test LEFT_OUT=` runs all.
 LEFT_OUT := -m "not slow"
 NBVAL := --nbval --nbval-current-env --nbval-cell-timeout=600
 
-.PHONY: reproduce test nbval types site site-test build extras bench clock mutants seeds test-all workflows lock
+.PHONY: reproduce test slow nbval types site site-test build extras bench clock mutants seeds test-all workflows lock
 
 reproduce: $(VENV)/.ok
 	@$(PY) -m reproduction reproduce $(NOT_RUN)
@@ -28,13 +29,18 @@ test: $(VENV)/.ok
 	@$(ONE_THREAD) $(PY) -m pytest -n auto -p tests.support.exact $(NBVAL) $(LEFT_OUT) mpt_helpers reproduction docs/break_sensor.py tests notebooks $(NOT_WELL)
 	@echo "make test: all is well: style, tests, doctests, and every byte of the notebooks' outputs and figures"
 
+# What `make test` leaves out: some minutes. GitHub runs it once a week.
+slow: $(VENV)/.ok
+	$(ONE_THREAD) $(PY) -m pytest -n auto -p tests.support.exact -m slow tests
+
 # The notebooks as anybody's nbval compares them: texts and tables, no pictures. `make test` compares every byte.
 nbval: $(VENV)/.ok
 	$(PY) -m pytest -n auto --dist loadfile -p tests.support.sockets $(NBVAL) notebooks
 
-# The types of the package: mypy within it, and pyright on how much of what it offers has one: 95 % or more.
+# The types of the package: mypy within it and on what a user writes, and pyright on how much of what it offers has one: 95 % or more.
 types: $(VENV)/.ok
 	$(PY) -m mypy mpt_helpers
+	$(PY) -m pytest -q tests/core/test_types.py
 	$(PY) -m pip install --quiet --disable-pip-version-check pyright==1.1.414
 	PATH="$(VENV)/bin:$$PATH" $(PY) -m pyright --verifytypes mpt_helpers --ignoreexternal | grep -E 'score: (9[5-9]|100)'
 

@@ -458,21 +458,17 @@ class RecursiveFilter(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter."""
+        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter. dt and r are for a `next_step` that takes them."""
         x, P = checks.state(x, P, self.model.n)
         z_k, seen = checks.one_measurement(z_k, self.model.m)
-        conditions = self._conditions_of_step(seen, dt, r)
+        given = {}
+        if dt is not None:
+            given["dt"] = checks.not_negative("dt", checks.as_seconds(dt))
+        if r is not None:
+            given["r"] = checks.variances_of_one("r", r, seen)
         with np.errstate(over="ignore", invalid="ignore"):  # of too long a dt, which is refused
-            A, B, P = self.next_step(P, seen, *conditions)
+            A, B, P = self.next_step(P, seen, **given)
         return A @ x + B @ np.where(seen, z_k, 0), P
-
-    def _conditions_of_step(self, seen, dt, r):
-        """Return the further arguments of `next_step`: none, so dt and r are refused."""
-        for name, given in (("dt", dt), ("r", r)):
-            if given is not None:
-                need = "to be left out, as the steps and variances of this filter are those of its model"
-                checks.refuse(name, need, f"one for a {type(self).__name__}")
-        return ()
 
     def smooth(self, z: ArrayLike) -> Estimates:
         """Return the states of all epochs given all measurements, and their covariances, as in Filter.

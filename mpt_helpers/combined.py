@@ -109,9 +109,8 @@ class JoinFilter(Filter):
         x_2 = np.empty_like(x)
         P_1 = self.first.run(z, x, covariances)
         P_2 = self.second.run(z, x_2, covariances)
-        for x_k, x_2_k in zip(x, x_2, strict=True):  # an epoch at a time, which stays in the cache
-            x_k += x_2_k
-            x_k /= 2
+        x += x_2
+        x /= 2
         return (P_1 + P_2) / 2 if covariances else None
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:

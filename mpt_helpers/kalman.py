@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from . import _checks as checks
 from ._base import RecursiveFilter, require_digits
-from ._checks import Array
+from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns
 from ._engine.pieces import VAGUE
 from ._engine.shared import Step
@@ -125,18 +125,17 @@ class KalmanFilter(RecursiveFilter):
             require_digits(np.abs(keep) @ np.abs(kf.F), P, kf.P, kf.S.max(), dt)
         return keep @ kf.F, kf.K @ W, kf.P
 
-    def _conditions_of_step(self, seen, dt, r):
-        """Return dt in seconds and r as an array, as `next_step` takes them, or raise."""
+    def step(
+        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter."""
         if dt is None and self.t is not None:
             checks.refuse("dt", "the time since x, as the filter has times", "none")
         if r is None and self.r is not None:
             checks.refuse("r", "the variances of z_k, as the filter has them for each epoch", "none")
         if dt is not None:
             self._require_transition("dt")
-            dt = checks.not_negative("dt", checks.as_seconds(dt))
-        if r is not None:
-            r = checks.variances_of_one("r", r, seen)
-        return dt, r
+        return super().step(x, P, z_k, dt, r)
 
     def epochs_of(self, z: Array) -> Epochs:
         """Return z (N, m, M) with its steps and variances; raises ValueError where those are of other epochs."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from _pytest.doctest import DoctestModule
 from hypothesis import settings
 from sockets import talk_through_files
 
@@ -21,6 +22,12 @@ talk_through_files()
 def pytest_configure(config):
     """Name the mark of tests that `make test` leaves out and `make test-all` runs."""
     config.addinivalue_line("markers", "slow: sees one more case of many, or what only a maintainer meets")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file():
+    """Look for no examples in the tests: only the package and the reproduction have some."""
+    return [each for each in (yield) if not isinstance(each, DoctestModule)]
 
 
 ROOT = Path(__file__).parents[1]

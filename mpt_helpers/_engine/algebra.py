@@ -64,13 +64,13 @@ class LinearMap:
     """x -> T x and P -> T P Tᵀ, with one matrix T (m, n) for all columns or, where m = n, one for each (n, n, ...)."""
 
     def __init__(self, T):
-        self.T = T
+        self.matrix = T
         if T.ndim == 2:
-            # T P Tᵀ is linear in P, so that one product makes it for all columns: vec(T P Tᵀ) = W vec(P). Rows for
-            # (a, b) and (b, a) are equal, so that T P Tᵀ is symmetric to the last bit.
+            # T P Tᵀ is linear in P, so that one product makes it for all columns: vec(T P Tᵀ) = (T ⊗ T) vec(P). Rows
+            # for (a, b) and (b, a) are made equal, so that T P Tᵀ is symmetric to the last bit.
             m, n = T.shape
-            W = np.kron(T, T).reshape(m, m, n * n)
-            self._W = ((W + W.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
+            kron = np.kron(T, T).reshape(m, m, n * n)
+            self._of_vec = ((kron + kron.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
 
     def __call__(self, x, P):
         """Return T x and T P Tᵀ."""
@@ -78,17 +78,17 @@ class LinearMap:
 
     def of_state(self, x):
         """Return T x of states x (n, ...), or T P of matrices."""
-        if self.T.ndim > 2:
-            return product(self.T, x)
-        return (self.T @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
+        if self.matrix.ndim > 2:
+            return product(self.matrix, x)
+        return (self.matrix @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
 
     def of_covariance(self, P):
         """Return T P Tᵀ of symmetric P (n, n, ...)."""
-        if self.T.ndim > 2:
-            P = product(self.T, transposed(product(self.T, P)))
+        if self.matrix.ndim > 2:
+            P = product(self.matrix, transposed(product(self.matrix, P)))
             return (P + transposed(P)) / 2
-        m = len(self.T)
-        return (self._W @ P.reshape(len(P) ** 2, -1)).reshape(m, m, *P.shape[2:])
+        m = len(self.matrix)
+        return (self._of_vec @ P.reshape(len(P) ** 2, -1)).reshape(m, m, *P.shape[2:])
 
 
 class Motion(LinearMap):

@@ -95,7 +95,7 @@ class Epochs:
         F = Q = r = None
         if self.dt is not None:
             every = self.motions(slice(None))
-            F, Q = (np.moveaxis(np.broadcast_to(A, (*A.shape[:3], W)), 2, 0) for A in (every.T, every.Q))
+            F, Q = (np.moveaxis(np.broadcast_to(A, (*A.shape[:3], W)), 2, 0) for A in (every.matrix, every.Q))
         if self.r is not None:
             r = np.where(seen, self.r, 1.0)  # a NaN that is not used must not spread
         return z, seen, F, Q, r
@@ -132,7 +132,7 @@ class KalmanColumns:
 
     def __init__(self, motion, H, R, P0, noises_are_states=False):
         self._motion, self._noise, self._L_inverse = motion, None, None
-        F, Q, variances, m = motion.T, motion.Q, np.diag(R), len(R)
+        F, Q, variances, m = motion.matrix, motion.Q, np.diag(R), len(R)
         if noises_are_states:
             self._noise = R[..., None]
             none = np.zeros((m, m))

@@ -79,7 +79,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
     N, W = len(x), x.shape[-1]
     pieces = _of_each(rows, lambda array: cut(array, K))
     try:
-        x_start, P_start = starts(advance, pieces, x0, P0)
+        x_start, P_start = (each[..., :-W] for each in starts(advance, pieces, x0, P0))
     except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
         return False
     x_pieces = np.empty((K, *x_start.shape))
@@ -144,7 +144,9 @@ def uncut(array, N, W):
 
 
 def starts(advance, pieces, x0, P0):
-    """Return the start of each piece: x (n, c, C W) and P (n, n, C W), from x0 (n, c, W) and P0 (n, n, W).
+    """Return the starts of all pieces and the end of the last: x (n, c, (C + 1) W) and P (n, n, (C + 1) W).
+
+    The first piece starts from x0 (n, c, W) and P0 (n, n, W).
 
     Started from x instead of zero, a piece ends at x_piece + T x: a filter is linear in x. Then it has the innovations
     e - L x, and these are white and of unit variance, so that e = L x + noise measures x. Each start takes one
@@ -156,51 +158,41 @@ def starts(advance, pieces, x0, P0):
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, W = x0.shape
-    x, P, innovations = zip(*_exactly_started(advance, pieces, n, c), strict=True)
-    x, P, e = (_as_matrices(each, W) for each in (x[-1], P[-1], np.concatenate(innovations)))
+    _, m, _, width = pieces[0].shape
+    # Each piece from a zero that is known exactly. Beside its c tracks run n more, which have no measurements and start
+    # at one of the unit vectors each: they end at T, and have the innovations -L.
+    x, P, z = np.zeros((n, c + n, width)), np.zeros((n, n, width)), np.zeros((m, c + n, width))
+    x[:, c:] = np.eye(n)[..., None]
+    innovations = []
+    for z_k, *conditions in _one_by_one(pieces):
+        z[:, :c] = z_k
+        x, P, e = advance((z, *conditions), x, P)
+        innovations.append(e)
+    x, P, e = (_as_matrices(each, W) for each in (x, P, np.concatenate(innovations)))
     L, y = _compressed(-e[..., c:], e[..., :c])
     found = [(_as_matrices(x0, W)[0], _as_matrices(P0, W)[0])]
-    for piece in zip(x[:-1, ..., c:], x[:-1, ..., :c], P, L, y, strict=False):
+    for piece in zip(x[..., c:], x[..., :c], P, L, y, strict=True):
         found.append(_next_start(*found[-1], *piece))
     return tuple(_as_columns(every) for every in zip(*found, strict=True))
-
-
-def _exactly_started(advance, rows, n, c):
-    """Yield x, P and the innovations of rows from a start of zero that is known exactly.
-
-    Beside the c tracks of a column run n more, which have no measurements and start at one of the unit vectors each:
-    they are at T, and have the innovations -L.
-    """
-    _, m, _, W = rows[0].shape
-    x, P, z = np.zeros((n, c + n, W)), np.zeros((n, n, W)), np.zeros((m, c + n, W))
-    x[:, c:] = np.eye(n)[..., None]
-    for z_k, *conditions in _one_by_one(rows):
-        z[:, :c] = z_k
-        x, P, innovations = advance((z, *conditions), x, P)
-        yield x, P, innovations
 
 
 def _from_a_vague_start(advance, rows, x0, P0, x, P):
     """Write the first rows as `through` does, and return how many, x and P after the last.
 
     From row to row, the first updates of a vague start would lose the digits of P0 / R, and without process noise for
-    good. So each of these rows takes one Lainiotis step from the start, over all rows up to it.
+    good. So each of these rows is the end of one piece, of all rows up to it. They are as many as give each track 2 n
+    measurements.
     """
-    n, c, W = x0.shape
-    start = _as_matrices(x0, W)[0], _as_matrices(P0, W)[0]
-    L, y, measured = np.zeros((W, 0, n)), np.zeros((W, 0, c)), np.zeros(W, int)
-    for k, after_k in enumerate(_exactly_started(advance, rows, n, c)):
-        x_k, P_k, e = (_as_matrices(each, W)[0] for each in after_k)
-        L, y = _compressed(np.concatenate([L, -e[..., c:]], axis=1), np.concatenate([y, e[..., :c]], axis=1))
-        after = _next_start(*start, x_k[..., c:], x_k[..., :c], P_k, L, y)
-        x_k, P_k = (_as_columns([each]) for each in after)
+    n, _, W = x0.shape
+    measured = np.cumsum(rows[1].any(axis=1), axis=0).min(axis=1)
+    K = min(1 + np.sum(measured < 2 * n), MOST_OF_A_START, len(x))
+    for k in range(K):
+        piece = _of_each(rows, lambda array, k=k: array[: k + 1])
+        x_k, P_k = (each[..., -W:] for each in starts(advance, piece, x0, P0))
         x[k] = x_k
         if P is not None:
             P[k] = P_k
-        measured += rows[1][k].any(axis=0)
-        if measured.min() == 2 * n or k == MOST_OF_A_START - 1:
-            break
-    return k + 1, x_k, P_k
+    return K, x_k, P_k
 
 
 def _next_start(x, P, T, x_piece, P_piece, L, y):
@@ -219,10 +211,11 @@ def _compressed(L, y):
 
     Those given have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays white,
     and the part of y that Qᵀ drops is noise alone, independent of the rest. Lᵀ L and Lᵀ y would tell the same, but sums
-    of squares lose digits that R keeps.
+    of squares lose digits that R keeps. The last rows come first: they are the largest where x grows, and the rounding
+    of large rows that follow small ones would spoil those.
     """
-    Q, R = np.linalg.qr(L)
-    return R, Q.swapaxes(-1, -2) @ y
+    Q, R = np.linalg.qr(L[..., ::-1, :])
+    return R, Q.swapaxes(-1, -2) @ y[..., ::-1, :]
 
 
 def agree(x, P, x_next, P_next):

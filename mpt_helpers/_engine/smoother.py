@@ -73,7 +73,7 @@ def _warn_of_undriven_modes(motion, P):
     A mode is y = lᴴ x, with a left eigenvector l of F. Q adds lᴴ Q l to its variance in a step, which is compared with
     the variance lᴴ P l of the first epoch, P (n, n, M or 1).
     """
-    modes, left = eig(motion.T, left=True, right=False)
+    modes, left = eig(motion.matrix, left=True, right=False)
     added = np.einsum("im,ij,jm->m", left.conj(), motion.Q, left).real
     known = np.einsum("im,ijt,jm->mt", left.conj(), P, left).real.max(axis=1)
     undriven = [f"{abs(mode):.3g}" for mode in modes[(np.abs(modes) < DAMPED) & (added < UNDRIVEN * known)]]

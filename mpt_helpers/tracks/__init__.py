@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from .. import _checks as checks
 from .._checks import Array, Seconds
-from . import geodesy
+from . import geodesy, report
 from .cleaning import Cleaned, Source, clean
 from .doubts import way_of
 from .fixes import FEWEST, grid_of
@@ -81,7 +81,8 @@ def gpx(
     up : bool
         Whether z has the heights as a third column.
     skip : bool
-        Whether to leave out as few fixes as will do where times are missing or do not increase, with a warning.
+        Whether to leave out, with a warning, fixes without a position or a time, and as few as will do where times do
+        not increase.
     pause : float or timedelta, optional
         A segment is also cut wherever its next fix comes more than this later, in s.
     origin : tuple of float, optional
@@ -109,30 +110,20 @@ def gpx(
     pause = math.inf if pause is None else checks.duration("pause", pause)
     origin = None if origin is None else _origin(origin)
     recording = read_gpx(Path(path))
-    time = recording.time
-    segments, left_out = [], 0
-    for number in np.unique(recording.segment).tolist():
-        rows = np.flatnonzero(recording.segment == number)
-        lat, lon = recording.lat[rows], recording.lon[rows]
-        nowhere = ~_on_earth(lat, lon)
-        if nowhere.any():
-            k = int(np.argmax(nowhere))
-            got = f"{lat[k]:g} and {lon[k]:g} in fix {k + 1} of segment {number}"
-            raise ValueError(f"{path}: needs latitudes and longitudes of at most 90 and 360 degrees, got {got}")
-        kept = longest_in_order(time[rows])
-        wrong = np.setdiff1d(np.arange(len(rows)), kept)
-        if len(wrong) and not skip:
-            got = f"{_time_in_words(recording, rows[wrong[0]])} in fix {wrong[0] + 1} of segment {number}"
-            got += f" ({len(wrong)} such of its {len(rows)} fixes)"
-            raise ValueError(f"{path}: needs times that increase, got {got}; gpx(path, skip=True) leaves them out")
-        left_out += len(wrong)
-        rows = rows[kept]
-        segments += np.split(rows, np.flatnonzero(np.diff(time[rows]) > pause * 1e6) + 1) if len(rows) else []
-    if not segments:
-        raise ValueError(f"{path}: needs a recorded track, got {len(time)} fixes and no times")
+    time, segment = recording.time, recording.segment
+    rows, left_out = usable(path, recording)
+    why = report.counted(left_out)
+    if not len(rows):
+        raise ValueError(f"{path}: needs a recorded track, got {len(time)} fixes, {why or 'and no times'}")
+    if left_out and not skip:
+        first = np.setdiff1d(np.arange(len(time)), rows)[0]
+        where = f"fix {(segment[: first + 1] == segment[first]).sum()} of segment {segment[first]}"
+        need = "a position and a later time in each fix"
+        raise ValueError(f"{path}: needs {need}, got {why}, first in {where}; gpx(path, skip=True) leaves them out")
     if left_out:
-        checks.warn(f"{path}: {left_out} fixes left out whose times are missing or do not increase")
-    return [_track(recording, rows, time[segments[0][0]], origin, up) for rows in segments]
+        checks.warn(f"{path}: fixes left out: {why}")
+    begins = np.flatnonzero((np.diff(segment[rows]) != 0) | (np.diff(time[rows]) > pause * 1e6)) + 1
+    return [_track(recording, part, time[rows[0]], origin, up) for part in np.split(rows, begins)]
 
 
 def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = None) -> Array:
@@ -217,38 +208,24 @@ def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
 def longest_in_order(time: Array) -> Array:
     """Return the rows of the most fixes whose times (microseconds, NO_TIME where there is none) increase.
 
-    So one clock error does not cost all that follows it. It is the longest increasing subsequence, found from the end:
-    of all that are as long, the one that starts latest can be continued by most (Fredman 1975).
+    So one clock error does not cost all that follows it. It is the longest increasing subsequence (Fredman 1975).
     """
     known = np.flatnonzero(time != NO_TIME)
     if (np.diff(time[known]) > 0).all():
         return known
-    turned = (-time).tolist()
-    # Entry k of `starts` and `starts_of` is of all orders of k + 1 rows the one that starts latest: -time of its first
-    # row, turned since bisect wants numbers that increase, and that row. `after` has the row that follows each one.
-    # Times 1, 9, 2, 3 make, from the end, starts of [-3], [-3, -2], [-9, -2], [-9, -2, -1]: the order is 1, 2, 3.
-    starts: list[int] = []
-    starts_of: list[int] = []
-    after: dict[int, int | None] = {}
-    for row in known[::-1].tolist():
-        length = bisect.bisect_left(starts, turned[row])
-        after[row] = starts_of[length - 1] if length else None
-        if starts[length : length + 1] != [turned[row]]:  # of several at one time the last stays: it is the newest
-            starts[length : length + 1] = [turned[row]]
-            starts_of[length : length + 1] = [row]
-    rows, row = [], starts_of[-1]
+    # Of all orders of k + 1 rows the one that ends earliest can be continued by most: ends[k] is its last time, rows[k]
+    # the row of that, the newest of several at one time. `before` has the row before each one.
+    ends, rows, before = [], [], {}
+    for row in known.tolist():
+        k = bisect.bisect_left(ends, time[row])
+        before[row] = rows[k - 1] if k else None
+        ends[k : k + 1] = [time[row]]
+        rows[k : k + 1] = [row]
+    kept, row = [], rows[-1]
     while row is not None:
-        rows.append(row)
-        row = after[row]
-    return np.array(rows)
-
-
-def _time_in_words(recording, row):
-    """Say what stands in place of a time, or which time that is."""
-    if recording.time[row] != NO_TIME:
-        return f"{moment_of(recording.time[row]):%Y-%m-%d %H:%M:%S}"
-    unread = recording.unread.get(int(row))
-    return "no time" if unread is None else f"a time that cannot be read ({unread!r:.40})"
+        kept.append(row)
+        row = before[row]
+    return np.array(kept[::-1])
 
 
 def _on_earth(lat, lon):
@@ -351,8 +328,15 @@ def track(
 def of_recording(path: Path | str, recording: Recording, **how: Any) -> Cleaned:
     """Return a Recording as a Cleaned; path is where it is from, for errors, and `how` is for `clean`."""
     rows, left_out = usable(path, recording)
+    if len(rows) < FEWEST:
+        got = ", ".join([f"{len(rows)} of {len(recording.time)}", *filter(None, [report.counted(left_out)])])
+        got += _what_ails(recording)
+        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
     t = recording.time[rows] / 1e6
     t, said = t - t.min(), [*recording.said, *_said_of_order(t, recording.segment[rows])]
+    known = recording.time[recording.time != NO_TIME]
+    if len(known) > (1 + MANY) * len(rows) and (np.diff(known) < 0).any():
+        said.append("ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?")
     if recording.metres is None:
         charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], recording.segment[rows])
         grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
@@ -389,18 +373,14 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
         "a time that cannot be read": int((somewhere & unread).sum()),
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
-    left_out = {reason: count for reason, count in reasons.items() if count > 0}
-    if len(rows) < FEWEST:
-        got = ", ".join([f"{len(rows)} of {N}", *(f"{count} with {reason}" for reason, count in left_out.items())])
-        got += _what_ails(recording.unread, np.diff(time[somewhere & timed]))
-        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
-    return rows, left_out
+    return rows, {reason: count for reason, count in reasons.items() if count > 0}
 
 
-def _what_ails(unread, steps):
+def _what_ails(recording):
     """Say what is wrong with times that cannot be read, or of which most run back or stand still."""
-    if unread:
-        return f", as {way_of('time', next(iter(unread.values())))}"
+    steps = np.diff(recording.time[recording.time != NO_TIME])
+    if recording.unread:
+        return f", as {way_of('time', next(iter(recording.unread.values())))}"
     if len(steps) and np.mean(steps < 0) > 0.5:
         return ": most times are before the one before them; if the file begins with the last fix, turn it round"
     if len(steps) and np.mean(steps == 0) > 0.5:
@@ -420,10 +400,9 @@ def _said_of_order(t, segment):
 
 def _precision(recording, rows):
     """Return the relative variances (N,) of fixes and where they are from, or None and None."""
-    for name, sigma in (("accuracy", recording.accuracy), ("hdop", recording.hdop)):
-        if sigma is None:
-            continue
-        known = np.isfinite(sigma[rows]) & (sigma[rows] > 0)
-        if known.mean() > 0.9 and np.ptp(sigma[rows][known]) > 0:
-            return np.where(known, sigma[rows], np.median(sigma[rows][known])) ** 2, name
+    for name in ("accuracy", "hdop"):
+        sigma = getattr(recording, name)[rows]
+        known = sigma > 0
+        if known.mean() > 0.9 and np.ptp(sigma[known]) > 0:
+            return np.where(known, sigma, np.median(sigma[known])) ** 2, name
     return None, None

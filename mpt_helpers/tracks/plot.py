@@ -44,14 +44,13 @@ def figure(c: Cleaned) -> Figure:
 
 
 def _on_one_map(c, z):
-    """Return positions (N, 2) in km in one plane."""
-    if c.source is None or len(c.source.charts) <= 1:
-        return z / 1000
-    far = np.empty_like(z)
-    for k, chart in enumerate(c.source.charts):
-        own = c.source.plane == k
-        far[own] = c.source.charts[0].metres(*chart.degrees(np.nan_to_num(z[own]))) / 1000
-    return np.where(np.isnan(z), np.nan, far)
+    """Return positions (N, 2) in km in one plane; a single axis points east."""
+    z = np.column_stack([z, np.zeros(len(z))])[:, :2]
+    charts = [] if c.source is None else c.source.charts
+    for k, chart in enumerate(charts[1:], start=1):
+        own = (c.source.plane == k) & np.isfinite(z[:, 0])
+        z[own] = charts[0].metres(*chart.degrees(z[own]))
+    return z / 1000
 
 
 def _thinned(rows):
@@ -60,42 +59,37 @@ def _thinned(rows):
 
 def _draw_map(ax, c, line, refused, start):
     position = _on_one_map(c, c.x[:, :4:2])
-    if position.shape[1] < 2:
-        position = np.column_stack([position, np.zeros(len(position))])
     number = segment_of_rows(c)
     for k in range(c.stretches):
         rows = _thinned(np.flatnonzero(number == k))
         ax.plot(*position[rows].T, color=line, linewidth=1.4, label="smoothed" if k == 0 else None)
     inside = np.isfinite(position[:, 0])
-    for k, row in enumerate(c.starts):
+    for row in c.starts:
         before = np.flatnonzero(inside[:row])[-1]
-        label = "jumps" if k == 0 else None
+        label = "jumps" if row == c.starts[0] else None
         ax.plot(*position[[before, row]].T, ":", color="0.4", linewidth=1.4, label=label)
     low, high = position[inside].min(axis=0), position[inside].max(axis=0)
     margin = 0.08 * max((high - low).max(), 0.01)
     if len(c.refused):
         recorded = _on_one_map(c, c.z)[c.refused]
         near = ((recorded >= low - margin) & (recorded <= high + margin)).all(axis=1)
-        off = f", {np.sum(~near)} off the map" if not near.all() else ""
-        label = f"refused: {len(c.refused)}{off}"
+        label = f"refused: {len(c.refused)}" + ("" if near.all() else f", {np.sum(~near)} off the map")
         ax.plot(*recorded[near].T, "x", color=refused, markersize=6, linestyle="none", label=label)
     first, last = np.flatnonzero(inside)[[0, -1]]
     ax.plot(*position[first], "o", color=start, markersize=7, linestyle="none", label="start")
     ax.plot(*position[last], "s", color="0.2", markersize=6, linestyle="none", label="end")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("east (km)")
-    ax.set_title(_title(c), loc="left", parse_math=False)  # a name may have $ in it
+    name = "track" if c.source is None else Path(c.source.path).name.encode(errors="replace").decode()
+    name = name if len(name) <= 26 else f"{name[:23]}..."
+    ax.set_title(
+        f"{name}: {numbers_of_the_way(c)['kilometres']:.1f} km", loc="left", parse_math=False
+    )  # a name may have $ in it
     ax.set_ylabel("north (km)")
 
 
-def _title(c):
-    name = "track" if c.source is None else Path(c.source.path).name.encode(errors="replace").decode()
-    name = name if len(name) <= 26 else f"{name[:23]}..."
-    return f"{name}: {numbers_of_the_way(c)[0]:.1f} km"
-
-
 def _draw_speed(ax, c, line, refused, band):
-    speed = np.hypot(c.x[:, 1], c.x[:, 3]) if c.x.shape[1] >= 4 else np.abs(c.x[:, 1])
+    speed = np.linalg.norm(c.x[:, 1:4:2], axis=1)
     sigma = np.sqrt(c.P[:, 1, 1])
     time, recorded = _time_of_the_picture(c)
     unit, seconds = ("h", 3600) if np.nanmax(time) > LONG else ("min", 60)

@@ -55,11 +55,11 @@ class Recording:
     metres: Array | None  # x and y (N, 2), or None where the file has degrees
     height: Array  # m, NaN where there is none
     hdop: Array
+    accuracy: Array  # the standard deviation of each fix that the file states, m
     segment: NDArray[np.int64]  # the number of the fix' segment, from 1
     unread: dict[int, str]  # what stands in place of a time and cannot be read as one, by row
     said: tuple[str, ...] = ()  # what is to be said of the file
     data: bytes = b""  # of a whole GPX file
-    accuracy: Array | None = None  # the standard deviation of each fix that the file states, m
     dated: bool = True  # whether times stand there as dates, and not as numbers
     index: Any = None  # the labels of a frame's rows
 
@@ -150,7 +150,8 @@ def _of_gpx(path, data, said):
             raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from None
         said, data = [*said, f"ATTENTION: the file is cut after {len(numbers) // 6} fixes: what follows is lost"], b""
     segment, lat, lon, height, hdop, time = np.array(numbers).reshape(-1, 6).T
-    return Recording(_whole(time), lat, lon, None, height, hdop, _whole(segment), unread, tuple(said), data)
+    nothing = np.full(len(time), math.nan)
+    return Recording(_whole(time), lat, lon, None, height, hdop, nothing, _whole(segment), unread, tuple(said), data)
 
 
 def _number(text):
@@ -195,14 +196,10 @@ def _of_csv(path, text, columns, said):
         if line.count('"') % 2 and (row is names or len(row) < len(names)):
             way = "pandas.read_csv(FILE).replace('\\n', ' ', regex=True).to_csv('new.csv')"
             raise ValueError(f"{path}: needs each row in one line, got a quote left open in {line!r:.60}: {way}")
-    longer = [k for k, row in enumerate(rows) if any(row[len(names) :])]
-    for k in longer:
-        if len(longer) > MANY * len(rows) and len(names) > 1:
-            got = f"{len(rows[k])} in {lines[k + 1]!r:.60}: are commas decimal, too? Write points"
-            raise ValueError(f"{path}: needs {len(names)} cells in a line, got {got}")
-        rows[k] = []
-    if longer:
-        said = [*said, f"ATTENTION: lines of more cells than names are left out: {len(longer)}"]
+        if len(names) > 1 and any(row[len(names) :]):
+            got = f"{len(row)} in {line!r:.60}: are commas decimal, too, or in a text without quotes?"
+            way = "pandas.read_csv(FILE, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
+            raise ValueError(f"{path}: needs {len(names)} cells in a line, got {got} {way}")
     cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
     return _of_table(str(path), [name.strip() for name in names], cells, columns, said)
 
@@ -236,9 +233,9 @@ def _of_table(name, names, values, columns, said, index=None):
         refuse_signs(name, others, found["lon"], lon, ("EAST", "WEST"))
         place = np.column_stack([lon * np.cos(np.radians(lat)), lat])
     refuse_several(name, others, time, place)
-    nothing, one = np.full(len(time), math.nan), np.ones(len(time), dtype=np.int64)
-    height, hdop, accuracy = numbers.get("ele", nothing), numbers.get("hdop", nothing), numbers.get("accuracy")
-    return Recording(time, lat, lon, metres, height, hdop, one, unread, tuple(said), b"", accuracy, dated, index)
+    more = [numbers.get(what, np.full(len(time), math.nan)) for what in ("ele", "hdop", "accuracy")]
+    one = np.ones(len(time), dtype=np.int64)
+    return Recording(time, lat, lon, metres, *more, one, unread, tuple(said), b"", dated, index)
 
 
 def _found(name, names, columns):

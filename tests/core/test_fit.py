@@ -91,22 +91,22 @@ MAKES = {
     "another filter": (lambda q, r: mpt.LainiotisFilter(axis(q, r)), False),
     "scales near the guess only": (lambda q, r: axis(q if q > 0.2 else 0.2 * (q / 0.2) ** 2, r), False),
 }
+THREE_HUNDRED = mpt.simulate(axis(0.04, 0.5), 300, np.random.default_rng(4))[1]
 
 
-# Each is two searches, one of them without the ratio: `make test-all` runs the others.
-FEW_MAKES = ["scales", "a filter with r", "a floor of r", "another motion", "another filter"]
-SOME = [name if name in FEW_MAKES else pytest.param(name, marks=pytest.mark.slow) for name in MAKES]
-
-
-@pytest.mark.parametrize("name", SOME)
-def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(name, monkeypatch):
+@pytest.mark.parametrize("name", MAKES)
+def test_the_ratio_is_searched_along_only_where_both_parameters_scale_all_covariances(name):
     make, scales = MAKES[name]
-    z = mpt.simulate(axis(0.04, 0.5), 300, np.random.default_rng(4))[1]
-    start = []
-    find = fitting._best_ratio
-    monkeypatch.setattr(fitting, "_best_ratio", lambda *each: start.append(find(*each)) or start[0])
+    likelihood = fitting.NegativeLogLikelihood(make, ["q", "r"], THREE_HUNDRED)
+    assert (fitting._best_ratio(likelihood, np.zeros(2)) is not None) == scales
+
+
+@pytest.mark.parametrize("name", [name for name, (_, scales) in MAKES.items() if scales])
+def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(name, monkeypatch):
+    """Without a ratio to search along both are one search."""
+    make, _ = MAKES[name]
+    z = THREE_HUNDRED[:150] if name != "a filter with r" else THREE_HUNDRED
     found = quiet_fit(make, z, q=1.0, r=1.0)
-    assert (start[0] is not None) == scales
     monkeypatch.setattr(fitting, "_best_ratio", lambda *_: None)
     by_simplex = quiet_fit(make, z, q=1.0, r=1.0)
     assert found.log_likelihood == pytest.approx(by_simplex.log_likelihood, abs=1e-5)
@@ -114,12 +114,16 @@ def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(name, m
         assert found.values == pytest.approx(by_simplex.values, rel=1e-3)
 
 
-@pytest.mark.parametrize("guess", [(1e-12, 1e-12), (1e-12, 1e12), (1e12, 1e-12)])
-def test_a_guess_that_is_far_off_finds_the_same_and_says_so(guess):
-    z = mpt.simulate(axis(0.04, 0.5), 300, np.random.default_rng(4))[1]
-    near = mpt.fit(axis, z, q=0.1, r=1.0)
+@pytest.fixture(scope="module")
+def near():
+    """A fit from a guess that is near."""
+    return mpt.fit(axis, THREE_HUNDRED, q=0.1, r=1.0)
+
+
+@pytest.mark.parametrize("guess", [(1e-12, 1e-12), (1e-12, 1e12)])
+def test_a_guess_that_is_far_off_finds_the_same_and_says_so(guess, near):
     found = []
-    said = said_by(lambda: found.append(mpt.fit(axis, z, q=guess[0], r=guess[1])))
+    said = said_by(lambda: found.append(mpt.fit(axis, THREE_HUNDRED, q=guess[0], r=guess[1])))
     assert found[0].values == pytest.approx(near.values, rel=1e-3)
     far = [name for name, value in zip("qr", guess, strict=True) if not 1e-5 < near.values[name] / value < 1e5]
     assert [each[5] for each in said] == far
@@ -294,6 +298,7 @@ def test_many_tracks_are_the_blocks_and_few_fixes_are_none():
     assert quiet_fit(axis, np.repeat(z[..., None], 4, axis=2), q=0.1, r=1.0).errors_from == "8 blocks of 6 fixes"
 
 
+@pytest.mark.slow  # that errors are not those of the curvature is seen on recorded tracks, and on normal noise
 def test_two_errors_hold_95_percent_of_fits_where_the_noise_is_not_normal():
     """One fix in twenty is 4.4 times as noisy as the others. (Normal noise is in test_engine.)
 
@@ -366,7 +371,7 @@ def test_the_distance_of_a_start_is_that_of_least_squares_with_the_scale_of_what
     assert fitting._distance_of_the_start(mpt.KalmanFilter(one, t=t), z) == pytest.approx(max(due), rel=1e-6)
 
 
-@pytest.mark.parametrize(("rows", "far"), [(6, 50), (8, 200), (12, 50), (20, 200)])
+@pytest.mark.parametrize(("rows", "far"), [(6, 50), (20, 200)])
 def test_a_fit_far_from_its_start_says_so_on_few_rows_too(rows, far):
     """A line at 1 m a second with noise of 0.3 m: q of hundreds explains the way from 0 ± 1 to its first fix."""
     line = (np.arange(1.0, rows + 1) + np.random.default_rng(1).normal(0, 0.3, rows))[:, None]
@@ -428,7 +433,7 @@ def test_a_fix_after_a_long_rest_is_not_far_off():
     assert metrics.suspicious(mpt.KalmanFilter(plane(0.2, 4.0)), z) == {}
 
 
-@pytest.mark.parametrize("name", ["paraglider_napret_1hz", "walkrun_mallorca_4s"])
+@pytest.mark.parametrize("name", [pytest.param("paraglider_napret_1hz", marks=pytest.mark.slow), "walkrun_mallorca_4s"])
 def test_a_recorded_track_is_not_suspicious_and_one_bad_fix_in_it_is(name):
     t, z = recorded(name, rows=1500)
     for far, kinds in ((0, set()), (1e7, {"far off"})):
@@ -440,10 +445,10 @@ def test_a_recorded_track_is_not_suspicious_and_one_bad_fix_in_it_is(name):
 
 @pytest.mark.parametrize(
     ("change", "dt", "names"),
-    [(1.0, 1.0, ""), (1 / 111e3, 1.0, "qr"), (1e-3, 1.0, "qr"), (1.0, 1e3, "q"), (1e3, 1.0, "qr")],
+    [(1.0, 1.0, ""), (1e-3, 1.0, "qr"), (1.0, 1e3, "q"), (1e3, 1.0, "qr")],
 )
 def test_a_fit_asks_for_the_units(change, dt, names):
-    """Of degrees, kilometres, milliseconds and millimetres, given a guess for metres and seconds."""
+    """Of kilometres, milliseconds and millimetres, given a guess for metres and seconds."""
     z, t = change * track(), dt * np.arange(600)
     said = said_by(lambda: mpt.fit(lambda q, r: mpt.KalmanFilter(plane(q, r), t=t), z, q=0.2, r=4.0))
     assert [each[5] for each in said if "are z and t in the units of the guess" in each] == list(names)

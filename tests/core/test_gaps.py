@@ -137,7 +137,7 @@ def made(model):
 
 
 @pytest.mark.parametrize("name", ["KF", "LF", "SSKF", "join", "separate"])
-@few
+@settings(max_examples=5)
 @given(models(most=4), seeds, GAPS)
 def test_one_step_after_the_other_is_the_filter(name, model, seed, gaps):
     """From `model.x0` and P0; one track, and among many: `filter`, `covariances` and `innovations` tell the same."""

@@ -68,6 +68,7 @@ def taken_port(port):
         yield
 
 
+@pytest.mark.slow  # `make extras` runs a study on a cluster of dask, too
 def test_workers_may_be_a_dask_cluster_and_a_killed_worker_loses_nothing(expected, tmp_path):
     from dask.distributed import Client, LocalCluster
 

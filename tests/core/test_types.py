@@ -125,6 +125,7 @@ def errors_of(scripts, folder, cache):
     return found
 
 
+@pytest.mark.slow  # `make types` runs it
 def test_a_type_checker_finds_what_is_wrong_and_nothing_in_what_is_right(tmp_path, pytestconfig):
     """One test, since mypy takes seconds to begin; what it has found of numpy and the package it keeps for the next."""
     scripts = {"readme": shipped.README_CODE, "right": RIGHT, "wrong": BEGIN + "\n".join(WRONG) + "\n"}

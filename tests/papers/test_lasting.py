@@ -82,8 +82,8 @@ def test_a_filter_that_knows_of_it_states_what_it_makes():
 
 def test_a_fit_finds_it_without_the_truth():
     true = lasting_error(CV, 1.0, 1800.0)
-    _, z = mpt.simulate(true, 3000, np.random.default_rng(3))
-    z[1500] = np.nan
+    _, z = mpt.simulate(true, 1000, np.random.default_rng(3))
+    z[500] = np.nan
 
     def make(r, sigma, tau):
         axis = mpt.constant_velocity(dt=30.0, q=0.0, r=r, P0=CV.P0)
@@ -200,10 +200,10 @@ def said_of(z, dt=60.0):
 
 
 def test_independent_errors_are_said_to_be_and_get_no_floor():
-    """Fifteen logs of 120 to 200 fixes: 20 to 1 is passed by chance by some 2 in 100, by three of 15 in 1 of 300."""
+    """Eight logs of 120 to 200 fixes: 20 to 1 is passed by chance by some 2 in 100, by two of 8 in 1 of 100."""
     rng = np.random.default_rng(20)
     wrong = 0
-    for seed in range(15):
+    for seed in range(8):
         size, dt = rng.uniform(0.3, 5), rng.choice([1.0, 60.0])
         found, said = said_of(size * np.random.default_rng(seed).standard_normal(rng.integers(120, 200)), dt)
         if found.sigma[0] > 0:
@@ -220,13 +220,13 @@ def test_independent_errors_are_said_to_be_and_get_no_floor():
         assert 0 < found.known["sigma"][0, 1] < size
         assert found.r[0] == pytest.approx(size**2, rel=0.5)
         assert np.isfinite(found.halves).all()
-    assert wrong < 3
+    assert wrong < 2
 
 
 def test_errors_that_last_are_seen_and_more_days_are_asked_for_where_they_help():
-    """Fifteen logs; a span that is beyond the log or below a step is said in words."""
+    """Eight logs; a span that is beyond the log or below a step is said in words."""
     rng = np.random.default_rng(21)
-    for seed in range(15):
+    for seed in range(8):
         sigma, tau, N = rng.uniform(0.5, 3), rng.choice([600.0, 1800.0, 7200.0]), int(rng.integers(120, 200))
         found, said = said_of(log_at_rest(seed, sigma, tau, N)[1])
         assert found.sigma[0] > 0
@@ -305,11 +305,10 @@ def test_a_receiver_at_rest_is_filtered_without_matrices_as_with_them():
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("slow", [0.0, 1.5])
-def test_a_slower_error_beside_a_quick_one_is_told(slow, seed):
+def test_a_slower_error_beside_a_quick_one_is_told(slow):
     """Two hours at 1 Hz with reflections of 20 s, and an error of half an hour: one tau cannot be both."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     z = np.zeros((7200, 1))
     for sigma, tau, r in ((1.0, 20.0, 0.25), (slow, 1800.0, 1e-12)):
         still = mpt.LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.0]], R=[[r]])

@@ -66,7 +66,7 @@ def test_the_filter_with_gaps_serves_axes_with_noises_of_their_own(taught, shape
 
 
 def test_the_package_gives_each_axis_a_covariance_of_its_own():
-    says("`mpt.KalmanFilter(axis).filter(z[:, None, :])` gives each axis a $P$ of its own")
+    says("`mpt.KalmanFilter(axis).filter(z[:, None, :])` filters three tracks of one number each, the axes")
     model = mpt.stack(*[lesson.AXIS] * 3)
     _, z = mpt.simulate(model, 60, np.random.default_rng(5))
     z[30:, 2] = np.nan
@@ -83,7 +83,7 @@ def test_sharing_needs_that_each_axis_is_measured_and_the_split_does_not(taught)
         X, P = taught["step_with_gaps"](X, P, [0.0, 0.0, np.nan])
         assert (P[2] > before[2])[[0, 1], [0, 1]].all()
     np.testing.assert_allclose(P[0], before[0], rtol=1e-9)
-    says("Never give `step` a NaN: it would stay. Use `step_with_gaps`, with `X.T[:, :, None]` and three times $P$")
+    says("Never give `step` a NaN: it would stay. `step_with_gaps` goes on from `X.T[:, :, None]`")
     X, P = taught["step"](np.zeros((2, 3)), np.eye(2), np.array([1.0, np.nan, 1.0]))
     X, _ = taught["step"](X, P, np.ones(3))
     np.testing.assert_array_equal(np.isnan(X), [[False, True, False]] * 2)
@@ -155,11 +155,11 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
 
 def test_axes_that_are_linked():
     says("The last one is σ of a height that has been silent for thirty seconds")
-    says("and 30 % with errors of 0.9 and changes of −0.45")
+    says("with 0.9 and −0.45 they lose 30 %")
     assert round(lesson.losses_apart([1, 1, 1], errors=0.9, changes=-0.45)[0, 0]) == 30
-    says("Beside a height that is measured ten times worse, east and north then lose 52 %, the most that we tried.")
+    says("Beside a height whose σ of measurement is ten times as large, east and north then lose 52 %, the most that")
     assert lesson.losses_apart([1, 1, 10], errors=0.9, changes=-0.45)[:2, 0].round().tolist() == [52, 52]
-    says("With both links equal axes lose nothing if the two correlations are equal")
+    says("If errors and changes have the same correlation, equal axes lose nothing")
     assert np.abs(lesson.losses_apart([1, 1, 1], errors=0.6, changes=0.6)).max() < 1e-6
     says("Velocities lose up to twice as much as positions.")
     for link in ("errors", "changes"):
@@ -168,7 +168,7 @@ def test_axes_that_are_linked():
             assert position < velocity < 2.05 * position
     says("with one half between the errors, they state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says("Told 0.9 where 0.3 is true, it states 4.4 m after the silence and is wrong by 10.9 m, more than axes kept")
+    says("With 0.9 where 0.3 is true, it states 4.4 m after the silence and is wrong by 10.9 m, more than axes kept")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
@@ -216,7 +216,8 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
     says("a frozen filter 0.14 times, big or as columns")
     for name in ("constant gain: one filter of six states", "constant gain: axes as columns"):
         assert times[name] == "0.14"
-    says("Of 1660 operations a step 101 are left, and 30 once it has settled")
+    says("a step takes 101 operations instead of 1660")
+    says("30 operations instead of 102 for the big filter")
     assert burden.total(burden.kalman(6, 3)) == 1660
     assert burden.total(burden.kalman_columns(2, 1, axes=3)) == 101
 

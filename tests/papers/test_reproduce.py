@@ -62,8 +62,21 @@ shows = "everything"
 """
 
 
+@pytest.fixture
+def another_python3(tmp_path_factory, monkeypatch):
+    """A kernel of the user that is named python3, which does not run: Jupyter's own finder would prefer it."""
+    data = tmp_path_factory.mktemp("data")
+    kernel = data / "kernels" / "python3"
+    kernel.mkdir(parents=True)
+    of_another = {"argv": ["false", "{connection_file}"], "display_name": "Python 3", "language": "python"}
+    (kernel / "kernel.json").write_text(json.dumps(of_another))
+    monkeypatch.setenv("JUPYTER_DATA_DIR", str(data))
+    monkeypatch.setenv("JUPYTER_PREFER_ENV_PATH", "0")
+
+
+@pytest.mark.usefixtures("another_python3")
 def test_reproduce_executes_in_place_stores_the_verdicts_and_again_changes_no_byte(project, monkeypatch, capfd):
-    """It writes the contents, too."""
+    """By the Python that runs it. It writes the contents, too."""
     (project / "reproduction/ledger/small.toml").write_text(PAPER + ROWS)
     write_notebook(project / SMALL, VERDICTS, PLOTS)
     notebook = json.loads((project / SMALL).read_text())
@@ -108,15 +121,28 @@ def test_a_notebook_without_a_place_for_its_contents_changes_no_file(project, ca
     assert files(project) == before
 
 
+def without_ids(path, minor):
+    """Make the notebook in a file one of an older format, in which cells have no ids."""
+    notebook = json.loads(path.read_text())
+    for cell in notebook["cells"]:
+        del cell["id"]
+    path.write_text(json.dumps(notebook | {"nbformat_minor": minor}))
+
+
 def test_notebooks_run_side_by_side_and_a_terminal_tells_the_time_left(project, tmp_path_factory, monkeypatch, capsys):
+    """One of them is of an older format."""
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     (project / SMALL).unlink()
     signs = tmp_path_factory.mktemp("signs")
     for own, other in (("one", "two"), ("two", "one")):
         names = f"own, other = {str(signs / own)!r}, {str(signs / other)!r}"
-        write_notebook(project / f"notebooks/{own}.ipynb", names, WAITS)
+        write_notebook(project / f"notebooks/{own}.ipynb", names, f"{WAITS}\nprint(6 * 7)")
+    without_ids(project / "notebooks/one.ipynb", 2)
     assert main(["reproduce"]) == 0
+    old = json.loads((project / "notebooks/one.ipynb").read_text())
+    assert old["cells"][1]["outputs"][0]["text"] == ["42\n"]
+    assert (old["nbformat"], old["nbformat_minor"]) == (4, 2)
     out = capsys.readouterr().out
     assert out.count("\n") == 3  # the line that tells the time is written over; the last one says what is new
     assert "one: 2 cells executed\n" in out
@@ -171,51 +197,16 @@ def test_a_copied_project_is_refused_to_another_package(copied):
 
 
 def test_a_notebook_that_fails_is_named_ends_the_others_and_all_are_left_as_they_were(project, capsys):
+    """Of an older format, in which cells are numbered."""
     write_notebook(project / SMALL, MAKES_FIGURE, "x = 1", "{}['missing']", "2")
+    without_ids(project / SMALL, 4)
     write_notebook(project / "notebooks/other.ipynb", MAKES_FIGURE, "import time; time.sleep(300)")
     before = files(project)
     start = time.monotonic()
     assert main(["reproduce"]) == 1
     assert time.monotonic() - start < 200
-    assert capsys.readouterr().err == "error: small: cell cell-2 failed: KeyError: 'missing'\n"
+    assert capsys.readouterr().err == "error: small: cell 3 failed: KeyError: 'missing'\n"
     assert files(project) == before
-
-
-def without_ids(path, minor):
-    """Make the notebook in a file one of an older format, in which cells have no ids."""
-    notebook = json.loads(path.read_text())
-    for cell in notebook["cells"]:
-        del cell["id"]
-    path.write_text(json.dumps(notebook | {"nbformat_minor": minor}))
-
-
-def test_a_notebook_whose_cells_have_no_ids_runs_and_its_failing_cell_is_numbered(project, capsys):
-    path = project / "notebooks/old.ipynb"
-    write_notebook(path, "print(6 * 7)")
-    without_ids(path, 2)
-    assert main(["reproduce", "old"]) == 0
-    notebook = json.loads(path.read_text())
-    assert notebook["cells"][0]["outputs"][0]["text"] == ["42\n"]
-    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 2)
-    write_notebook(path, "x = 1", "{}['missing']")
-    without_ids(path, 4)
-    assert main(["reproduce", "old"]) == 1
-    assert capsys.readouterr().err == "error: old: cell 2 failed: KeyError: 'missing'\n"
-
-
-def test_a_kernel_of_the_user_that_is_named_python3_does_not_run(project, tmp_path_factory, monkeypatch):
-    """Jupyter's own finder prefers the user's folder to that of the environment."""
-    data = tmp_path_factory.mktemp("data")
-    kernel = data / "kernels" / "python3"
-    kernel.mkdir(parents=True)
-    of_another = {"argv": ["false", "{connection_file}"], "display_name": "Python 3", "language": "python"}
-    (kernel / "kernel.json").write_text(json.dumps(of_another))
-    monkeypatch.setenv("JUPYTER_DATA_DIR", str(data))
-    monkeypatch.setenv("JUPYTER_PREFER_ENV_PATH", "0")
-    write_notebook(project / "notebooks/own.ipynb", "import sys; print(sys.executable)")
-    assert main(["reproduce", "own"]) == 0
-    (out,) = json.loads((project / "notebooks/own.ipynb").read_text())["cells"][0]["outputs"]
-    assert out["text"] == [f"{sys.executable}\n"]
 
 
 def test_a_kernel_that_dies_is_named_and_leaves_everything_as_it_was(project, capsys):
@@ -226,13 +217,21 @@ def test_a_kernel_that_dies_is_named_and_leaves_everything_as_it_was(project, ca
     assert files(project) == before
 
 
+@pytest.mark.skipif(os.name != "posix", reason="a signal of POSIX")
+def test_the_end_of_the_terminal_is_an_end_like_another():
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup may have had it ignored
+    try:
+        with pytest.raises(SystemExit) as done, runner._ends_interrupt():
+            signal.raise_signal(signal.SIGHUP)
+        assert done.value.code == 143
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.parametrize(
     ("end", "said", "code", "keys"),
-    [
-        ("SIGINT", "interrupted", 130, ["small", "other"]),
-        ("SIGTERM", "terminated", 143, ["small"]),
-        ("SIGHUP", "terminated", 143, ["small"]),
-    ],
+    [("SIGINT", "interrupted", 130, ["small", "other"]), ("SIGTERM", "terminated", 143, ["small"])],
 )
 def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(
     project, tmp_path_factory, end, said, code, keys
@@ -243,9 +242,8 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(
         write_notebook(project / f"notebooks/{key}.ipynb", MAKES_FIGURE, sleeps)
     shutil.rmtree(project / "reproduction")  # which is not the package that the command runs
     before = files(project)
-    # Whatever started the tests may ignore these, as a job in the background ignores an interrupt.
+    # Whatever started the tests may ignore it, as a job in the background does.
     listens = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-    listens += "signal.signal(signal.SIGHUP, signal.SIG_DFL);"
     runs = f"{listens} import sys; from reproduction.__main__ import main; sys.exit(main(['reproduce']))"
     command = [sys.executable, "-c", runs]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
@@ -666,16 +664,15 @@ def test_verdicts_into_a_file_are_utf_8_whatever_the_terminal_has():
 
 def test_a_reader_that_closes_the_pipe_leaves_reproduce_unfinished():
     """What was not executed was not reproduced; `verdicts | head` is."""
-    for command, code in (("reproduce", 1), ("verdicts", 0)):
-        text = f"""
+    text = """
 import sys
 import reproduction.__main__ as m
 def closed(*_):
     raise BrokenPipeError
 m.reproduce_and_say = m.show_verdicts = closed
-sys.exit(m.main(["{command}"]))
+sys.exit(10 * m.main(["reproduce"]) + m.main(["verdicts"]))
 """
-        assert subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True).returncode == code
+    assert subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True).returncode == 10
 
 
 @pytest.mark.skipif(os.name != "posix", reason="elsewhere kernels use ports")

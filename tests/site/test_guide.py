@@ -23,10 +23,10 @@ RECORDED = [
     "run_fenix2_1hz",
     "walkrun_mallorca_4s",
 ]
-# One half of a track of each kind; `make test-all` runs both halves of all.
+# One half of two of them; `make slow` runs both halves of all.
 HALVES = [
     (name, half)
-    if (name, half) in [("ride", True), ("glider_nz_3s", False), ("run_fenix2_1hz", True)]
+    if (name, half) in [("glider_nz_3s", False), ("run_fenix2_1hz", True)]
     else pytest.param(name, half, marks=pytest.mark.slow)
     for name in RECORDED
     for half in (False, True)
@@ -302,8 +302,8 @@ def gpx_file(path, segments):
     path.write_text(f"{head}{''.join(lines)}</trk></gpx>", encoding="utf-8")
 
 
-FEW_STEPS = [  # `make test-all` runs all
-    name if name.startswith(("a short", "segments", "25 fixes")) else pytest.param(name, marks=pytest.mark.slow)
+FEW_STEPS = [  # `make slow` runs all
+    name if name.startswith(("segments", "25 fixes")) else pytest.param(name, marks=pytest.mark.slow)
     for name in OTHER_STEPS
 ]
 

@@ -56,7 +56,7 @@ def with_gain_where_missing(x, P, z, seen, variance, i, corrected=columns.correc
 
 
 def turned(self, x, of_state=algebra.LinearMap.of_state):
-    return of_state(algebra.LinearMap(self.T.swapaxes(0, 1)), x)
+    return of_state(algebra.LinearMap(self.matrix.swapaxes(0, 1)), x)
 
 
 def without_the_noise_of_z(P, K, H, R):
@@ -80,7 +80,7 @@ def starts_at_zero(advance, rows, x0, P0, starts=pieces.starts):
 
 
 def steps_back_without_noise(motion, x, P, steps_back=smoother._steps_back):
-    return steps_back(algebra.Motion(motion.T, 0 * motion.Q), x, P)
+    return steps_back(algebra.Motion(motion.matrix, 0 * motion.Q), x, P)
 
 
 def step_from_zero(P, constants, lainiotis_step=equations.lainiotis_step):

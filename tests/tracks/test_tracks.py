@@ -105,29 +105,31 @@ def test_heights_are_a_column_where_they_are_wanted_and_nan_where_the_file_has_n
 @pytest.mark.parametrize(
     ("fixes", "said"),
     [
-        ([fix(0), fix(1), fix(1)], r"got 2024-05-03 12:00:01 in fix 2 of segment 2 \(1 such of its 3 fixes\)"),
-        ([fix(0), fix(9), fix(4)], r"got 2024-05-03 12:00:04 in fix 3 of segment 2"),
-        ([fix(99), fix(1), fix(2)], r"got 2024-05-03 12:01:39 in fix 1 of segment 2"),
-        ([fix(0), fix(None), fix(None)], r"got no time in fix 2 of segment 2 \(2 such of its 3 fixes\)"),
+        ([fix(0), fix(1), fix(1)], "got 1 with a time that is not after the one before, first in fix 2 of segment 2"),
+        ([fix(0), fix(9), fix(4)], "got 1 with a time that is not after the one before, first in fix 2 of segment 2"),
+        ([fix(99), fix(1), fix(2)], "got 1 with a time that is not after the one before, first in fix 1 of segment 2"),
+        ([fix(0), fix(None), fix(None)], "got 2 with no time, first in fix 2 of segment 2"),
     ],
 )
 def test_a_time_that_repeats_runs_back_or_is_missing_is_refused_by_row_with_the_way_out(written, fixes, said):
     path = written([fix(0)], fixes)
-    with pytest.raises(ValueError, match=rf"track.gpx: needs times that increase, {said}.*skip=True"):
+    with pytest.raises(
+        ValueError, match=rf"track.gpx: needs a position and a later time in each fix, {said}.*skip=True"
+    ):
         tracks.gpx(path)
-    with pytest.warns(UserWarning, match=r"\d fixes left out whose times are missing or do not increase"):
+    with pytest.warns(UserWarning, match=said.removeprefix("got ").split(",")[0]):
         segments = tracks.gpx(path, skip=True)
     assert len(segments) == 2
     assert (np.diff(segments[1].t) > 0).all()
-    assert len(segments[1].t) == (1 if "2 such" in said else 2)
+    assert len(segments[1].t) == (1 if "no time" in said else 2)
 
 
 def test_one_clock_error_does_not_cost_the_fixes_after_it(written):
     times = [*range(10), 3000, *range(11, 60), *range(40, 70)]
     path = written([fix(time) for time in times])
-    with pytest.raises(ValueError, match=r"got 2024-05-03 12:50:00 in fix 11 .*\(21 such"):
+    with pytest.raises(ValueError, match=r"got 21 with a time .* first in fix 11 of"):
         tracks.gpx(path)
-    with pytest.warns(UserWarning, match="21 fixes left out"):
+    with pytest.warns(UserWarning, match="fixes left out: 21 with a time"):
         (track,) = tracks.gpx(path, skip=True)
     np.testing.assert_array_equal(track.t, [*range(10), *range(11, 70)])
 
@@ -158,7 +160,9 @@ def test_names_with_a_prefix_are_read(written):
 
 @pytest.mark.parametrize(("lat", "lon"), [("NaN", 9.9), (150, 9.9), (57.0, 6.3e6)])
 def test_degrees_that_are_none_are_refused_by_fix(written, lat, lon):
-    with pytest.raises(ValueError, match=r"track.gpx: needs latitudes and .* in fix 2 of segment 1"):
+    with pytest.raises(
+        ValueError, match=r"track.gpx: needs (a position and .* fix 2 of segment 1|degrees of .* got (150|57) and)"
+    ):
         tracks.gpx(written([fix(0), fix(1, lat=lat, lon=lon)]))
 
 
@@ -182,10 +186,10 @@ def test_files_of_other_encodings_are_read(written, encoding, name):
     [
         ("t,x,y\n1,2,3\n", "needs a GPX file, got one that cannot be read"),
         ("", "needs a GPX file, got one that cannot be read"),
-        (f"{HEAD}</trk></gpx>", "needs a recorded track, got 0 fixes and no times"),
+        (f"{HEAD}</trk></gpx>", "needs a recorded track, got 0 fixes, and no times"),
         (
             f"{HEAD}<trkseg>{fix(None)}</trkseg></trk></gpx>",
-            "needs times that increase, got no time in fix 1",
+            "needs a recorded track, got 1 fixes, 1 with no time",
         ),
     ],
 )
