@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -350,23 +350,26 @@ def clean(
     weights = None if relative is None else relative[fixes.rows]
     scale = scale_of(clock, own, rounding, fixes.begin)
     noise, segments = first_guess(clock, own, scale, fixes.begin), None
+
+    def line_of(segments):
+        return on_one_line(t, z, relative, fixes.same_as, segments, noise, scale)
+
     for _ in range(TURNS):
         say("looking for faults")
         before, segments = segments, np.full(len(t), -1)
         kf = filter_of(noise, scale, clock, weights, z.shape[1])
         segments[fixes.rows] = gate.segments_of(kf, own, np.flatnonzero(fixes.begin), limit, 3)
-        line = on_one_line(t, z, relative, fixes.repeats, segments, noise, scale)
-        segments = seen_from_both_sides(line, noise, scale, segments)
+        segments = seen_from_both_sides(line_of(segments), noise, scale, segments)
         if before is not None and np.array_equal(segments, before):
             break
-        line = on_one_line(t, z, relative, fixes.repeats, segments, noise, scale)
+        line = line_of(segments)
         if line.stands_still(scale):
             still = f"{(segments >= 0).sum()} of {len(own)} fixes standing still"
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
         say("fitting")
         noise = fitted(line, noise, scale, near=before is not None)
-    line = on_one_line(t, z, relative, fixes.repeats, segments, noise, scale)
     say("smoothing")
+    line = line_of(segments)
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]
@@ -388,7 +391,7 @@ def clean(
         filter=kf,
         line=line,
         recordings=fixes.rows[fixes.begin].tolist(),
-        repeats=fixes.repeats,
+        repeats=fixes.same_as != np.arange(len(t)),
         said=fixes.said,
     )
 
@@ -416,7 +419,7 @@ def seen_from_both_sides(line: Line, noise: Noise, scale: Scale, segment: NDArra
         segment[line.rows[fixes[worst]]] = -1
         z = line.z.copy()
         z[fixes[worst]] = np.nan
-        line = replace(line, z=z)
+        line = line._replace(z=z)
     kept = segment >= 0
     segment[kept] = np.unique(segment[kept], return_inverse=True)[1]  # a segment may have gone as a whole
     return segment

@@ -18,23 +18,24 @@ PAUSE, PAUSE_IN_STEPS = 60.0, 10
 # So few fixes, and no larger part of all, whose times are so far (s) from all others are faults of time: a receiver
 # that does not know the date yet says 1980, or is off by 1024 weeks.
 STRAY, STRAY_SHARE, FAR_IN_TIME = 10, 0.05, 100 * 86400.0
-# Rows are written faster than fixes where so large a part of the positions is repeated while the mobile moves at half
-# its usual speed or more, and steps are longer than so many steps of the numbers' grid. (Recorded tracks: 0 to 2 %.)
+# A position is repeated where it changes by less than HUNDREDTH of a usual step, as in its last digit. Rows are written
+# faster than fixes where so large a part of the positions is repeated while the mobile moves at half its usual speed or
+# more, and steps are longer than so many steps of the numbers' grid. (Recorded tracks: 0 to 2 %.)
 REPEATED, STEPS_OF_GRID, NEARLY_ALL = 0.1, 3.0, 0.95
 # A step is one of a grid if it is a multiple of it, but for this part of it. Of two numbers that lie on no grid the
-# difference is at most this part of a usual step, if it is to be their rounding.
+# difference is at most HUNDREDTH of a usual step, if it is to be their rounding.
 ON_GRID, HUNDREDTH = 0.05, 0.01
 
 
 class Fixes(NamedTuple):
     """The rows (K,) that are fixes, which of them begin another recording (K,), and what was found, in words.
 
-    repeats (N,) are the rows of the track that have a position and are no fixes of their own.
+    same_as (N,) is the row of the fix that each row of the track repeats, or the row itself.
     """
 
     rows: NDArray[np.intp]
     begin: NDArray[np.bool_]
-    repeats: NDArray[np.bool_]
+    same_as: NDArray[np.intp]
     said: list[str]
 
 
@@ -45,19 +46,14 @@ def checked_track(t, z, r, segment):
     if z.ndim != 2 or 0 in z.shape or np.shape(t) != (len(z),):
         checks.refuse("t, z", f"times (N,) and {need}", f"shapes {np.shape(t)} and {z.shape}")
     checks.no_infinity(z)
-    another = np.zeros(len(z), dtype=bool)
-    order = np.arange(len(z))
-    if segment is not None:
-        segment = np.asarray(segment)
-        if segment.shape != (len(z),):
-            checks.refuse("segment", f"a number or a name for each of {len(z)} rows", f"shape {segment.shape}")
-        another[1:] = segment[1:] != segment[:-1]
-    if another.any():  # segments may be out of order
-        t = np.asarray(t)
-        order = np.argsort(t, kind="stable")
-        t = t[order]
+    segment = np.zeros(len(z)) if segment is None else np.asarray(segment)
+    if segment.shape != (len(z),):
+        checks.refuse("segment", f"a number or a name for each of {len(z)} rows", f"shape {segment.shape}")
+    another = np.append(False, segment[1:] != segment[:-1])
+    # Segments may be out of order, but times within them may not.
+    order = np.argsort(t, kind="stable") if another.any() else np.arange(len(z))
     times = np.empty(len(z))
-    times[order] = checks.times("t", t)
+    times[order] = checks.times("t", np.asarray(t)[order] if another.any() else t)
     back = (np.diff(times) < 0) & ~another[1:]
     if back.any():
         checks.refuse("t", "times that do not decrease within a segment", f"less in row {np.argmax(back) + 1}")
@@ -66,28 +62,36 @@ def checked_track(t, z, r, segment):
         checks.refuse("z", f"at least {FEWEST} fixes with all axes", int(whole))
     if (np.nanmax(z, axis=0) == np.nanmin(z, axis=0)).all():
         checks.refuse("z", "a track that moves", f"one position {whole} times")
-    if r is not None:
-        r = checks.real_numbers("r", r, "variances").astype(float)
-        r = np.repeat(r[:, None], z.shape[1], axis=1) if r.ndim == 1 else r
-        if r.shape != z.shape:
-            checks.refuse("r", f"a variance of each fix, shape {times.shape} or {z.shape}", f"shape {r.shape}")
-        there = r[np.isfinite(z)]
-        checks.used_variances("r", there, of="fix")
-        r = np.where(np.isfinite(z), r / np.median(there), 1.0)
-    return times, z, r, another
+    return times, z, None if r is None else _relative(r, z), another
+
+
+def _relative(r, z):
+    """Return variances (N,) or (N, m) as (N, m), relative to their median."""
+    r = checks.real_numbers("r", r, "variances").astype(float)
+    if r.shape not in (z.shape[:1], z.shape):
+        checks.refuse("r", f"a variance of each fix, shape {z.shape[:1]} or {z.shape}", f"shape {r.shape}")
+    r = np.broadcast_to(r if r.ndim == 2 else r[:, None], z.shape)
+    there = np.isfinite(z)
+    checks.used_variances("r", r[there], of="fix")
+    return np.where(there, r / np.median(r[there]), 1.0)
 
 
 def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pause: float | None) -> Fixes:
     """Return the Fixes of a track; `another` (N,) says where a segment begins, rounding is the variance of digits."""
-    at_one_time = _at_one_time(t, z, another)
-    repeats = at_one_time | _repeated(t, z, another, rounding, at_one_time)
-    count = repeats.sum() - at_one_time.sum()
+    seen = np.isfinite(z).any(axis=1)
+    early = _at_one_time(t, z, another, np.flatnonzero(seen))
+    again = _repeated(t, z, another, rounding, np.flatnonzero(seen & ~early))
+    fix = seen & ~early & ~again
+    row = np.arange(len(t))
+    before = np.maximum.accumulate(np.where(fix, row, 0))
+    after = np.minimum.accumulate(np.where(fix, row, len(t) - 1)[::-1])[::-1]
+    same_as = np.where(early, after, np.where(again, before, row))
     said = []
-    if at_one_time.any():
-        said.append(f"{at_one_time.sum()} fixes have the time of the next one: only the last of each time counts")
-    if count:
-        said.append(f"{count} rows repeat a position while the mobile moves on: they are no fixes")
-    rows = np.flatnonzero(np.isfinite(z).any(axis=1) & ~repeats)
+    if early.any():
+        said.append(f"{early.sum()} fixes have the time of the next one: only the last of each time counts")
+    if again.any():
+        said.append(f"{again.sum()} rows repeat a position while the mobile moves on: they are no fixes")
+    rows = np.flatnonzero(fix)
     begin = _begins(t[rows], another[rows], pause)
     stray = _strays(t[rows], begin)
     if stray.any():
@@ -96,34 +100,37 @@ def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pa
         begin[0] = True
     if len(rows) < FEWEST:
         checks.refuse("t", f"at least {FEWEST} fixes at different times", len(rows))
+    longest = np.diff(np.sort(t[rows])).max()
+    if longest > FAR_IN_TIME:
+        said.append(f"ATTENTION: for {longest / 86400:,.0f} days there is no fix: are the dates right?")
     counts = np.bincount(np.cumsum(begin) - 1)
     if np.maximum(counts - 2, 0).sum() < LEAST_TOLD:
         got = f"{len(counts)} recordings of {len(rows)} fixes, of which the first two each tell nothing of q and r"
         checks.refuse("t" if pause is None else "pause", "recordings of three fixes and more", got)
-    return Fixes(rows, begin, repeats, said)
+    return Fixes(rows, begin, same_as, said)
 
 
-def _at_one_time(t, z, another):
-    """Return the rows (N,) that have the time of the next one, which has all that they have.
+def _at_one_time(t, z, another, rows):
+    """Return which rows of the track (N,) have the time of the next one of `rows`, which has all that they have.
 
     A receiver that catches up writes all its fixes with the time of the newest: so the last of them counts.
     """
-    again = np.zeros(len(t), dtype=bool)
-    rows = np.flatnonzero(np.isfinite(z).any(axis=1))
+    early = np.zeros(len(t), dtype=bool)
     has_all = (np.isfinite(z[rows[1:]]) | np.isnan(z[rows[:-1]])).all(axis=1)
-    again[rows[:-1]] = (np.diff(t[rows]) == 0) & ~another[rows[1:]] & has_all
-    return again
+    early[rows[:-1]] = (np.diff(t[rows]) == 0) & ~another[rows[1:]] & has_all
+    return early
 
 
-def _repeated(t, z, another, rounding, left_out):
-    """Return the rows (N,) that repeat the position before them where rows are written faster than fixes.
+def _repeated(t, z, another, rounding, rows):
+    """Return which rows of the track (N,) repeat the position before them where rows are written faster than fixes.
 
     A mobile at rest repeats its position too: so repeats count only if they are usual while it moves, and in a longer
-    rest than such a repeat one row for each of its length is kept. Rows that are `left_out` do not count.
+    rest than such a repeat one row for each of its length is kept. Only `rows` count.
     """
     again = np.zeros(len(t), dtype=bool)
-    rows = np.flatnonzero(np.isfinite(z).any(axis=1) & ~left_out)
-    new = np.append(True, (np.diff(z[rows], axis=0) != 0).any(axis=1) | another[rows[1:]])
+    steps = np.linalg.norm(np.diff(z[rows], axis=0), axis=1)
+    least = HUNDREDTH * np.nanquantile(steps, NEARLY_ALL) if np.isfinite(steps).any() else 0.0
+    new = np.append(True, ~(steps <= least) | another[rows[1:]])
     first = rows[new]
     if len(first) < FEWEST:
         return again
@@ -144,8 +151,8 @@ def _repeated(t, z, another, rounding, left_out):
 def _begins(t, another, pause):
     """Return which fixes, at times t, begin another recording: the first, in another segment, and after a pause (s)."""
     steps = np.diff(t)
-    inside = steps[steps > 0]
     if pause is None:
+        inside = steps[steps > 0]
         pause = max(PAUSE, PAUSE_IN_STEPS * float(np.median(inside))) if len(inside) else PAUSE
     return np.append(True, (steps > pause) | (steps < 0) | another[1:])
 
@@ -153,13 +160,13 @@ def _begins(t, another, pause):
 def _strays(t, begin):
     """Return which fixes have a time that cannot be: few of them, and months from all others."""
     number = np.cumsum(begin) - 1
-    few = np.bincount(number) < min(STRAY, STRAY_SHARE * len(t))
+    few = (np.bincount(number) < min(STRAY, STRAY_SHARE * len(t)))[number]
     if few.all() or not few.any():
         return np.zeros(len(t), dtype=bool)
-    sound = np.sort(t[~few[number]])
+    sound = np.sort(t[~few])
     after = np.searchsorted(sound, t)
     low, high = sound[np.maximum(after - 1, 0)], sound[np.minimum(after, len(sound) - 1)]
-    return few[number] & (np.minimum(np.abs(t - low), np.abs(t - high)) > FAR_IN_TIME)
+    return few & (np.minimum(np.abs(t - low), np.abs(t - high)) > FAR_IN_TIME)
 
 
 def grid_of(values: Array, grids: tuple[float, ...] = ()) -> float:
@@ -178,16 +185,17 @@ def grid_of(values: Array, grids: tuple[float, ...] = ()) -> float:
 
 def _coarse_grid(z):
     """Return the step that nearly all changes of one of the axes of positions (N, m) are multiples of, or zero."""
-    found = [0.0]
+    found = 0.0
     for steps in map(_steps, z.T):
-        if len(steps):
-            steps = steps[steps > 1e-3 * steps.max()]
-            short = float(np.quantile(steps, 1 - NEARLY_ALL))
-            found += [short] if _on_grid(steps, short) > NEARLY_ALL else []
-    return max(found)
+        steps = steps[steps > 1e-3 * steps.max(initial=0.0)]
+        short = float(np.quantile(steps, 1 - NEARLY_ALL)) if len(steps) else 0.0
+        if short > found and _on_grid(steps, short) > NEARLY_ALL:
+            found = short
+    return found
 
 
 def _steps(values):
+    """Return the sizes of the changes between numbers, NaN and none left out."""
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     return steps[steps > 0]
 

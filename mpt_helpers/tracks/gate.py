@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -26,13 +25,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks as checks
 from .. import metrics
-from ..equations import corrected_covariance, gain, neutralised
+from ..equations import neutralised
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
 # Where no fault was found, or not for so many fixes, the filter runs over many rows at once, in place of one after the
 # other: over all of the recording, or over so many times the fixes since the last fault.
-CALM, GROWTH = 30, 10
+CALM, GROWTH = 200, 5
 # Two segments are joined, without a jump, where the way between them is at most so many times as fast as the fastest
 # twentieth of all steps: between consecutive fixes of a clean track none was.
 FASTER, OF_STEPS = 2.0, 0.95
@@ -137,80 +136,70 @@ def _warn_of_a_far_start(track, limit, patience):
     """Warn where x0 and P0 expect none of the first fixes: good ones are refused then until some of them agree."""
     state, off = track.first(), []
     for k in range(len(track.z)):
-        look = track.look(state, k)
-        state = look.refused
-        off += [look.nis] if track.fixes[k] else []
+        if track.fixes[k]:
+            off.append(track.with_fix(state, k)[1])
         if len(off) == patience:
             break
+        state = track.without_fix(state, k)
     if min(off, default=0.0) > limit:
         where = "say where the track begins: x0 at the first fix, and a P0 that holds its position and velocity"
         checks.warn(f"gated: the first fixes are {math.sqrt(min(off)):.0f} standard deviations from x0: {where}")
 
 
-class _Look(NamedTuple):
-    """The states if a fix is refused and if it is taken, its NIS, and its deviance: -2 log density, but for 2 pi."""
-
-    refused: Any
-    taken: Any = None
-    nis: float = 0.0
-    deviance: float = 0.0
-
-
 class _Rows:
-    """The rows of a track z (N, m), and what a Kalman filter makes of them. A state is x (n,) and P (n, n)."""
+    """The rows of a track z (N, m), and what a Kalman filter makes of them, in one column of the engine.
+
+    A state is x (n, 1, 1) and P (n, n, 1). Where it is one before row k, it may be led on with the fix or without.
+    """
 
     def __init__(self, kf, z):
-        kf.epochs_of(z[..., None])  # refuses times and variances that are not those of z
+        self.kf = KalmanFilter(kf.model, kf.t, kf.r)
         self.model, self.z, self.seen = kf.model, z, np.isfinite(z)
         self.fixes = self.seen.any(axis=1)
-        self.t = None if kf.t is None else kf.t.ravel()
-        self.dt = None if kf.t is None else np.diff(self.t, prepend=self.t[0] - self.model.dt)
-        self.r = None if kf.r is None else kf.r.reshape(z.shape)
-        self._over = lru_cache(kf.model.over)
+        epochs = self.kf.epochs_of(z[..., None])
+        self.rows, self.dt = epochs.rows(), epochs.dt
+        self.R = np.broadcast_to(epochs.noise(kf.model.R)[..., 0], (len(z), kf.model.m, kf.model.m))
 
     def first(self):
         """Return the state before the first row."""
-        return self.model.x0, self.model.P0
+        return self.model.x0[:, None, None], self.model.P0[..., None]
 
     def start(self, k):
         """Return the state after a first fix, of row k: x0 and P0 moved there."""
-        x, P = self._predicted(self.first(), None)
-        H = np.where(self.seen[k][:, None], self.model.H, 0.0)
-        moved = np.linalg.pinv(H) @ np.where(self.seen[k], self.z[k] - H @ x, 0.0)
-        return self._corrected(x + moved, P, k).taken
+        x, P = self.first()
+        z, seen, _, _, r = self._row(k)
+        H = seen * self.model.H
+        moved = np.linalg.pinv(H) @ (z[..., 0] - H @ self.model.F @ x[..., 0])
+        x, P, _ = self.kf.advance((z - (H @ moved)[..., None], seen, None, None, r), x, P)
+        return x + moved[..., None], P
 
-    def look(self, state, k):
-        """Return what the fix of row k, if it has one, makes of a state."""
-        x, P = self._predicted(state, None if self.dt is None else self.dt[k])
-        return self._corrected(x, P, k) if self.fixes[k] else _Look((x, P))
+    def with_fix(self, state, k):
+        """Return the state after row k, and the NIS of its fix."""
+        x, P, unit = self.kf.advance(self._row(k), *state)
+        return (x, P), float(np.square(unit).sum())
 
-    def _predicted(self, state, dt):
-        x, P = state
-        F, Q = (self.model.F, self.model.Q) if dt is None else self._over(dt)
-        return F @ x, F @ P @ F.T + Q
+    def without_fix(self, state, k):
+        """Return the state after row k if nothing is measured there."""
+        z, seen, *conditions = self._row(k)
+        x, P, _ = self.kf.advance((z, np.zeros_like(seen), *conditions), *state)
+        return x, P
 
-    def _corrected(self, x, P, k):
-        """Return the _Look at a fix of row k from a prediction."""
-        seen = self.seen[k]
-        R = self.model.R if self.r is None else np.diag(np.where(seen, self.r[k], 1.0))
-        H, R = neutralised(self.model.H, R, seen)
-        innovation = np.where(seen, self.z[k] - H @ x, 0.0)
-        S = H @ P @ H.T + R
-        sign, log_det = np.linalg.slogdet(S)
-        if not (sign > 0 and math.isfinite(log_det)):
-            checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
-        nis = float(innovation @ np.linalg.solve(S, innovation))
-        K = gain(P, H, R)
-        taken = x + K @ innovation, corrected_covariance(P, K, H, R)
-        return _Look((x, P), taken, nis, nis + float(log_det))
+    def deviance(self, state, k, nis):
+        """Return -2 log of the density of the fix of row k, but for 2 pi, from the state before it and its NIS."""
+        _, P = self.without_fix(state, k)
+        H, R = neutralised(self.model.H, self.R[k], self.seen[k])
+        return nis + np.linalg.slogdet(H @ P[..., 0] @ H.T + R)[1]
 
     def part(self, state, k, stop):
         """Return the filter that goes on from a state before row k, and the rows k to `stop`, which it is for."""
-        model = replace(self.model, x0=state[0], P0=state[1])
+        model = replace(self.model, x0=state[0][:, 0, 0], P0=state[1][..., 0])
         if self.dt is not None:
-            model = replace(model, F=None, Q=None, dt=max(self.dt[k], NO_TIME))  # that of the first step
-        t, r = (None if each is None else each[k:stop] for each in (self.t, self.r))
+            model = replace(model, F=None, Q=None, dt=max(self.dt[k, 0], NO_TIME))  # that of the first step
+        t, r = (None if each is None else each[k:stop] for each in (self.kf.t, self.kf.r))
         return KalmanFilter(model, t, r), self.z[k:stop]
+
+    def _row(self, k):
+        return tuple(None if each is None else each[k] for each in self.rows)
 
 
 class _Candidate(NamedTuple):
@@ -247,29 +236,32 @@ def _of_recording(track, state, rows, k, stop, limit, patience):
             if 0 < count < stop - k:
                 kf, z = track.part(state, k, k + count)
                 x, P = kf.estimates(z)
-                state = x[-1], P[-1]
+                state = x[-1][:, None, None], P[-1][..., None]
             rows += (k + np.flatnonzero(track.fixes[k : k + count])).tolist()
             k += count
             calm = 0 if len(over) else calm + count
             continue
-        look = track.look(state, k)
-        looks = [track.look(each.state, k) for each in candidates]
         if not track.fixes[k]:
-            state = look.refused
-            candidates = [each._replace(state=own.refused) for each, own in zip(candidates, looks, strict=True)]
+            state = track.without_fix(state, k)
+            candidates = [each._replace(state=track.without_fix(each.state, k)) for each in candidates]
             k += 1
             continue
-        agreed = [
-            _Candidate(own.taken, [*each.rows, k], own.deviance)
-            for each, own in zip(candidates, looks, strict=True)
-            if own.nis <= limit
-        ]
-        if look.nis <= limit and all(look.deviance <= each.deviance + RARE for each in agreed):
-            state, candidates = look.taken, []
+        taken, nis = track.with_fix(state, k)
+        agreed = []
+        for each in candidates:
+            own, own_nis = track.with_fix(each.state, k)
+            if own_nis <= limit:
+                agreed.append(_Candidate(own, [*each.rows, k], track.deviance(each.state, k, own_nis)))
+        expected = nis <= limit
+        if expected and agreed:
+            deviance = track.deviance(state, k, nis)
+            expected = all(deviance <= each.deviance + RARE for each in agreed)
+        if expected:
+            state, candidates = taken, []
             rows.append(k)
             calm += 1
         else:
-            state, candidates = look.refused, [*agreed, _Candidate(track.start(k), [k])]
+            state, candidates = track.without_fix(state, k), [*agreed, _Candidate(track.start(k), [k])]
             calm = 0
             oldest = candidates[0]
             if len(oldest.rows) == patience:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -89,8 +88,7 @@ def _whole_fixes(z, begin):
     return rows, np.zeros(len(rows)) if begin is None else np.cumsum(begin)[rows]
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """The K rows of a track that lie in segments, on one line of time, which a filter takes for one track of m axes.
 
     rows (K,): which rows of the track they are
@@ -112,8 +110,7 @@ class Line:
 
     def part(self, rows: NDArray[np.intp] | slice) -> Line:
         """Return some of the rows."""
-        own = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Line(**{name: None if each is None else each[rows] for name, each in own.items()})
+        return Line(*(None if each is None else each[rows] for each in self))
 
     def stands_still(self, scale: Scale) -> bool:
         """Tell whether all fixes are one, but for their rounding: no q and r can be fitted to such a line."""
@@ -126,15 +123,15 @@ def on_one_line(
     t: Array,
     z: Array,
     relative: Array | None,
-    repeats: NDArray[np.bool_],
+    same_as: NDArray[np.intp],
     segment: NDArray[np.intp],
     noise: Noise,
     scale: Scale,
 ) -> Line:
     """Return the Line of a track: the rows from the first to the last fix of each segment.
 
-    They are so long apart that the velocity at the start of one is not known from the one before it. Rows that are no
-    fixes of their own, `repeats` (N,), belong to the segment (N,) of the fix that they repeat.
+    They are so long apart that the velocity at the start of one is not known from the one before it. A row that repeats
+    a fix, `same_as` (N,), lies in its segment (N,).
     """
     held = float(np.cbrt(3 * HELD * noise.r / noise.q))
     apart = max(HOUR_BETWEEN, min((FORGOTTEN * scale.speed) ** 2 / noise.q, held))
@@ -142,19 +139,15 @@ def on_one_line(
     end, last = 0.0, np.zeros(z.shape[1])  # of the segment before, on the line
     for k in range(segment.max() + 1):
         own = np.flatnonzero(segment == k)
-        begin, stop = own[0], own[-1] + 1
-        while begin > 0 and repeats[begin - 1] and t[begin - 1] == t[own[0]]:
-            begin -= 1
-        while stop < len(t) and repeats[stop] and (z[stop] == z[stop - 1]).all():
-            stop += 1
-        span = np.arange(begin, stop)
-        times.append(t[span] - t[own[0]] + end)
-        first_position, last_position = _ends(z[own])
-        moved.append(np.broadcast_to(last - first_position, (len(span), z.shape[1])))
-        first.append(np.isin(span, own[:2]))
+        inside = np.flatnonzero(segment[same_as] == k)
+        span = np.arange(inside[0], inside[-1] + 1)
+        begins_at, ends_at = _ends(z[own])
         rows.append(span)
+        times.append(t[span] - t[own[0]] + end)
+        moved.append(np.tile(last - begins_at, (len(span), 1)))
+        first.append(np.isin(span, own[:2]))
         end = times[-1][-1] + apart
-        last = last_position + moved[-1][0]
+        last = ends_at + last - begins_at
     number = np.repeat(np.arange(len(rows)), [len(span) for span in rows])
     rows, moved = np.concatenate(rows), np.concatenate(moved)
     z_line = np.where((segment[rows] >= 0)[:, None], z[rows] + moved, np.nan)
@@ -171,19 +164,19 @@ def _ends(z):
 def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
     """Return the filter of a track of some axes, which starts from its first fix, known to some steps."""
     sigma = 10 * (math.sqrt(noise.r) + scale.speed * scale.step)
-    return _filter(noise.q, noise.r, scale, t, relative, axes, P0=[sigma**2, (2 * scale.speed) ** 2])
+    P0 = np.diag([sigma**2, (2 * scale.speed) ** 2])
+    axis = constant_velocity(dt=scale.step, q=noise.q, r=noise.r, P0=P0)
+    return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else noise.r * relative)
 
 
 def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> KalmanFilter:
-    """Return the filter of one axis of a line, from the variances of a hundred usual steps and of ten usual speeds."""
-    P0 = [(100 * scale.speed * scale.step) ** 2, (10 * scale.speed) ** 2]
-    # (K, 1, m): each axis is a track for this filter.
-    return _filter(q, r, scale, line.t, None if line.relative is None else line.relative[:, None], 1, P0)
+    """Return the filter of one axis of a line, from the variances of a hundred usual steps and of ten usual speeds.
 
-
-def _filter(q, r, scale, t, relative, axes, P0):
-    axis = constant_velocity(dt=scale.step, q=q, r=r, P0=np.diag(P0))
-    return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else r * relative)
+    Each axis of z (K, 1, m) is a track for it.
+    """
+    P0 = np.diag([(100 * scale.speed * scale.step) ** 2, (10 * scale.speed) ** 2])
+    axis = constant_velocity(dt=scale.step, q=q, r=r, P0=P0)
+    return KalmanFilter(axis, t=line.t, r=None if line.relative is None else r * line.relative[:, None])
 
 
 def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:
@@ -238,4 +231,4 @@ def _sample(line):
     fixes = np.flatnonzero(np.isfinite(line.z).any(axis=1))
     for start in starts:
         first[fixes[np.searchsorted(fixes, start) :][:2]] = True
-    return replace(line.part(rows), first=first[rows])
+    return line._replace(first=first).part(rows)
