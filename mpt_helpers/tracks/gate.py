@@ -352,14 +352,20 @@ def _without_stuck_ones(found, way):
         tail = k
         while tail > 0 and not stuck[tail - 1] and way.distance(rows[tail - 1], rows[k]) <= near:
             tail -= 1
-        if tail == 0 or k + 1 - tail < STUCK:
+        if tail == 0:
+            continue
+        arrived = way.speed(rows[max(tail - 1 - STUCK, 0)], rows[tail - 1])
+        # Fixes that still move at the speed at which the mobile came are good.
+        while tail < k and way.speed(rows[tail], rows[tail + 1]) > arrived / 2:
+            tail += 1
+        if k + 1 - tail < STUCK:
             continue
         before, after = rows[tail - 1], rows[k + 1]
         # Where they have moved, the fixes before and after them are in one wrong position.
         moved = way.distance(rows[tail:k], rows[k]).max() > HARDLY * way.distance(before, after)
+        speed = way.speed(before, after)
         if moved or way.too_fast(before, after):
             continue
-        arrived, speed = way.speed(rows[max(tail - 1 - STUCK, 0)], before), way.speed(before, after)
         if ARRIVED * speed <= arrived <= speed / WENT_ON:
             stuck[tail : k + 1] = True
     refused = set(rows[stuck].tolist())

@@ -385,3 +385,13 @@ def test_a_fix_without_one_axis_is_judged_by_the_other():
     c = mpt.tracks.clean(np.arange(300.0), z)
     assert c.refused.tolist() == [0, 50]  # before the first whole fix it is not known where the track is
     assert np.isfinite(c.x[1:]).all()
+
+
+@pytest.mark.parametrize(("speed", "lost"), [(8.0, 60), (1.4, 120), (30.0, 20)])
+def test_good_fixes_on_the_way_to_where_a_receiver_stands_still_are_kept(speed, lost):
+    """Those within a tenth of the step that follows, too."""
+    rng = np.random.default_rng(5)
+    t = np.arange(600.0)
+    z = np.column_stack([speed * t, 0.2 * speed * t]) + 0.02 * rng.standard_normal((600, 2))
+    z[300 : 300 + lost] = z[300]
+    np.testing.assert_array_equal(mpt.tracks.clean(t, z).refused, np.arange(300, 300 + lost))
