@@ -334,6 +334,9 @@ def of_recording(path: Path | str, recording: Recording, **how: Any) -> Cleaned:
         raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
     t = recording.time[rows] / 1e6
     t, said = t - t.min(), [*recording.said, *_said_of_order(t, recording.segment[rows])]
+    known = recording.time[recording.time != NO_TIME]
+    if len(known) > (1 + MANY) * len(rows) and (np.diff(known) < 0).any():
+        said.append("ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?")
     if recording.metres is None:
         charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], recording.segment[rows])
         grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]

@@ -44,10 +44,10 @@ def geodetic(position: Array) -> tuple[Array, Array, Array]:
     return np.degrees(lat), np.degrees(np.arctan2(y, x)), height
 
 
-def axes_at(lat: float, lon: float) -> Array:
-    """Return the directions east, north and up at a place, as rows (3, 3)."""
+def axes_at(lat: ArrayLike, lon: ArrayLike) -> Array:
+    """Return the directions east, north and up at one position (3, 3) or at several (3, 3, N)."""
     lat, lon = np.radians(lat), np.radians(lon)
-    east = [-np.sin(lon), np.cos(lon), 0.0]
+    east = [-np.sin(lon), np.cos(lon), 0 * lon]
     north = [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
     up = [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
     return np.array([east, north, up])
@@ -110,7 +110,7 @@ class Belt:
     @classmethod
     def along(cls, lat: Array, lon: Array, middle: int) -> Belt:
         """Return the Belt of positions (N,), of which one is their middle."""
-        normals = _normals(lat, lon)
+        normals = axes_at(lat, lon)[2]
         pole = np.linalg.eigh(normals @ normals.T)[1][:, 0]
         start = normals[:, middle] - pole * (pole @ normals[:, middle])
         start /= np.linalg.norm(start)
@@ -120,7 +120,7 @@ class Belt:
 
     def metres(self, lat: Array, lon: Array) -> Array:
         """Return metres (N, 2), east and north in the middle; the way around the Earth goes on counting."""
-        x, y, up = self.axes @ _normals(lat, lon)
+        x, y, up = self.axes @ axes_at(lat, lon)[2]
         along = np.unwrap(np.arctan2(y, x))
         beside = np.arctanh(np.clip(up, -1 + 1e-12, 1 - 1e-12))
         return SEMI_MAJOR * np.column_stack([along, beside]) @ self._turn
@@ -142,12 +142,6 @@ class Belt:
         """The matrix from metres along and beside the circle to metres east and north."""
         sine, cosine = np.sin(self.azimuth), np.cos(self.azimuth)
         return np.array([[sine, cosine], [-cosine, sine]])
-
-
-def _normals(lat, lon):
-    """Return the directions straight up (3, N) of positions in degrees."""
-    lat, lon = np.radians(lat), np.radians(lon)
-    return np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
 def charts_of(lat: Array, lon: Array, segment: Array) -> tuple[list[Plane | Belt], Array, Array]:

@@ -82,7 +82,9 @@ def _draw_map(ax, c, line, refused, start):
     ax.set_xlabel("east (km)")
     name = "track" if c.source is None else Path(c.source.path).name.encode(errors="replace").decode()
     name = name if len(name) <= 26 else f"{name[:23]}..."
-    ax.set_title(f"{name}: {numbers_of_the_way(c)[0]:.1f} km", loc="left", parse_math=False)  # a name may have $ in it
+    ax.set_title(
+        f"{name}: {numbers_of_the_way(c)['kilometres']:.1f} km", loc="left", parse_math=False
+    )  # a name may have $ in it
     ax.set_ylabel("north (km)")
 
 

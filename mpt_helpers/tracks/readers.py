@@ -196,14 +196,10 @@ def _of_csv(path, text, columns, said):
         if line.count('"') % 2 and (row is names or len(row) < len(names)):
             way = "pandas.read_csv(FILE).replace('\\n', ' ', regex=True).to_csv('new.csv')"
             raise ValueError(f"{path}: needs each row in one line, got a quote left open in {line!r:.60}: {way}")
-    longer = [k for k, row in enumerate(rows) if any(row[len(names) :])]
-    for k in longer:
-        if len(longer) > MANY * len(rows) and len(names) > 1:
-            got = f"{len(rows[k])} in {lines[k + 1]!r:.60}: are commas decimal, too? Write points"
-            raise ValueError(f"{path}: needs {len(names)} cells in a line, got {got}")
-        rows[k] = []
-    if longer:
-        said = [*said, f"ATTENTION: lines of more cells than names are left out: {len(longer)}"]
+        if len(names) > 1 and any(row[len(names) :]):
+            got = f"{len(row)} in {line!r:.60}: are commas decimal, too, or in a text without quotes?"
+            way = "pandas.read_csv(FILE, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
+            raise ValueError(f"{path}: needs {len(names)} cells in a line, got {got} {way}")
     cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
     return _of_table(str(path), [name.strip() for name in names], cells, columns, said)
 

@@ -46,7 +46,6 @@ def summary(c: Cleaned) -> dict[str, Any]:
     """Return the numbers of the report; infinite and missing ones are None."""
     left_out = {} if c.source is None else c.source.left_out
     row_of_file = np.arange(len(c.t)) if c.source is None else c.source.rows
-    kilometres, moving, speed, fastest, error = numbers_of_the_way(c)
     return {
         "fixes": len(c.t) + sum(left_out.values()),
         "refused": row_of_file[c.refused].tolist(),
@@ -58,11 +57,7 @@ def summary(c: Cleaned) -> dict[str, Any]:
         "r_is_rounding": c.rounding,
         "log_errors": {name: error if math.isfinite(error) else None for name, error in c.log_errors.items()},
         "ahead": None if c.band is None else {name: getattr(c.band, name) for name in OF_THE_BAND},
-        "kilometres": kilometres,
-        "moving_seconds": moving,
-        "median_speed_km_h": speed,
-        "fastest_km_h": fastest,
-        "speed_error_km_h": error,
+        **numbers_of_the_way(c),
         "notes": _notes(c),
     }
 
@@ -117,7 +112,7 @@ def _of_speeds(speeds, step, in_degrees):
 
 
 def _share_refused(c):
-    return len(c.refused) / max(np.isfinite(c.z).any(axis=1).sum(), 1)
+    return len(c.refused) / np.isfinite(c.z).any(axis=1).sum()
 
 
 def _clock(seconds):
@@ -133,8 +128,8 @@ def counted(left_out: dict[str, int]) -> str:
     return ", ".join(f"{count:,} with {reason}" for reason, count in left_out.items())
 
 
-def _count(number, one, many=None):
-    return f"{number:,} {one if number == 1 else many or one + 's'}"
+def _fixes(number):
+    return f"{number:,} fix{'' if number == 1 else 'es'}"
 
 
 def _heading(c):
@@ -143,7 +138,7 @@ def _heading(c):
     steps = steps[steps >= 0]
     usual = float(np.median(steps))
     every = f"{'' if np.mean(steps == usual) > 0.99 else 'mostly '}every {usual:g} s"
-    parts = [f"{name}{_count(len(c.t), 'fix', 'fixes')} in {_clock(np.ptp(c.t[c.line.rows]))}, {every}"]
+    parts = [f"{name}{_fixes(len(c.t))} in {_clock(np.ptp(c.t[c.line.rows]))}, {every}"]
     if c.source is not None:  # GPS seconds look like Unix seconds ten years ago
         start = c.source.recording.time[c.source.rows[c.line.rows]].min()
         parts += [f"from {moment_of(start):%Y-%m-%d %H:%M:%S} UTC"] if start >= UNIX * 1e6 else []
@@ -158,8 +153,8 @@ def _faults(c):
         lines.append(f"not used: {counted(c.source.left_out)}")
     if len(c.refused):
         first_of_runs = c.refused[np.diff(c.refused, prepend=-2) > 1]
-        fixes = _count(len(c.refused), "fix", "fixes")
-        lines.append(f"refused as faults: {fixes} ({_share_refused(c):.2%}), {_moments(c, first_of_runs)}")
+        share = f"{_fixes(len(c.refused))} ({_share_refused(c):.2%})"
+        lines.append(f"refused as faults: {share}, {_moments(c, first_of_runs)}")
     else:
         lines.append("refused as faults: none")
     if len(c.starts):
@@ -217,7 +212,7 @@ def _prediction(c):
     )
 
 
-def numbers_of_the_way(c: Cleaned) -> tuple[float, float | None, float, float, float]:
+def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
     """Return km, seconds in motion or None, the median speed in motion, the fastest but 0.1 %, and their error (km/h).
 
     Of a track with charts the way is that on the Earth; of a rest it is the straight line from its start to its end. In
@@ -242,14 +237,14 @@ def numbers_of_the_way(c: Cleaned) -> tuple[float, float | None, float, float, f
     moving = (speed > MOVING) & ~rest
     error = math.sqrt(float(np.median(c.P[rows, 1, 1])))
     doubtful = (speed > 0) & (speed < MOVING + 2 * error) & ~rest
-    median = float(np.median(speed[moving])) if moving.any() else 0.0
-    return (
-        float(steps[np.diff(c.line.number[kept]) == 0].sum()) / 1000,
-        float(seconds[moving[1:] & same].sum()) if error < MOVING or np.mean(doubtful) < DOUBTFUL else None,
-        median * KM_H,
-        float(np.quantile(speed, 0.999)) * KM_H,
-        error * KM_H,
-    )
+    known = error < MOVING or np.mean(doubtful) < DOUBTFUL
+    return {
+        "kilometres": float(steps[np.diff(c.line.number[kept]) == 0].sum()) / 1000,
+        "moving_seconds": float(seconds[moving[1:] & same].sum()) if known else None,
+        "median_speed_km_h": float(np.median(speed[moving])) * KM_H if moving.any() else 0.0,
+        "fastest_km_h": float(np.quantile(speed, 0.999)) * KM_H,
+        "speed_error_km_h": error * KM_H,
+    }
 
 
 def _at_rest(line, position, speed):
@@ -259,12 +254,11 @@ def _at_rest(line, position, speed):
     within the way that MOVING makes in it, and half of its speeds are below twice MOVING.
     """
     rest = np.zeros(len(position), dtype=bool)
-    half = REST / REST_STEP / 2
+    size = int(REST / REST_STEP) + 1
     for k in range(line.number[-1] + 1):
         own = np.flatnonzero(line.number == k)
         t = line.t[own]
         grid = np.arange(t[0], t[-1], REST_STEP)
-        size = int(2 * half) + 1
         if len(grid) < size or len(grid) > 100 * len(own):
             continue
         windows = [sliding_window_view(np.interp(grid, t, each), size) for each in (*position[own].T, speed[own])]
@@ -276,11 +270,13 @@ def _at_rest(line, position, speed):
 
 
 def _way(c):
-    kilometres, moving, speed, fastest, error = numbers_of_the_way(c)
+    way = numbers_of_the_way(c)
+    moving = way["moving_seconds"]
     motion = "" if moving is None else f", in motion for {_clock(moving)}"
     return (
-        f"way: {kilometres:.2f} km{motion}. Speed in motion: {speed:.1f} km/h at the median, {fastest:.1f} at most, "
-        f"but for one fix in a thousand; standard error {_digits(error)} km/h"
+        f"way: {way['kilometres']:.2f} km{motion}. Speed in motion: {way['median_speed_km_h']:.1f} km/h at the median, "
+        f"{way['fastest_km_h']:.1f} at most, but for one fix in a thousand; standard error "
+        f"{_digits(way['speed_error_km_h'])} km/h"
     )
 
 

@@ -130,6 +130,11 @@ COMMAS = [[str(value).replace(".", ",") for value in each] for each in (LAT, LON
             r"column 'lat', got '33.45.*str\[:-1\]",
         ),
         ("time,lat,lon", (ISO, [f"33°{a}'" for a in LAT], LON), "needs decimal numbers in column 'lat'"),
+        (
+            "time,lat,lon",
+            (ISO, LAT, [*LON[:-1], f"{LON[-1]},000.5"]),
+            "needs 3 cells in a line, got 4 in.*on_bad_lines",
+        ),
         ("time,lat,lon", (ISO, *COMMAS), "needs 3 cells in a line, got 5 in '2022.*commas"),
         ("time,lat,lon", (ISO, [f'"{a}"' for a in COMMAS[0]], LON), "'lat', got '33,45.*decimal=','"),
         ("time;lat;lon", ([f"{a};{b};{c}" for a, b, c in zip(ISO, LAT, LON, strict=True)],), "sep=';'"),
@@ -214,16 +219,14 @@ def test_no_column_of_one_mobile_makes_several_of_it(tmp_path, at_rest):
     read(tmp_path, text_of("time,x,y,new", UNIX, *held.T, np.arange(N) % 10 == 0))
 
 
-def test_a_quote_that_is_never_closed_a_short_row_and_a_long_one_cost_no_other_row(tmp_path):
+def test_a_quote_that_is_never_closed_and_a_short_row_cost_no_other_row(tmp_path):
     lines = text_of("time,lat,lon,note", ISO, LAT, LON, ["n"] * N).splitlines()
     lines[50] = lines[50][:-1] + '"six feet'
     lines[60] = ",".join(lines[60].split(",")[:2])
-    lines[70] += ",more,and more"
     lines[80] = lines[80][:-1] + '"by x, y"'
     r = read(tmp_path, "\n".join(lines))
     there = np.isfinite(r.lat) & np.isfinite(r.lon)
-    assert np.flatnonzero(~there).tolist() == [59, 69]
-    assert r.said == ("ATTENTION: lines of more cells than names are left out: 1",)
+    assert np.flatnonzero(~there).tolist() == [59]
     np.testing.assert_array_equal(r.lat[there], LAT[there])
 
 
@@ -290,6 +293,15 @@ def test_of_a_file_that_is_cut_the_whole_fixes_are_read_and_it_is_said(tmp_path,
     assert words.split("[")[0] in " ".join(c.report().split())
     c.gpx(tmp_path / "b.gpx")
     np.testing.assert_allclose(readers.read(tmp_path / "b.gpx").lat, LAT[c.source.rows], atol=1e-4)
+
+
+def test_a_clock_that_is_put_back_within_a_recording_is_asked_about(tmp_path):
+    (tmp_path / "a.csv").write_text(text_of("time,lat,lon", np.where(np.arange(N) < 200, UNIX, UNIX - 3600), LAT, LON))
+    c = mpt.track(tmp_path / "a.csv")
+    assert c.source.left_out == {"a time that is not after the one before": 100}
+    assert c.source.said == [
+        "ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?"
+    ]
 
 
 def test_a_damaged_packed_file_is_refused(tmp_path):
