@@ -639,7 +639,7 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         "",
         "| paper | tables | figures | what it asks | the answer that we find | hold / in part / fail |",
         "|---|---|---|---|---|---|",
-        f"| [Small](notebooks/small.ipynb)<br>A, 1960 | {tables} | {figure} | Is it? | It is. | 3 / 0 / 1 |",
+        f"| [Small](notebooks/small.ipynb)<br>A, *T*, 1960 | {tables} | {figure} | Is it? | It is. | 3 / 0 / 1 |",
         "",
         HOLDS,
         "",
