@@ -215,7 +215,8 @@ def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
     values = real_numbers(name, value, need).astype(float)
     if values.shape != seen.shape:
         refuse(name, need, f"shape {values.shape}")
-    used_variances(name, values[seen])
+    if not ((values[seen] > 0) & (values[seen] < np.inf)).all():
+        refuse(name, need, f"{values}")
     return values
 
 

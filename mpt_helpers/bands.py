@@ -50,7 +50,7 @@ __all__ = [
 
 SHORTEST_MEMORY = 5  # fixes
 # The part of a prediction's variance that the recent innovations scale.
-LOCAL = 0.8
+SCALED = 0.8
 # A larger NIS / m counts as this: one jump does not widen the band for a whole memory.
 CAP = 50.0
 # A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
@@ -154,13 +154,12 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     Returns
     -------
     ForecastErrors
-        The errors and the standard deviations that the filter states of them.
+        The errors, and what the filter states of them.
 
     Raises
     ------
     ValueError
-        For a model without a transition, a joint or separate filter whose parts have times of their own, and a horizon
-        that fits no two fixes.
+        For a model without a transition, parts with times of their own, and a horizon that fits no two fixes.
 
     Examples
     --------
@@ -173,10 +172,8 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     """
     model = _model_of_any_step(estimator)
     seconds = checks.duration("seconds", seconds)
-    z = checks.measurements(z, model.m)
+    z, _ = estimator.as_tracks(z)
     x, P = estimator.estimates(z)
-    if z.ndim == 2:
-        z, x, P = z[..., None], x[..., None], P[..., None]
     N, m, M = z.shape
     t = np.broadcast_to(estimator.times_of(N).reshape(N, -1), (N, M))
     R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
@@ -199,18 +196,19 @@ def _of_one_track(model, start, t, z, x, P, R, seconds):
     made = np.flatnonzero(later <= seconds * (LATEST + TIME_ROUNDING))
     due = checking[made]
     row, due_row = fixes[made], fixes[due]
-    expected, S = _expected(model, x[row], P[row], later[made], R[due_row])
+    expected, S = _predicted_measurement(model, x[row], P[row], later[made], R[due_row])
     sigma = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
 
     # One step ahead, for the recent average of NIS / m.
     x_before, P_before = np.vstack([start[0], x])[fixes], np.concatenate([start[1][None], P])[fixes]
-    step_ahead, S = _expected(model, x_before, P_before, np.diff(t, prepend=t[0] - model.dt)[fixes], R[fixes])
-    nis = _nis_per_number(z[fixes] - step_ahead, S)
+    steps = np.diff(t, prepend=t[0] - model.dt)[fixes]
+    one_step_ahead, S = _predicted_measurement(model, x_before, P_before, steps, R[fixes])
+    nis = _nis_per_number(z[fixes] - one_step_ahead, S)
     in_horizon = np.arange(len(fixes)) - np.searchsorted(t_fix, t_fix - seconds * (1 + TIME_ROUNDING))
     average, recent = 1.0, np.empty(len(fixes))
     for k in range(len(fixes)):
-        average = _average_with(average, nis[k], in_horizon[k])
-        recent[k] = _local(average)
+        average = _updated_average(average, nis[k], in_horizon[k])
+        recent[k] = _recent_size(average)
     errors = z[due_row] - expected
     return t[row], t[due_row], errors, sigma, recent[made], row, due_row, due - made, _repeats(z[due_row], z[row])
 
@@ -247,10 +245,10 @@ def following(a: ForecastErrors, before: ForecastErrors | None = None, level: fl
     """
     checks.instance("a", a, ForecastErrors)
     level = checks.level(level)
-    return _follow(a, _start(a.seconds, a.errors.shape[1], before, level), level)[0]
+    return _half_widths(a, _log_f_at_start(a.seconds, a.errors.shape[1], before, level), level)[0]
 
 
-def _start(seconds, m, before, level):
+def _log_f_at_start(seconds, m, before, level):
     """Return log f of each axis at the start: where the errors before end, if there are any."""
     normal = np.full(m, math.log(ndtri((1 + level) / 2)))
     if before is None:
@@ -259,26 +257,26 @@ def _start(seconds, m, before, level):
     if before.seconds != seconds or before.errors.shape[1] != m:
         got = f"{before.seconds:g} s and {before.errors.shape[1]} axes"
         checks.refuse("before", f"predictions of {seconds:g} s and {m} axes, as those that follow", got)
-    return _follow(before, normal, level)[1]
+    return _half_widths(before, normal, level)[1]
 
 
-def _follow(a, start, level):
+def _half_widths(a, start, level):
     """Return the band (K, m) of tracks that begin with log f = start (m,), and the mean log f after their last fix."""
     band, ends = np.empty_like(a.sigma), []
     for predictions in np.split(np.arange(len(a.track)), np.flatnonzero(np.diff(a.track)) + 1):
         log_f, checked = start, predictions[0]
         for k in predictions:
             while a.due_row[checked] <= a.row[k]:  # a prediction is due after it was made: it ends before k
-                log_f = _after(log_f, a.errors[checked], band[checked], a.fixes[checked], a.rests[checked], level)
+                log_f = _log_f_after(log_f, a.errors[checked], band[checked], a.fixes[checked], a.rests[checked], level)
                 checked += 1
             band[k] = np.exp(log_f) * a.recent[k] * a.sigma[k]
         for k in range(checked, predictions[-1] + 1):
-            log_f = _after(log_f, a.errors[k], band[k], a.fixes[k], a.rests[k], level)
+            log_f = _log_f_after(log_f, a.errors[k], band[k], a.fixes[k], a.rests[k], level)
         ends.append(log_f)
     return band, np.mean(ends, axis=0)
 
 
-def _after(log_f, error, half_width, fixes, rests, level):
+def _log_f_after(log_f, error, half_width, fixes, rests, level):
     """Return log f (m,) after one check, `fixes` fixes after the prediction: higher after a miss, lower after a hit.
 
     The fixes that come while one prediction waits are no more than the memory, so they move log f by 0.5 at most.
@@ -290,14 +288,14 @@ def _after(log_f, error, half_width, fixes, rests, level):
     return np.where(np.isnan(error), log_f, log_f + gamma * (missed - (1 - level)))
 
 
-def _average_with(average, nis, fixes):
+def _updated_average(average, nis, fixes):
     """Return the recent average of NIS / m after one more of them, with so many fixes in the horizon before it."""
     return average + (nis - average) / max(SHORTEST_MEMORY, fixes)
 
 
-def _local(average):
+def _recent_size(average):
     """Return c from the recent average of NIS / m."""
-    return math.sqrt(1 - LOCAL + LOCAL * average)
+    return math.sqrt(1 - SCALED + SCALED * average)
 
 
 def _repeats(z, before):
@@ -305,7 +303,7 @@ def _repeats(z, before):
     return ((z == before) | (np.isnan(z) & np.isnan(before))).all(axis=-1)
 
 
-def _expected(model, x, P, seconds, R):
+def _predicted_measurement(model, x, P, seconds, R):
     """Return mean (..., m) and covariance (..., m, m) of measurements some seconds (...) after x (..., n) and P."""
     F, Q = model.over(seconds)
     P = F @ P @ F.swapaxes(-1, -2) + Q
@@ -366,9 +364,9 @@ def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None)
     Coverage(share=array([0.96825397]), error=array([0.02894597]), independent=63)
 
     """
-    band, judged = _judged("coverage", a, band, where)
+    band, judged = _checked_band("coverage", a, band, where)
     share = np.nanmean(np.where(judged, np.abs(a.errors) <= band, np.nan), axis=0)
-    independent = np.array([_independent(a, of_axis) for of_axis in judged.T])
+    independent = np.array([_count_independent(a, of_axis) for of_axis in judged.T])
     fewest = int(independent.min())
     if fewest < FEW:
         text = f"coverage: {fewest} independent predictions of {a.seconds:g} s are too few to judge a band by"
@@ -386,12 +384,8 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
 
     Parameters
     ----------
-    a, band : ForecastErrors, array_like (K, m)
-        As for `coverage`.
-    level : float
-        The share of errors that the band is to hold, between 0 and 1.
-    where : array_like of bool (K,), optional
-        As for `coverage`.
+    a, band, level, where : ForecastErrors, array_like, float, array_like
+        As for `coverage`; level is the share of errors that the band is to hold, between 0 and 1.
 
     Returns
     -------
@@ -407,12 +401,12 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
     array([18.38])
 
     """
-    band, judged = _judged("interval_score", a, band, where)
+    band, judged = _checked_band("interval_score", a, band, where)
     missed_by = np.maximum(np.abs(a.errors) - band, 0)
     return np.nanmean(np.where(judged, 2 * band + 2 / (1 - checks.level(level)) * missed_by, np.nan), axis=0)
 
 
-def _judged(name, a, band, where):
+def _checked_band(name, a, band, where):
     """Return the band, and a mask (K, m) of the errors that judge it: measured, where `where` says, with a half-width.
 
     `name` is that of the function that judges, for its warning.
@@ -433,7 +427,7 @@ def _judged(name, a, band, where):
     return band, judged
 
 
-def _independent(a, where):
+def _count_independent(a, where):
     """Return the number of predictions that do not overlap: each begins when the one counted before it has ended."""
     count, end, track = 0, -np.inf, -1
     for made, due, of_track in zip(a.made[where], a.due[where], a.track[where], strict=True):
@@ -481,14 +475,10 @@ class LiveBand:
 
     Parameters
     ----------
-    estimator : Filter
-        A filter as for `ahead`.
-    seconds : float or timedelta
-        The horizon in s.
-    before : ForecastErrors, optional
-        Those of an earlier segment with the same horizon, as for `following`.
-    level : float
-        The share of an axis' errors that its band is to hold, between 0 and 1.
+    estimator, seconds : Filter, float or timedelta
+        As for `ahead`.
+    before, level : ForecastErrors, float
+        As for `following`.
 
     Examples
     --------
@@ -510,7 +500,7 @@ class LiveBand:
         self.model: LinearModel = _model_of_any_step(estimator)
         self.seconds: float = checks.duration("seconds", seconds)
         self.level: float = checks.level(level)
-        self.log_f: Array = _start(self.seconds, self.model.m, before, self.level)
+        self.log_f: Array = _log_f_at_start(self.seconds, self.model.m, before, self.level)
         self.average: float = 1.0  # of the recent NIS / m
         # The estimate of the last call: time, x, P.
         self.last: tuple[float | None, Array, Array] = None, self.model.x0, estimator.P0
@@ -547,8 +537,7 @@ class LiveBand:
         Raises
         ------
         ValueError
-            For a time before the last one, and after 30 fixes of which none could check a prediction: the steps are
-            longer than the horizon.
+            For a time before the last one, and after 30 fixes of which none came within a horizon.
 
         """
         t = checks.number("t", t, "a time in seconds", lambda _: True)
@@ -564,12 +553,12 @@ class LiveBand:
         if seen.any():
             self._check(t, z, R)
             self._learn(t, z, R)
-        scale = self.factor * _local(self.average)
+        scale = self.factor * _recent_size(self.average)
         if seen.any():
             self.times.append(t)
             self.pending.append((t, z, x, P, scale))
         self.last = t, x, P
-        expected, S = _expected(self.model, x, P, self.seconds, R)
+        expected, S = _predicted_measurement(self.model, x, P, self.seconds, R)
         return Expected(expected, scale * np.sqrt(np.diag(S)))
 
     def _check(self, t, z, R):
@@ -581,9 +570,9 @@ class LiveBand:
                 too_late = True
                 continue
             self.unchecked = -math.inf
-            expected, S = _expected(self.model, x, P, t - made, R)
+            expected, S = _predicted_measurement(self.model, x, P, t - made, R)
             half_width, fixes = scale * np.sqrt(np.diag(S)), len(self.pending) + 1
-            self.log_f = _after(self.log_f, z - expected, half_width, fixes, _repeats(z, z_made), self.level)
+            self.log_f = _log_f_after(self.log_f, z - expected, half_width, fixes, _repeats(z, z_made), self.level)
         self.unchecked += too_late
         if self.unchecked == UNCHECKED:
             checks.refuse("seconds", FITTING, f"{self.seconds:g}, and none of {UNCHECKED} fixes came so soon")
@@ -593,5 +582,5 @@ class LiveBand:
         while self.times and self.times[0] < t - self.seconds * (1 + TIME_ROUNDING):
             self.times.popleft()
         last, x, P = self.last
-        expected, S = _expected(self.model, x, P, t - last, R)
-        self.average = _average_with(self.average, _nis_per_number(z - expected, S), len(self.times))
+        expected, S = _predicted_measurement(self.model, x, P, t - last, R)
+        self.average = _updated_average(self.average, _nis_per_number(z - expected, S), len(self.times))

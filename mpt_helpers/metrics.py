@@ -350,19 +350,15 @@ def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, fl
 
     Parameters
     ----------
-    dof : int
-        Degrees of freedom of each.
-    runs : int
-        Number of variables.
+    dof, runs : int
+        Degrees of freedom of each variable, and their number.
     level : float
         Probability, between 0 and 1.
 
     Returns
     -------
-    low : float
-        The lower edge of the band.
-    high : float
-        The upper edge.
+    tuple of float
+        The edges of the band.
 
     Examples
     --------
@@ -383,10 +379,8 @@ class ErrorMoments(NamedTuple):
 
     Attributes
     ----------
-    mean : ndarray (N, n)
-        The mean of each step.
-    covariance : ndarray (N, n, n)
-        The covariance of each step.
+    mean, covariance : ndarray (N, n), (N, n, n)
+        Those of each step.
 
     """
 
@@ -403,14 +397,10 @@ def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: 
 
     Parameters
     ----------
-    steady : SteadyStateFilter
-        The filter.
-    truth : LinearModel
-        The model of the measurements, with the F and H of the filter's model.
-    N : int
-        Number of steps.
-    steps : int
-        Number of steps s that the filter's state is predicted ahead.
+    steady, truth : SteadyStateFilter, LinearModel
+        The filter, and the model of the measurements, with the F and H of the filter's model.
+    N, steps : int
+        Number of steps, and the number s of steps that the filter's state is predicted ahead.
 
     Returns
     -------

@@ -38,14 +38,10 @@ class LinearModel(Immutable):
 
     Parameters
     ----------
-    F : array_like (n, n)
-        Transition over one step. Left out where a transition is given.
-    H : array_like (m, n)
-        Measurement matrix.
-    Q : array_like (n, n)
-        Covariance that a step adds to the state: the papers' G Q Gᵀ. Left out where a transition is given.
-    R : array_like (m, m)
-        Covariance of the measurement noise, positive definite.
+    F, H : array_like (n, n), (m, n)
+        Transition over one step, left out where a `transition` is given, and measurement matrix.
+    Q, R : array_like (n, n), (m, m)
+        Covariances of what a step adds to the state, the papers' G Q Gᵀ, left out like F, and of the measurement noise.
     x0, P0 : array_like (n,), (n, n), optional
         Mean and covariance of x(0), zero where not given, as in the papers.
     dt : float or timedelta, optional
@@ -56,12 +52,9 @@ class LinearModel(Immutable):
 
     Examples
     --------
-    >>> import mpt_helpers as mpt
-    >>> mpt.LinearModel(F=[[1.0]], H=[[1.0]], Q=[[0.01]], R=[[0.1]]).P0
-    array([[0.]])
-
     A velocity that is forgotten within 20 s (an Ornstein-Uhlenbeck process), for steps of any length:
 
+    >>> import mpt_helpers as mpt
     >>> def forgetful(dt, tau=20.0, q=0.04):
     ...     a, b = np.exp(-dt / tau), -np.expm1(-dt / tau)  # a + b = 1; expm1 keeps the digits of short steps
     ...     F = [[1, tau * b], [0, a]]
@@ -555,7 +548,7 @@ def simulate(model: LinearModel, N: int, rng: Any, tracks: int | None = None) ->
     rng : Generator, int or anything that `numpy.random.default_rng` takes
         Source of random numbers, or its seed.
     tracks : int, optional
-        Number of tracks M; one track, without an axis of tracks, where not given.
+        Number of tracks M; one, without an axis of tracks, where not given.
 
     Returns
     -------

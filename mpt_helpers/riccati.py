@@ -92,7 +92,7 @@ def relf(model: LinearModel) -> Array:
     Raises
     ------
     ValueError
-        For a model without a steady state, naming the condition that fails and the mode of F.
+        As `rekf`.
 
     Examples
     --------
@@ -108,30 +108,24 @@ def relf(model: LinearModel) -> Array:
 def _steady_state(model, solve):
     """Return the P that solve(model) finds, if it solves its equation; else raise a ValueError that says why."""
     checks.instance("model", model, LinearModel)
-    nearest = _require_the_conditions(model)
-    try:
-        with np.errstate(all="ignore"):  # where double precision does not resolve the steady state
+    nearest = "F is stable, so there is one in exact numbers"
+    with np.errstate(all="ignore"):  # where double precision does not resolve the steady state
+        try:
+            margins = list(_margins(model))
+        except np.linalg.LinAlgError:
+            checks.refuse("model", "matrices whose products do not overflow", "an overflow")
+        if margins:
+            margin, condition = min(margins, key=lambda each: each[0])
+            if margin < MODE_ROUNDING:
+                raise ValueError(f"model: needs a steady state, but {condition}")
+            nearest = f"nearest to failing, by {margin:.0e}: {condition}"
+        try:
             P, solved = solve(model)
-    except ValueError:  # scipy's, and numpy's LinAlgError
-        solved = False
+        except ValueError:  # scipy's, and numpy's LinAlgError
+            solved = False
     if not solved:
         raise ValueError(f"model: needs a steady state that double precision can resolve; {nearest}")
     return P
-
-
-def _require_the_conditions(model):
-    """Raise a ValueError where a mode of F violates a condition of a steady state; else return which one is nearest."""
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            least = min(_margins(model), key=lambda each: each[0], default=None)
-    except np.linalg.LinAlgError:
-        checks.refuse("model", "matrices whose products do not overflow", "an overflow")
-    if least is None:
-        return "F is stable, so there is one in exact numbers"
-    margin, condition, mode = least
-    if margin < MODE_ROUNDING:
-        raise ValueError(f"model: needs a steady state, but {condition} at the mode {_text(mode)} of F")
-    return f"nearest to failing, by {margin:.0e}: {condition} at the mode {_text(mode)} of F"
 
 
 def _solve_rekf(model):
@@ -156,35 +150,25 @@ def _solve_rekf(model):
 def require_resolved(model: LinearModel, P: Array) -> None:
     """Raise a ValueError where P (n×n), a steady-state estimation error covariance, has no digit left in doubles.
 
-    The equation that P solves is rounded as P is. So a step of the Kalman filter must leave P nearly as it is, and the
-    rounding of that step must be small beside P.
-    """
-    P_p = predicted_covariance(model, P)
-    K = gain(P_p, model.H, model.R)
-    sigma = np.sqrt(np.maximum(np.diag(P_p), 0))
-    eps = model.n * np.finfo(float).eps
-    variance = np.diag(P)
-    change = np.abs(corrected_covariance(P_p, K, model.H, model.R) - P)
-    allowed = RESOLVED * np.sqrt(np.outer(variance, variance)) + eps * np.outer(sigma, sigma)
-    rounding = _rounding_of_a_step(model.H, K, sigma, eps)
-    if (change > allowed).any() or (rounding > RESOLVED * variance).any():
-        raise ValueError("model: needs a steady state that double precision can resolve; in a variance no digit holds")
-
-
-def _rounding_of_a_step(H, K, sigma, eps):
-    """Return the rounding (n,) of the variances that (I - K H) P_p (I - K H)ᵀ leaves of the variances sigma² of P_p.
-
-    eps is n times the machine precision. Two things are rounded:
+    A step of the Kalman filter must leave P nearly as it is, and the rounding of that step must be small beside P. In
+    (I - K H) P_p (I - K H)ᵀ two things are rounded, with sigma² the variances of P_p and eps the machine precision:
 
         P_p      by at most eps sigma_i sigma_j, which adds         eps (|I - K H| sigma)²
         I - K H  by at most D = eps (I + |K| |H|), which adds       (D sigma)²
 
     The term that is linear in D is D P with the best gain, which is small beside P.
     """
-    identity = np.eye(len(K))
-    keep = identity - K @ H
-    terms = identity + np.abs(K) @ np.abs(H)
-    return eps * (np.abs(keep) @ sigma) ** 2 + (eps * terms @ sigma) ** 2
+    P_p = predicted_covariance(model, P)
+    K = gain(P_p, model.H, model.R)
+    sigma, variance = np.sqrt(np.maximum(np.diag(P_p), 0)), np.diag(P)
+    eps = model.n * np.finfo(float).eps
+    identity = np.eye(model.n)
+    D = eps * (identity + np.abs(K) @ np.abs(model.H))
+    rounding = eps * (np.abs(identity - K @ model.H) @ sigma) ** 2 + (D @ sigma) ** 2
+    change = np.abs(corrected_covariance(P_p, K, model.H, model.R) - P)
+    allowed = RESOLVED * np.sqrt(np.outer(variance, variance)) + eps * np.outer(sigma, sigma)
+    if (change > allowed).any() or (rounding > RESOLVED * variance).any():
+        raise ValueError("model: needs a steady state that double precision can resolve; in a variance no digit holds")
 
 
 def _newton_step(P, F, H, Q):
@@ -232,22 +216,22 @@ def _units(model):
 
 
 def _margins(model):
-    """Yield (margin, condition, mode) for each mode of F on or outside the unit circle, by the PBH rank test.
+    """Yield, for each mode of F on or outside the unit circle, how far it is from violating a condition, and which.
 
-    The margin says how far the mode is from violating the condition.
+    It is the PBH rank test.
     """
     unit = _units(model)
     F = model.F * unit / unit[:, None]
-    H = model.H * unit
-    H = np.array([_at_the_size_of(F, row) for row in H])  # the unit of a measurement changes nothing
+    H = np.array([_at_the_size_of(F, row) for row in model.H * unit])  # the unit of a measurement changes nothing
     G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
     means = [modes[np.abs(modes - mode) <= ONE_EIGENVALUE * abs(mode)].mean() for mode in modes]
     for mode in [*means, *modes]:  # eigenvalues near each other may be one or several: both are tried
         if abs(mode) >= ON_CIRCLE:
+            at = f"at the mode {mode.real if np.isreal(mode) else mode:.6g} of F"
             shifted = mode * np.eye(model.n) - F
-            yield _distance_from_rank_loss(np.vstack([shifted, H])), "[F, H] is not detectable", mode
-            yield _distance_from_rank_loss(np.hstack([shifted, G])), "[F, G] with G Gᵀ = Q is not stabilizable", mode
+            yield _distance_from_rank_loss(np.vstack([shifted, H])), f"[F, H] is not detectable {at}"
+            yield _distance_from_rank_loss(np.hstack([shifted, G])), f"[F, G] with G Gᵀ = Q is not stabilizable {at}"
 
 
 def _distance_from_rank_loss(pencil):
@@ -260,7 +244,3 @@ def _at_the_size_of(F, matrix):
     """Return the matrix scaled to the largest entry of F, so that the rank test depends on no unit."""
     size = np.abs(matrix).max()
     return matrix * (np.abs(F).max() / size) if size else matrix
-
-
-def _text(mode):
-    return f"{mode.real:.6g}" if np.isreal(mode) else f"{mode:.6g}"

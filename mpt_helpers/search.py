@@ -5,7 +5,7 @@ The search looks along lines, over many decades, and scipy's Newton method goes 
 """
 
 import math
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -19,6 +19,8 @@ NOTHING = 0.5
 FLAT = 1e-6
 # Newton's method ends at a gradient of this: a parameter whose logarithm has the error s is off by a hundredth of s².
 NEAR = 1e-2
+# It ends after so many steps where -log L has no lowest point.
+MOST_STEPS = 20
 # A search along a line looks at these places first, factors of 1e-24 to 1e24, then at those around the best one, and
 # then between the neighbours of that: an r that the fixes tell by a little can be a factor of 100 away from where it
 # makes no difference.
@@ -74,16 +76,18 @@ def lowest(function, point):
 
 
 def by_newton(function, point):
-    """Return the lowest point (d,) that Newton's steps lead to, each at most a factor of e² long."""
+    """Return the lowest point (d,) that Newton's steps lead to, each at most a factor of e long."""
 
-    def gradient(point):
-        return np.nan_to_num(differences(function, point)[1])  # beside a point that has no likelihood
+    def derivative(point, order):
+        values = differences(function, point)[order]
+        return np.where(np.isfinite(values), values, 0.0)  # they are not beside a point that has no likelihood
 
     def second(point):
-        H = np.nan_to_num(differences(function, point)[2])
+        H = derivative(point, 2)
         return H + FLAT * np.abs(H).max() * np.eye(len(H))  # so that no step goes along a flat direction
 
-    options = {"max_trust_radius": 2.0, "gtol": NEAR}
+    gradient = partial(derivative, order=1)
+    options = {"initial_trust_radius": 0.5, "max_trust_radius": 1.0, "gtol": NEAR, "maxiter": MOST_STEPS}
     return minimize(function, point, jac=gradient, hess=second, method="trust-exact", options=options).x
 
 

@@ -17,7 +17,8 @@ WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
 HOLDS = (
     "A number *holds* if we compute the digits that are printed, or if it lies within the spread of our simulations; a "
     "claim if it meets a rule that stands beside it. *In part* means under conditions that are named. What *fails* has "
-    "its reason beside it, proved where it could be."
+    "its reason beside it, proved where it could be. Figures are drawn again on tracks of our own, since our copies "
+    "have lost the pictures and the papers print no data."
 )
 BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re.DOTALL)
 
@@ -36,7 +37,7 @@ def row(key, count):
     tables = [f"[{n}]({notebook}#Table-{n})" for n in range(1, about.tables + 1)]
     figures = [f"[{n}]({FIGURES}/{key}_fig{n}.png)" for n in range(1, about.figures + 1)]
     counts = " / ".join(str(count[name]) for name in ("hold", "part", "fail"))
-    source = f"{about.authors}, {about.year}"
+    source = f"{about.authors}, *{about.title}*, {about.year}"
     if about.doi:
         source += f", [doi](https://doi.org/{about.doi})"
     name = f"[{about.name}]({notebook})<br>{source}"

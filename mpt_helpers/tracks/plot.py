@@ -82,9 +82,8 @@ def _draw_map(ax, c, line, refused, start):
     ax.set_xlabel("east (km)")
     name = "track" if c.source is None else Path(c.source.path).name.encode(errors="replace").decode()
     name = name if len(name) <= 26 else f"{name[:23]}..."
-    ax.set_title(
-        f"{name}: {numbers_of_the_way(c)['kilometres']:.1f} km", loc="left", parse_math=False
-    )  # a name may have $ in it
+    title = f"{name}: {numbers_of_the_way(c)['kilometres']:.1f} km"
+    ax.set_title(title, loc="left", parse_math=False)  # a name may have $ in it
     ax.set_ylabel("north (km)")
 
 
@@ -98,9 +97,8 @@ def _draw_speed(ax, c, line, refused, band):
     for k in range(c.stretches):
         rows = _thinned(np.flatnonzero(number == k))
         low, high = (np.maximum(speed[rows] + sign * 1.96 * sigma[rows], 0) * KM_H for sign in (-1, 1))
-        ax.fill_between(
-            time[rows], low, high, color=band, alpha=0.6, linewidth=0, label="95 % band" if k == 0 else None
-        )
+        label = "95 % band" if k == 0 else None
+        ax.fill_between(time[rows], low, high, color=band, alpha=0.6, linewidth=0, label=label)
         ax.plot(time[rows], speed[rows] * KM_H, color=line, linewidth=0.9)
     known = speed[np.isfinite(speed)]
     top = 1.25 * max(float(np.quantile(known, 0.999)), 0.1) * KM_H

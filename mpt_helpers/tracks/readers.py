@@ -235,7 +235,7 @@ def _of_table(name, names, values, columns, said, index=None):
     refuse_several(name, others, time, place)
     more = [numbers.get(what, np.full(len(time), math.nan)) for what in ("ele", "hdop", "accuracy")]
     one = np.ones(len(time), dtype=np.int64)
-    return Recording(time, lat, lon, metres, *more, one, unread, tuple(said), b"", dated, index)
+    return Recording(time, lat, lon, metres, *more, one, unread, tuple(said), dated=dated, index=index)
 
 
 def _found(name, names, columns):
@@ -250,8 +250,9 @@ def _found(name, names, columns):
     if not {"time", *place} <= set(found):
         need = "columns time and lat, lon (degrees) or x, y (metres), with commas between"
         way = "name others: --time when --lat y ..., or columns={'time': 'when', 'lat': 'y', ...}"
-        comma = "of ; or tabs make commas: pandas.read_csv(FILE, sep=';', decimal=',').to_csv('new.csv')"
-        raise ValueError(f"{name}: needs {need}, got {got}: {comma if len(names) == 1 else way}")
+        if re.search(r"[;\t|]", "".join(names)):
+            way = "of ; or tabs make commas: pandas.read_csv(FILE, sep=';', decimal=',').to_csv('new.csv')"
+        raise ValueError(f"{name}: needs {need}, got {got}: {way}")
     found = {what: column for what, column in found.items() if what not in unused}
     for what, column in found.items():
         if names.count(column) != 1 or list(found.values()).count(column) != 1:

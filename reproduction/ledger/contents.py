@@ -65,7 +65,7 @@ def in_words(row: Row, verdicts: Iterable[Verdict]) -> str:
     pictures = [each for each in unchecked if each.kind == "figure"]
     lost = [each for each in unchecked if each.printed == "?"]
     if pictures:
-        said.append("picture lost in our copy; redrawn")
+        said.append("? picture lost in our copy; redrawn on our own data")
     if lost:
         said.append(f"? {len(lost)} lost in our copy")
     if len(unchecked) > len(pictures) + len(lost):

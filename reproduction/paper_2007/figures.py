@@ -12,7 +12,7 @@ def draw_fig1(one, skies):
 
     one has for each start, by its name, the errors (steps + 1,), skies those under many skies (steps + 1, M).
     """
-    fig, ax = _panels([list(one), ["many", "many"]], "Figure 1: the rough position by least squares (MMS)", 2.4)
+    fig, ax = _panels([list(one), ["many", "many"]], "Figure 1, redrawn: a rough position by least squares", 2.4)
     colour = plots.COLOUR_OF["line"]
     for (name, error), style in zip(one.items(), ("-", "--"), strict=True):
         ax[name].plot(error / 1e3, f"o{style}", ms=4, color=colour)
@@ -23,7 +23,9 @@ def draw_fig1(one, skies):
         )
         ax["many"].plot(np.median(errors, axis=1), style, color=colour, label=name)
     ax["many"].set_yscale("log")
-    plots.finish(ax["many"], "step of the iteration", f"ours: error (m), median and range of {errors.shape[1]:,} skies")
+    plots.finish(
+        ax["many"], "step of the iteration", f"added: error (m), median and range of {errors.shape[1]:,} skies"
+    )
     return fig
 
 
@@ -32,7 +34,7 @@ def draw_fig2(one, skies, same):
 
     skies (steps + 1, M) has new ranges at each step, same (steps + 1, M) one set of ranges for all steps.
     """
-    fig, ax = _panels([["one"], ["many"]], "Figure 2: from precise coordinates", 2.4)
+    fig, ax = _panels([["one"], ["many"]], "Figure 2, redrawn: from precise coordinates", 2.4)
     ax["one"].plot(one, "-", color=plots.COLOUR_OF["line"])
     ax["one"].set_ylim(0)
     plots.finish(ax["one"], "step of the iteration", "error of the position (m)")
@@ -40,7 +42,7 @@ def draw_fig2(one, skies, same):
         rms = np.sqrt(np.mean(errors**2, axis=1))
         ax["many"].plot(rms, style, color=plots.COLOUR_OF["line"], label=label)
     ax["many"].set_ylim(0)
-    plots.finish(ax["many"], "step of the iteration", f"ours: rms error (m), {skies.shape[1]:,} skies")
+    plots.finish(ax["many"], "step of the iteration", f"added: rms error (m), {skies.shape[1]:,} skies")
     return fig
 
 
@@ -51,7 +53,7 @@ def draw_line(number, t, x, measured, estimates, sigma):
     line through all points so far and its velocity, sigma (N,) the standard deviation of that point.
     """
     speed = x[0, 1]
-    fig, ax = _panels([["x"], ["V"], ["error"]], f"Figure {number}: line fit (MMS), V = {speed:g} m/s", 2.0)
+    fig, ax = _panels([["x"], ["V"], ["error"]], f"Figure {number}, redrawn: line fit (MMS), V = {speed:g} m/s", 2.0)
     _tracks(ax, t, x, measured, estimates, plots.COLOUR_OF["line"])
     _error(ax["error"], t, estimates[:, 0] - x[:, 0], sigma, plots.COLOUR_OF["line"])
     return fig
@@ -64,13 +66,13 @@ def draw_kalman(number, t, x, measured, estimates, sigma):
     (N, 3) those of the filter, sigma (N,) what it states for the position.
     """
     layout = [["x", "x"], ["V", "V"], ["b", "error"]]
-    fig, ax = _panels(layout, f"Figure {number}: Kalman filter with INS, V = {x[0, 1]:g} m/s", 2.0)
+    fig, ax = _panels(layout, f"Figure {number}, redrawn: Kalman filter with INS, V = {x[0, 1]:g} m/s", 2.0)
     colour = plots.COLOUR_OF["kalman"]
     _tracks(ax, t, x, measured, estimates, colour)
     ax["b"].plot(t, x[:, 2], ":", color=plots.COLOUR_OF["truth"])
     ax["b"].plot(t, estimates[:, 2], "--", color=colour)
     ax["b"].set_xlim(0, t[-1])
-    plots.finish(ax["b"], "time (s)", "ours: INS error (m/s)")
+    plots.finish(ax["b"], "time (s)", "added: INS error (m/s)")
     _error(ax["error"], t, estimates[:, 0] - x[:, 0], sigma, colour)
     return fig
 
@@ -91,7 +93,7 @@ def _error(panel, t, error, sigma, colour):
     panel.fill_between(t, -2 * sigma, 2 * sigma, color="0.85", lw=0)
     panel.plot(t, error, "-", color=colour)
     panel.set_xlim(0, t[-1])
-    plots.finish(panel, "time (s)", "ours: error of x (m), ± 2σ")
+    plots.finish(panel, "time (s)", "added: error of x (m), ± 2σ")
 
 
 def _panels(layout, title, height):

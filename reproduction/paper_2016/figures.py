@@ -36,15 +36,15 @@ def draw_figure(key, N, seed):
             ax[panel].fill_between(k[some], low[some], high[some], color=colour, alpha=0.12, lw=0, label=band)
             ax[panel].plot(k[some], e[some], style, color=colour, label=label)
 
-    plots.finish(ax["start"], "step k", "ours: error (m) at first")
-    plots.finish(ax["later"], "step k", "ours: error (m), later")
+    plots.finish(ax["start"], "step k", "added: error (m) at first")
+    plots.finish(ax["later"], "step k", "added: error (m), later")
     plots.legend_below(ax["start"], 3)
 
     ax["plane"].plot(*real, "o-", color=plots.COLOUR_OF["truth"], ms=6, mfc="white", label="real position")
     ax["plane"].plot(*found, "x--", color=colour, ms=5, label=name)
     ax["plane"].set_ylabel("y (m)")
     plots.finish(ax["plane"], "x (m)", "")
-    plots.head(fig, f"Figure {NUMBERS[key, N]}: position {what}, {table1.NAMES[key]}")
+    plots.head(fig, f"Figure {NUMBERS[key, N]}, redrawn: {what}, {table1.NAMES[key]}")
     return fig
 
 

@@ -44,11 +44,11 @@ def _draw(number, solid, dashed, sigma, shown):
             sparse = {"marker": MARKERS[axis], "ms": 4, "markevery": max(shown // 12, 1)}
             ax[part].plot(k[:shown], gap, color=colour, lw=0.8, **sparse, label=axis)
         ax[part].axhspan(-10 * sigma[i], 10 * sigma[i], color="0.85", lw=0)  # a tenth of sigma, in centimetres
-        plots.finish(ax[part], "step k", f"ours: dashed minus solid,\nc{unit}; grey: ± σ/10")
+        plots.finish(ax[part], "step k", f"added: dashed − solid,\nc{unit}; grey: ± σ/10")
     plots.legend_below(ax["position x"], columns=1)
     for part in UNITS:
         low, high = ax[part].get_ylim()
         ax[part].set_ylim(low, high + 0.4 * (high - low))  # room for the legend
         ax[part].legend(loc="upper right", ncols=len(axes), handlelength=1.2, columnspacing=0.8, borderaxespad=0)
-    plots.head(fig, f"Figure {number}: position and velocity estimation")
+    plots.head(fig, f"Figure {number}, redrawn: position and velocity estimation")
     return fig

@@ -95,7 +95,7 @@ def draw_lost_axis(last=30):
     ax["far"].set_ylabel("error (m)")
     ax["far"].annotate(f"2σ = {2 * sigma[-1, 2]:.0f} m", (k[-1], 34), ha="right", va="top")
     ax["far"].annotate(f"blue: {errors.shape[2]} phones\nblack: ± 2σ", (2, -34), ha="left", va="bottom", color="0.3")
-    title = f"{len(k) - last} seconds of silence turn σ = {sigma[last - 1, 2]:.2f} m into {sigma[-1, 2]:.1f} m"
+    title = f"{len(k) - last} silent seconds turn σ = {sigma[last - 1, 2]:.2f} m into {sigma[-1, 2]:.1f} m"
     fig.suptitle(title, x=0.02, ha="left", weight="bold")
     return fig
 

@@ -98,7 +98,7 @@ THREE_HUNDRED = mpt.simulate(axis(0.04, 0.5), 300, np.random.default_rng(4))[1]
 def test_the_ratio_is_searched_along_only_where_both_parameters_scale_all_covariances(name):
     make, scales = MAKES[name]
     likelihood = fitting.NegativeLogLikelihood(make, ["q", "r"], THREE_HUNDRED)
-    assert (fitting._best_ratio(likelihood, np.zeros(2)) is not None) == scales
+    assert (fitting._best_ratio(likelihood, np.zeros(2), n=2) is not None) == scales
 
 
 @pytest.mark.parametrize("name", [name for name, (_, scales) in MAKES.items() if scales])

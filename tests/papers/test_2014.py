@@ -259,7 +259,7 @@ def test_a_figure_has_the_line_styles_of_its_caption_and_below_it_the_difference
     assert [text.get_text() for text in legend.get_texts()] == labels
     for i, panel in enumerate((position, velocity)):
         title = panel.get_title(loc="left")
-        assert (title[:26], title[-12:]) == ("ours: dashed minus solid,\n", "grey: ± σ/10")
+        assert (title[:23], title[-12:]) == ("added: dashed − solid,\n", "grey: ± σ/10")
         assert [text.get_text() for text in panel.get_legend().get_texts()] == list("xyz"[:axes])
         assert len({line.get_marker() for line in panel.lines}) == axes
         for axis, line in enumerate(panel.lines):
@@ -267,7 +267,10 @@ def test_a_figure_has_the_line_styles_of_its_caption_and_below_it_the_difference
         (band,) = panel.patches
         low, high = band.get_extents().transformed(panel.transData.inverted()).intervaly
         np.testing.assert_allclose([low, high], [-10 * sigma[i], 10 * sigma[i]])
-    assert fig.get_suptitle() == f"Figure {1 if draw is figures.draw_fig1 else 2}: position and velocity estimation"
+    assert (
+        fig.get_suptitle()
+        == f"Figure {1 if draw is figures.draw_fig1 else 2}, redrawn: position and velocity estimation"
+    )
 
 
 # What the words say

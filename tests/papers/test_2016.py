@@ -391,8 +391,8 @@ def test_a_figure_shows_real_position_and_estimate(number, key, N):
         band = start.collections[axis].get_paths()[0].vertices
         assert np.abs(band[:, 1].max() - (hand.mean[N] + 2 * hand.sigma[N])[: figures.CAUGHT_UP].max()) < 1e-9
     assert [line.get_label() for line in plane.lines] == ["real position", ["estimate", "one-step prediction"][N]]
-    assert plane.figure.get_suptitle().startswith(f"Figure {number}: position {['estimation', 'prediction'][N]}, ")
-    assert all(panel.get_title(loc="left").startswith("ours: ") for panel in (start, later))
+    assert plane.figure.get_suptitle().startswith(f"Figure {number}, redrawn: {['estimation', 'prediction'][N]}, ")
+    assert all(panel.get_title(loc="left").startswith("added: ") for panel in (start, later))
     caption = text_of(f"figure-{number}-caption")
     assert f"Figure {number} of the paper: Position {['estimation', 'prediction'][N]} for constant" in caption
     largest = np.abs(real - found).max(axis=0)

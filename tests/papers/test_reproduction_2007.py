@@ -140,7 +140,7 @@ def test_what_is_ours_stands_below(made):
     band = error.collections[0].get_paths()[0].vertices[:, 1]
     assert (band.min(), band.max()) == (-2 * sigma[0], 2 * sigma[0])
     for panel in (b, error, figures.draw_line(3, *made).axes[2]):
-        assert panel.get_title(loc="left").startswith("ours: ")
+        assert panel.get_title(loc="left").startswith("added: ")
 
 
 def test_figures_1_and_2_have_the_error_above_and_many_skies_below():
@@ -157,7 +157,7 @@ def test_figures_1_and_2_have_the_error_above_and_many_skies_below():
     above, below = figures.draw_fig2(one, many, 2 * many).axes
     np.testing.assert_allclose(curves(above)["-"], [range(3), one])
     np.testing.assert_allclose(curves(below)["-"][1][-1], np.sqrt(21 / 3))
-    assert below.get_title(loc="left") == "ours: rms error (m), 3 skies"
+    assert below.get_title(loc="left") == "added: rms error (m), 3 skies"
 
 
 def test_the_line_of_figures_3_and_4_is_that_of_numpy():

@@ -239,7 +239,10 @@ def test_a_line_of_the_contents_says_what_holds(verdicts, given, said):
 
 def test_a_lost_picture_is_said_to_be_redrawn(verdicts):
     picture = replace(verdicts[0], id="figure1", kind="figure", verdict="cannot be checked")
-    assert in_words(Row("Figure 1", ["figure1"], "a track"), [picture]) == "picture lost in our copy; redrawn"
+    assert (
+        in_words(Row("Figure 1", ["figure1"], "a track"), [picture])
+        == "? picture lost in our copy; redrawn on our own data"
+    )
 
 
 def test_contents_are_written_between_their_marks_and_again_change_nothing(tmp_path):

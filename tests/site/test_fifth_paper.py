@@ -120,7 +120,7 @@ def test_the_new_paper_is_counted_beside_the_others(said):
 def test_the_front_of_its_notebook_has_its_contents(copy):
     front = "".join(cells_of(copy / "notebooks" / f"{KEY}.ipynb")[0]["source"])
     assert "| [Table 1](#Table-1) | the settled filter | ✗ 1 of 2 wrong: digits exchanged |" in front
-    assert "| [Figure 1](#Figure-1) | the variance of the first steps | picture lost in our copy; redrawn |" in front
+    assert "| [Figure 1](#Figure-1) | the variance of the first steps | ? picture lost in our copy; redrawn on" in front
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_the_projects_tests_of_papers_and_pages_pass_with_the_new_paper(copy):
     said = run(copy, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", others, *files)
     assert " passed" in said
     readme = (copy / "README.md").read_text(encoding="utf-8")
-    assert f"| [A random walk](notebooks/{KEY}.ipynb)<br>A. Walker, 1960" in readme
+    assert f"| [A random walk](notebooks/{KEY}.ipynb)<br>A. Walker, *" in readme
     assert "| How well can a random walker be known? |" in readme
 
 

@@ -373,6 +373,7 @@ def test_a_frame_is_read_with_its_times_in_a_column_or_its_index(frame, columns)
     ("frame", "said"),
     [
         (FRAME, "frame: needs columns time and lat, lon"),
+        (pd.DataFrame(), "frame: needs columns time and lat, lon"),
         (pd.concat([FRAME, FRAME], axis=1).set_index(MOMENTS), "frame: needs one column 'lat' of lat alone, got"),
         (
             FRAME.assign(time=MOMENTS, lat=FRAME["lat"].astype(str) + "N"),

@@ -356,7 +356,7 @@ def test_hdop_weighs_the_fixes(tmp_path):
             lambda text: text.replace("<ele>", "<el>", 1),
             "needs a GPX file, got one that cannot be read (mismatched tag",
         ),
-        (lambda text: "", "or x, y (metres), with commas between, got 'nothing'"),
+        (lambda text: "", "or x, y (metres), with commas between, got 'nothing': name"),
         (lambda text: text.replace("<trkpt", "<rtept").replace("</trkpt", "</rtept"), "got 0 of 0"),
         (lambda text: f"{HEAD}{'<a>' * 200_000}", "one that cannot be read (no element found"),
         (
