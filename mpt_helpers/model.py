@@ -464,12 +464,15 @@ def stack(*models: LinearModel) -> LinearModel:
     steps = {model.dt for model in models}
     if len(steps - {None}) > 1:
         checks.refuse("models", "models of the same dt", " and ".join(f"{model.dt} s" for model in models))
-    F, H, Q, R, P0 = (block_diag(*[getattr(model, name) for model in models]) for name in ("F", "H", "Q", "R", "P0"))
-    x0 = np.concatenate([model.x0 for model in models])
+
+    def diagonal(name):
+        return block_diag(*[getattr(model, name) for model in models])
+
+    given = {name: diagonal(name) for name in ("H", "R", "P0")} | {"x0": np.concatenate([model.x0 for model in models])}
     if None in steps:
-        return LinearModel(F=F, H=H, Q=Q, R=R, x0=x0, P0=P0)
+        return LinearModel(F=diagonal("F"), Q=diagonal("Q"), **given)
     axes = [each for model in models for each in _axes_of(model.transition)]
-    return LinearModel(F=F, H=H, Q=Q, R=R, x0=x0, P0=P0, dt=steps.pop(), transition=SideBySide(tuple(axes)))
+    return LinearModel(dt=steps.pop(), transition=SideBySide(tuple(axes)), **given)
 
 
 def _axes_of(transition):
