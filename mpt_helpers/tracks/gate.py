@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks as checks
 from .. import metrics
-from ..equations import neutralised
+from ..equations import corrected_covariance, gain, neutralised
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
@@ -147,59 +147,63 @@ def _warn_of_a_far_start(track, limit, patience):
 
 
 class _Rows:
-    """The rows of a track z (N, m), and what a Kalman filter makes of them, in one column of the engine.
+    """The rows of a track z (N, m), and what a Kalman filter makes of them. A state is x (n,) and P (n, n).
 
-    A state is x (n, 1, 1) and P (n, n, 1). Where it is one before row k, it may be led on with the fix or without.
+    Where it is one before row k, it may be led on with the fix or without.
     """
 
     def __init__(self, kf, z):
-        self.kf = KalmanFilter(kf.model, kf.t, kf.r)
+        kf.epochs_of(z[..., None])  # refuses times and variances that are not those of z
         self.model, self.z, self.seen = kf.model, z, np.isfinite(z)
         self.fixes = self.seen.any(axis=1)
-        epochs = self.kf.epochs_of(z[..., None])
-        self.rows, self.dt = epochs.rows(), epochs.dt
-        self.R = np.broadcast_to(epochs.noise(kf.model.R)[..., 0], (len(z), kf.model.m, kf.model.m))
+        self.t = None if kf.t is None else kf.t.ravel()
+        self.r = None if kf.r is None else kf.r.reshape(z.shape)
+        if kf.t is not None:
+            self.dt = np.diff(self.t, prepend=self.t[0] - self.model.dt)
+            self.F, self.Q = self.model.over(self.dt)
 
     def first(self):
         """Return the state before the first row."""
-        return self.model.x0[:, None, None], self.model.P0[..., None]
+        return self.model.x0, self.model.P0
 
     def start(self, k):
         """Return the state after a first fix, of row k: x0 and P0 moved there."""
-        x, P = self.first()
-        z, seen, _, _, r = self._row(k)
-        H = seen * self.model.H
-        moved = np.linalg.pinv(H) @ (z[..., 0] - H @ self.model.F @ x[..., 0])
-        x, P, _ = self.kf.advance((z - (H @ moved)[..., None], seen, None, None, r), x, P)
-        return x + moved[..., None], P
-
-    def with_fix(self, state, k):
-        """Return the state after row k, and the NIS of its fix."""
-        x, P, unit = self.kf.advance(self._row(k), *state)
-        return (x, P), float(np.square(unit).sum())
+        model, seen = self.model, self.seen[k]
+        x, P = model.F @ model.x0, model.F @ model.P0 @ model.F.T + model.Q
+        H = seen[:, None] * model.H
+        moved = np.linalg.pinv(H) @ np.where(seen, self.z[k] - H @ x, 0.0)
+        return self._corrected(x + moved, P, k)[0]
 
     def without_fix(self, state, k):
         """Return the state after row k if nothing is measured there."""
-        z, seen, *conditions = self._row(k)
-        x, P, _ = self.kf.advance((z, np.zeros_like(seen), *conditions), *state)
-        return x, P
+        x, P = state
+        F, Q = (self.model.F, self.model.Q) if self.t is None else (self.F[k], self.Q[k])
+        return F @ x, F @ P @ F.T + Q
 
-    def deviance(self, state, k, nis):
-        """Return -2 log of the density of the fix of row k, but for 2 pi, from the state before it and its NIS."""
-        _, P = self.without_fix(state, k)
-        H, R = neutralised(self.model.H, self.R[k], self.seen[k])
-        return nis + np.linalg.slogdet(H @ P[..., 0] @ H.T + R)[1]
+    def with_fix(self, state, k):
+        """Return the state after row k, the NIS of its fix, and -2 log of its density, but for 2 pi."""
+        return self._corrected(*self.without_fix(state, k), k)
+
+    def _corrected(self, x, P, k):
+        seen = self.seen[k]
+        R = self.model.R if self.r is None else np.diag(np.where(seen, self.r[k], 1.0))
+        H, R = neutralised(self.model.H, R, seen)
+        innovation = np.where(seen, self.z[k] - H @ x, 0.0)
+        S = H @ P @ H.T + R
+        sign, log_det = np.linalg.slogdet(S)
+        if not (sign > 0 and math.isfinite(log_det)):
+            checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
+        K = gain(P, H, R)
+        nis = float(innovation @ np.linalg.solve(S, innovation))
+        return (x + K @ innovation, corrected_covariance(P, K, H, R)), nis, nis + float(log_det)
 
     def part(self, state, k, stop):
         """Return the filter that goes on from a state before row k, and the rows k to `stop`, which it is for."""
-        model = replace(self.model, x0=state[0][:, 0, 0], P0=state[1][..., 0])
-        if self.dt is not None:
-            model = replace(model, F=None, Q=None, dt=max(self.dt[k, 0], NO_TIME))  # that of the first step
-        t, r = (None if each is None else each[k:stop] for each in (self.kf.t, self.kf.r))
+        model = replace(self.model, x0=state[0], P0=state[1])
+        if self.t is not None:
+            model = replace(model, F=None, Q=None, dt=max(self.dt[k], NO_TIME))  # that of the first step
+        t, r = (None if each is None else each[k:stop] for each in (self.t, self.r))
         return KalmanFilter(model, t, r), self.z[k:stop]
-
-    def _row(self, k):
-        return tuple(None if each is None else each[k] for each in self.rows)
 
 
 class _Candidate(NamedTuple):
@@ -228,6 +232,8 @@ def _of_recording(track, state, rows, k, stop, limit, patience):
     """Return the rows of each segment from row k to `stop`; the first one has some rows already, and their state."""
     found, candidates = [], []
     calm = stop - k  # fixes since the last fault; before the first one as many as there are rows
+    if not rows:  # x0 and P0 may be so vague that one row after the other would lose the digits of P
+        calm = max(calm, CALM)
     while k < stop:
         if not candidates and calm >= CALM:
             kf, z = track.part(state, k, min(k + GROWTH * calm, stop))
@@ -236,7 +242,7 @@ def _of_recording(track, state, rows, k, stop, limit, patience):
             if 0 < count < stop - k:
                 kf, z = track.part(state, k, k + count)
                 x, P = kf.estimates(z)
-                state = x[-1][:, None, None], P[-1][..., None]
+                state = x[-1], P[-1]
             rows += (k + np.flatnonzero(track.fixes[k : k + count])).tolist()
             k += count
             calm = 0 if len(over) else calm + count
@@ -246,17 +252,13 @@ def _of_recording(track, state, rows, k, stop, limit, patience):
             candidates = [each._replace(state=track.without_fix(each.state, k)) for each in candidates]
             k += 1
             continue
-        taken, nis = track.with_fix(state, k)
+        taken, nis, deviance = track.with_fix(state, k)
         agreed = []
         for each in candidates:
-            own, own_nis = track.with_fix(each.state, k)
+            own, own_nis, own_deviance = track.with_fix(each.state, k)
             if own_nis <= limit:
-                agreed.append(_Candidate(own, [*each.rows, k], track.deviance(each.state, k, own_nis)))
-        expected = nis <= limit
-        if expected and agreed:
-            deviance = track.deviance(state, k, nis)
-            expected = all(deviance <= each.deviance + RARE for each in agreed)
-        if expected:
+                agreed.append(_Candidate(own, [*each.rows, k], own_deviance))
+        if nis <= limit and all(deviance <= each.deviance + RARE for each in agreed):
             state, candidates = taken, []
             rows.append(k)
             calm += 1
