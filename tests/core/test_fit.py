@@ -445,10 +445,10 @@ def test_a_recorded_track_is_not_suspicious_and_one_bad_fix_in_it_is(name):
 
 @pytest.mark.parametrize(
     ("change", "dt", "names"),
-    [(1.0, 1.0, ""), (1e-3, 1.0, "qr"), (1.0, 1e3, "q"), (1e3, 1.0, "qr")],
+    [(1.0, 1.0, ""), (1.0, 1e3, "q"), (1e3, 1.0, "qr")],
 )
 def test_a_fit_asks_for_the_units(change, dt, names):
-    """Of kilometres, milliseconds and millimetres, given a guess for metres and seconds."""
+    """Of milliseconds and millimetres, given a guess for metres and seconds."""
     z, t = change * track(), dt * np.arange(600)
     said = said_by(lambda: mpt.fit(lambda q, r: mpt.KalmanFilter(plane(q, r), t=t), z, q=0.2, r=4.0))
     assert [each[5] for each in said if "are z and t in the units of the guess" in each] == list(names)
