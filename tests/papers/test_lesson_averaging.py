@@ -174,7 +174,7 @@ def test_the_formula_is_computed_by_hand():
 
 def test_the_root_of_n_ends_where_the_noise_is_as_large_as_what_lasts():
     r, sigma, _ = constants_of_heights()[WALL]
-    says("alone only for far fewer than $r/\\sigma^2$ fixes, which on your wall is four")
+    says("unless $n$ is far below $r/\\sigma^2$, which on your wall is four")
     assert round(r / sigma**2) == 4
     says("A phone with 10 m of noise each second, and your wall's lasting error, has $r/\\sigma^2$ of some eighty.")
     assert 75 < 100 / sigma**2 < 85
@@ -396,7 +396,7 @@ def test_the_more_one_turns_the_less_the_lasting_error_matters(cases):
         found = white.estimates(walks[:, :1] + np.tile(recorded.windows(axis), 10))
         made = (found.x[:, 0] - walks[:, 0])[20:]
         assert mpt.metrics.rms(made.ravel()) / np.sqrt(found.P[20:, 0, 0].mean()) == pytest.approx(1.0, abs=0.04)
-    says("| move, with a fix each 30 s or with 10 m of noise | the usual filter | its σ, which was right for these")
+    says("| move, with a fix each 30 s or with 10 m of noise | the usual filter | its own $\\sqrt P$, which was")
 
 
 def too_sure(q, r, sigma, tau, dt=1.0):
