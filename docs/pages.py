@@ -172,7 +172,7 @@ def figures_of(key, cells):
                 if captions
                 else ""
             )
-            finding = re.sub(r"^Figure \d+: ", "", above or only or conclusion(caption) or first or section)
+            finding = re.sub(r"^Figure \d+(, redrawn)?: ", "", above or only or conclusion(caption) or first or section)
             drawn.append(Drawn(name, numbered, label, section, caption, finding, cell["id"], alt, width, height))
     return drawn
 
