@@ -401,7 +401,11 @@ class RecursiveFilter(Filter):
 
         Columns that see the same measurements go together. A subclass may do the same in fewer operations.
         """
-        z, seen, *_ = row
+        z, seen, F, _, r = row
+        if F is not None or r is not None:
+            name = "r" if F is None else "t"
+            need = f"an `advance` of {type(self).__name__}: its own `next_step` does not see the {name} of a row"
+            checks.refuse(name, need, "none")
         innovations = x[:0]
         if self.optimal:
             expected, S = self.measurement(*self.motion(x, P))

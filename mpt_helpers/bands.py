@@ -140,7 +140,8 @@ class Expected(NamedTuple):
 def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     """Return the forecast errors of a filter: each fix minus its prediction, made `seconds` before.
 
-    Each fix is checked by the first one that is 1 to 1.5 times `seconds` later. On a grid, times count from row 0.
+    Each prediction is checked by the first fix that is 1 to 1.5 times `seconds` later. On a grid, times
+    count from row 0.
 
     Parameters
     ----------

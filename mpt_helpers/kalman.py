@@ -50,7 +50,7 @@ class KalmanFilter(RecursiveFilter):
         do not decrease, and x0 lies one step dt of the model before t[0]. The model needs a transition.
     r : array_like (N, m) or (N, m, M), optional
         Variances of the measurements in place of the model's R, such as the accuracy that a receiver states of each
-        fix. They are looked at only where there is a measurement.
+        fix. They are ignored where z is NaN.
 
     Raises
     ------

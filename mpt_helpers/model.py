@@ -132,7 +132,7 @@ class LinearModel(Immutable):
         """
         if self.transition is None:
             checks.refuse("model", "a transition, for steps of any length", "an F and a Q of one length only")
-        return _steps(self.transition, dt)
+        return _steps(self.transition, np.asarray(dt, float))
 
     def with_noise_times(self, factor: float) -> LinearModel:
         """Return the model with another process noise, over steps of any length that it knows.

@@ -17,7 +17,7 @@ from .steady import SteadyStateFilter
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictor(Filter):
-    """The prediction of a filter's state N steps ahead: row k of `filter(z)` is x(k+N/k).
+    """The prediction of a filter's state N steps ahead: row k - 1 of `filter(z)` is x(k+N/k).
 
         x(k+N/k) = Fᴺ x(k/k),   P(k+N/k) = Fᴺ P(k/k) Fᴺᵀ + Q + F Q Fᵀ + ... + Fᴺ⁻¹ Q (Fᴺ⁻¹)ᵀ
 
@@ -82,7 +82,7 @@ class Predictor(Filter):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SteadyStatePredictor(Predictor):
-    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): row k of `filter(z)` is x(k+N/k).
+    """The steady-state prediction N steps ahead (2016 Eqs. 15-20): row k - 1 of `filter(z)` is x(k+N/k).
 
         x(k+N/k) = A_N x(k+N-1/k-1) + B_N z(k),   A_N = Fᴺ A F⁻ᴺ,   B_N = Fᴺ B,   x(N/0) = Fᴺ x0
 

@@ -35,8 +35,8 @@ class SteadyStateFilter(RecursiveFilter):
 
     Made by `from_kalman` or `from_lainiotis`, which solve different Riccati equations: their agreement (2014 Eq. 15) is
     a real check. While nothing is missing, the covariance stays P. Through a gap it grows, and afterwards it returns to
-    P: it is the covariance of the true error all the time. A row of z that is partly NaN is refused, since the gain is
-    that of a whole row.
+    P: it is the covariance of the true error, if that of the first one is P. A row of z that is partly NaN is refused,
+    since the gain is that of a whole row.
 
     Parameters
     ----------

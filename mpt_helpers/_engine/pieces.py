@@ -181,7 +181,7 @@ def _from_a_vague_start(advance, rows, x0, P0, x, P):
 
     From row to row, the first updates of a vague start would lose the digits of P0 / R, and without process noise for
     good. So each of these rows is the end of one piece, of all rows up to it. They are as many as give each track 2 n
-    measurements.
+    epochs with a measurement.
     """
     n, _, W = x0.shape
     measured = np.cumsum(rows[1].any(axis=1), axis=0).min(axis=1)

@@ -181,3 +181,17 @@ def test_an_infinite_measurement_of_a_step_is_refused_by_name_also_beside_a_miss
     for z_k in ([0.0, infinite], [np.nan, infinite]):
         with pytest.raises(ValueError, match=r"z_k: needs .* of numbers, got infinity"):
             kf.step(kf.model.x0, kf.model.P0, z_k)
+
+
+@pytest.mark.parametrize("given_besides", [{"t": [1.0, 2.0, 4.0]}, {"r": [[0.5], [1.0], [2.0]]}], ids=["t", "r"])
+def test_a_step_of_ones_own_that_would_not_see_times_or_variances_is_refused(given_besides):
+    """By columns it is not told of them: each row would silently be filtered with the model's dt and R."""
+
+    class Own(mpt.KalmanFilter):
+        def next_step(self, P, seen, **conditions):
+            return super().next_step(P, seen, **conditions)
+
+    (name,) = given_besides
+    axis = mpt.constant_velocity(1.0, 0.1, 0.5, P0=np.eye(2))
+    with pytest.raises(ValueError, match=rf"{name}: needs an `advance` of Own"):
+        Own(axis, **given_besides).filter([[1.0], [2.0], [np.nan]])
