@@ -497,5 +497,5 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def shared_steps(self) -> Callable[[int, int], Any]:
-        """Return steps and products of N epochs of M tracks without gaps; those of the last call are kept."""
+        """Make the steps and products of M tracks of N epochs without gaps, and keep those of the last call."""
         return lru_cache(maxsize=1)(partial(steps.make_shared_steps, self.next_step, self.P0, self.model.m))

@@ -357,7 +357,7 @@ def _without_stuck_ones(found, way):
         if tail == 0:
             continue
         arrived = way.speed(rows[max(tail - 1 - STUCK, 0)], rows[tail - 1])
-        # Fixes that still move at the speed at which the mobile came are good.
+        # Fixes that still move, at half the speed at which the mobile came or faster, are good.
         while tail < k and way.speed(rows[tail], rows[tail + 1]) > arrived / 2:
             tail += 1
         if k + 1 - tail < STUCK:
@@ -365,9 +365,9 @@ def _without_stuck_ones(found, way):
         before, after = rows[tail - 1], rows[k + 1]
         # Where they have moved, the fixes before and after them are in one wrong position.
         moved = way.distance(rows[tail:k], rows[k]).max() > HARDLY * way.distance(before, after)
-        speed = way.speed(before, after)
         if moved or way.too_fast(before, after):
             continue
+        speed = way.speed(before, after)
         if ARRIVED * speed <= arrived <= speed / WENT_ON:
             stuck[tail : k + 1] = True
     refused = set(rows[stuck].tolist())

@@ -48,14 +48,18 @@ def printed(name):
 
 def row(text, start):
     """The numbers in the line of a text that begins so."""
+    return [float(each) for each in re.findall(r"-?\d+\.?\d*", line_of(text, start)[len(start) :])]
+
+
+def line_of(text, start):
+    """The one line of a text that begins so."""
     (line,) = [each for each in text.splitlines() if each.startswith(start)]
-    return [float(each) for each in re.findall(r"-?\d+\.?\d*", line[len(start) :])]
+    return line
 
 
 def has_question_mark(name):
     """Whether the table of heights has one in the line of this height."""
-    (line,) = [each for each in printed("judged").splitlines() if each.startswith(name)]
-    return "?" in line
+    return "?" in line_of(printed("judged"), name)
 
 
 def constants_of_heights():
