@@ -1,6 +1,6 @@
 """The base classes of all filters: what users call, and what the rest of the package calls.
 
-Users call `filter`, `estimates`, `covariances`, `smooth` and `step`; `metrics`, `bands` and filters made of filters call
+Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, bands, and filters made of filters call
 
 - `as_tracks(z)`: checks z, and makes it (N, m, M);
 - `run(z, x, covariances)`: writes the estimates to x, and returns the covariances if they are wanted;
@@ -261,8 +261,8 @@ class Filter(Immutable):
             For other shapes, for numbers that are not finite, for a P that is no covariance, and for a P or dt so large
             that doubles do not hold the step.
         TypeError
-            For anything but real numbers, for a filter that has no step (a predictor, a FIR filter), and for dt or r where
-            the filter is no KalmanFilter.
+            For anything but real numbers, for a filter without steps (a predictor, a FIR filter), and for dt or r where
+            the filter is not a KalmanFilter.
 
         """
         raise self._not_recursive()
