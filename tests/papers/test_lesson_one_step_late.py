@@ -323,7 +323,7 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_a_ramp_sees_neither_q_nor_r():
-    says("Q, r and P, since every filter that still corrects its speed settles in the same place.")
+    says("Q, r and P, since every filter that still corrects its speed settles in the same place;")
     rng = np.random.default_rng(5)
     for _ in range(15):
         root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
@@ -458,7 +458,7 @@ def test_uneven_steps_give_the_late_filter_away():
 
 def test_after_a_turn_a_filter_looks_late_until_it_has_settled():
     """Without noise, of the right filter: the delay that the mark tells, by seconds between the mark and the turn."""
-    says("Go on for ten seconds, turn")
+    says("Go on until the filter will have settled after a turn, here ten seconds.")
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE}))
 
     def delay(beyond):
