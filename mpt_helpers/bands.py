@@ -322,7 +322,7 @@ def _nis_per_number(innovations, S):
 
 
 def _model_of_any_step(estimator):
-    if estimator.model.dt is None:
+    if estimator.model.transition is None:
         need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
         checks.refuse("estimator", need, "one whose F and Q are for one length only")
     if estimator.parts and any(leaf.t is not None or leaf.r is not None for leaf in estimator.leaves):
