@@ -226,7 +226,7 @@ def test_nothing_to_see_is_no_piece():
 # Recorded tracks. The numbers of the rule were chosen on rides, a paraglider and walks. The watch of a runner and the
 # logger of a glider were not looked at for any of them, a phone on a hike for two, ARRIVED and WENT_ON. The run and
 # the ride in a town, both of phones, were run when all rules were there, and nothing was changed after. The sailing
-# boat, and the hike with a fix every 11 s, had been run before `grid_of` and the limits of calm were made.
+# boat, and the hike with a fix every 11 s, had been run before `grid_of` and the limits of smooth motion were made.
 HELD_BACK = {
     "run_fenix2_1hz": slice(None),
     "hike_gpxo_2s": slice(2500),
@@ -360,9 +360,9 @@ def test_on_sparse_tracks_half_of_the_outliers_of_20_to_40_metres_are_caught_and
 
 @pytest.mark.parametrize("count", [1, 2, 9, 40])
 def test_limits_follow_the_fixes_around(count):
-    assert (cleaning._limits_of_calm(np.full(count, 100.0)) == cleaning.FROM_BOTH_SIDES).all()
-    assert (cleaning._limits_of_calm(np.full(count, 0.1)) == cleaning.CALM).all()
-    np.testing.assert_allclose(cleaning._limits_of_calm(np.full(count, 1.0)), 60 / 1.39)
+    assert (cleaning._limits(np.full(count, 100.0)) == cleaning.FROM_BOTH_SIDES).all()
+    assert (cleaning._limits(np.full(count, 0.1)) == cleaning.LEAST_LIMIT).all()
+    np.testing.assert_allclose(cleaning._limits(np.full(count, 1.0)), 60 / 1.39)
 
 
 def test_a_start_far_from_the_first_fixes_is_told(track):
