@@ -176,7 +176,7 @@ SMALL = r"""async () => {
 def test_there_is_a_site():
     assert {"index.html", "ledger.html", "figures.html", "guide.html", "api.html"} < set(PAGES)
     assert len(ARTICLES) == 4
-    assert len(LESSONS) == 5
+    assert len(LESSONS) == 6
 
 
 # One template makes all pages of names and modules: those on a phone, where it is narrow.

@@ -1,21 +1,26 @@
 """The base classes of all filters: what users call, and what the rest of the package calls.
 
-Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, bands, and filters made of filters call,
-with measurements z (N, m, M) that are checked already:
+Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, bands, and filters made of filters call
 
-- `run(z, x, covariances)`: writes the states to x and returns the covariances if they are wanted;
+- `as_tracks(z)`: checks z, and makes it (N, m, M);
+- `run(z, x, covariances)`: writes the estimates to x, and returns the covariances if they are wanted;
 - `innovations_of(z)`: the innovations and their covariances;
-- `epochs_of(z)`, `times_of(N)`: the conditions of the epochs, and their times in seconds;
-- `parts`: the filters that this one is made of.
+- `epochs_of(z)`: z with the steps and variances of its epochs; `times_of(N)`: the times of the epochs in seconds;
+- `parts`, `leaves`: the filters that a filter is made of, directly and in the end.
 
-Covariances are (N, n, n, M) there, or (N, n, n, 1) where all tracks share them.
+Their covariances are (N, n, n, M), or (N, n, n, 1) where all tracks share them.
 
-A `RecursiveFilter` defines `next_step`, and the engine runs it. The way of z through `filter`:
+A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest. On the way of z through
+`filter`, every line but the last two is one call:
 
-    Filter.filter -> run -> engine.estimates -> shared_steps -> next_step         tracks without gaps: A, B, P once
-                                                run_shared                        x <- A x + B z, several steps at once
-                                             -> advance                           all others, row by row, as columns
-    smooth        -> engine.smoothed, innovations_of -> engine.innovations        both begin with engine.estimates
+    Filter.filter           z to (N, m, M)
+    RecursiveFilter.run     z to Epochs, which know the gaps, steps and variances
+    run.estimates           tracks without gaps, or any others?
+        shared_steps, run_shared     without: A_k, B_k and P once for all of them; then x <- A x + B z
+        pieces.through, advance      others: x and P of all tracks as columns, one row of z after the other
+
+`smooth` and `innovations_of` begin with `run.estimates` too. `advance` takes one row: it calls `next_step` for each
+track, unless a filter has a faster way, as KalmanFilter has in `_engine.columns`.
 """
 
 from __future__ import annotations
@@ -23,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
+from inspect import signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -255,7 +261,8 @@ class Filter(Immutable):
             For other shapes, for numbers that are not finite, for a P that is no covariance, and for a P or dt so large
             that doubles do not hold the step.
         TypeError
-            For anything but real numbers, and for a filter that has no step: a predictor, a FIR filter.
+            For anything but real numbers, for a filter without steps (a predictor, a FIR filter), and for dt or r where
+            the filter is not a KalmanFilter.
 
         """
         raise self._not_recursive()
@@ -371,20 +378,6 @@ class RecursiveFilter(Filter):
         P : ndarray (n, n)
             The covariance P(k+1/k+1).
 
-        Examples
-        --------
-        The gains B_k of a track that misses an epoch:
-
-        >>> import mpt_helpers as mpt
-        >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.eye(2)))
-        >>> P, z = kf.P0, np.array([[1.0], [np.nan], [3.1]])
-        >>> for seen in ~np.isnan(z):
-        ...     _, gain, P = kf.next_step(P, seen)
-        ...     print(gain.T.round(3))
-        [[0.952 0.478]]
-        [[0. 0.]]
-        [[0.961 0.445]]
-
         """
         raise NotImplementedError
 
@@ -465,14 +458,22 @@ class RecursiveFilter(Filter):
         """Return x(k+1/k+1) and P(k+1/k+1), as in Filter. dt and r are for a `next_step` that takes them."""
         x, P = checks.state(x, P, self.model.n)
         z_k, seen = checks.one_measurement(z_k, self.model.m)
-        given = {}
+        conditions = {}
         if dt is not None:
-            given["dt"] = checks.not_negative("dt", checks.as_seconds(dt))
+            conditions["dt"] = checks.not_negative("dt", checks.as_seconds(dt))
         if r is not None:
-            given["r"] = checks.variances_of_one("r", r, seen)
+            conditions["r"] = checks.variances_of_one("r", r, seen)
+        for name in conditions:
+            if name not in self._arguments_of_next_step:
+                need = "a filter whose `next_step` takes it, such as KalmanFilter"
+                checks.refuse(name, need, f"a {type(self).__name__}", TypeError)
         with np.errstate(over="ignore", invalid="ignore"):  # of too long a dt, which is refused
-            A, B, P = self.next_step(P, seen, **given)
+            A, B, P = self.next_step(P, seen, **conditions)
         return A @ x + B @ np.where(seen, z_k, 0), P
+
+    @cached_property
+    def _arguments_of_next_step(self):
+        return signature(self.next_step).parameters.keys()
 
     def smooth(self, z: ArrayLike) -> Estimates:
         """Return the states of all epochs given all measurements, and their covariances, as in Filter.

@@ -72,6 +72,16 @@ class KalmanFilter(RecursiveFilter):
     array([[1.  , 0.01],
            [4.47, 0.99]])
 
+    The gain of each epoch, here of a track that misses the second:
+
+    >>> P = kf.P0
+    >>> for seen in ([True], [False], [True]):
+    ...     A, gain, P = kf.next_step(P, np.array(seen))
+    ...     print(gain.T.round(3))
+    [[0.999 0.01 ]]
+    [[0. 0.]]
+    [[0.976 0.478]]
+
     """
 
     t: Array | None

@@ -75,8 +75,13 @@ def constants_of(fit):
 
 
 def stated_at_rest(r, sigma, tau, span, n):
-    """Return the sigma (m) to state for a mean of n fixes over a span (s): 7 % more than the best average leaves."""
-    return 1.07 * np.sqrt(sigma**2 / (1 + span / (2 * tau)) + r / n)
+    """Return the standard deviation (m) to state for a mean of n fixes over a span (s)."""
+    return np.sqrt(sigma**2 / (1 + span / (2 * tau)) + r / n)
+
+
+def noise_of(z):
+    """Return the variance r of the noise of fixes, from the steps between neighbours."""
+    return float(np.nanmean(np.diff(z) ** 2) / 2)
 
 
 def stretches_of(z, n=recorded.WINDOW):
@@ -96,60 +101,50 @@ def made_over_stated(kalman, z, step, **constants):
     return rms([x[0] for x, _ in ends]) / np.sqrt(np.mean([P[0, 0] for _, P in ends]))
 
 
-def judged(cases, fits, kalman):
-    """Return a row for each case: √r, sigma and tau (min) of its height, and made over stated of means and filters.
+def ratios(kalman, z, step, one, constants):
+    """Return made over stated of the mean by the root of n and by the formula, and of the filters white and aware.
 
-    They are the mean by the root of n and by the formula, and the filter without and with the lasting error. A tau that
-    the day does not determine, by the limit of `fit_lasting`, has a question mark.
+    one is the variance of a fix, for the first and the third; the others take the constants r, sigma and tau.
     """
+    return [
+        rms(stretches_of(z).mean(axis=1)) / np.sqrt(one / recorded.WINDOW),
+        mean_over_stated(z, constants, step),
+        made_over_stated(kalman, z, step, r=one),
+        made_over_stated(kalman, z, step, **dict(zip(("r", "sigma", "tau"), constants, strict=True))),
+    ]
+
+
+def judged(cases, kalman, sigma, tau):
+    """Return a row for each height: √r by its neighbouring fixes, and its `ratios` by this sigma and tau."""
     rows = []
     for name, case in cases.items():
-        z, fit = case.errors[:, UP], fits[name]
-        r, sigma, tau = constants_of(fit)
-        low, high = fit.known["tau"][0]
-        unknown = "?" if np.log(high / low) > 2 * 1.96 * lasting.UNKNOWN else ""
-        one = np.nanvar(z)
-        ratios = [
-            rms(stretches_of(z).mean(axis=1)) / np.sqrt(one / recorded.WINDOW),
-            mean_over_stated(z, (r, sigma, tau), case.step),
-            made_over_stated(kalman, z, case.step, r=one),
-            made_over_stated(kalman, z, case.step, r=r, sigma=sigma, tau=tau),
-        ]
-        fitted = f"{np.sqrt(r):.2f}", f"{sigma:.2f}", f"{tau / 60:.0f}{unknown}"
-        rows.append([name, *fitted, *(f"{each:.1f}" for each in ratios)])
+        z = case.errors[:, UP]
+        r = noise_of(z)
+        found = ratios(kalman, z, case.step, np.nanvar(z), (r, sigma, tau))
+        rows.append([name, f"{np.sqrt(r):.2f}", *map(TENTH.format, found)])
     return rows
 
 
 def carried(cases, fits, kalman):
-    """Return a row for each origin of the constants: made over stated of the mean of a window, and of the filter.
+    """Return a row for each origin of the constants: the spread of `ratios` over all heights.
 
-    They are those of the other half of the day, and of the same kind of range at each other station; for a mean of four
-    hours those of the same day, and of each other station.
+    The constants are fitted to the other half of the day, or to the same kind of range at each other station. The last
+    row has means over four hours, by the formula.
     """
-
-    def of_filter(z, step, constants):
-        return made_over_stated(kalman, z, step, **dict(zip(("r", "sigma", "tau"), constants, strict=True)))
-
-    halves, stations = [], []
+    halves, stations, hours = [], [], []
     for name, case in cases.items():
         parts = np.array_split(case.errors[:, UP], 2)
-        halves += [(part, case.step, each) for part, each in zip(parts, reversed(fits[name].halves[:, 0]), strict=True)]
+        for part, other, fitted in zip(parts, parts[::-1], fits[name].halves[::-1, 0], strict=True):
+            halves.append(ratios(kalman, part, case.step, np.nanvar(other), fitted))
     for name, other in permutations(cases, 2):
         if cases[name].kind == cases[other].kind:
-            stations.append((cases[name].errors[:, UP], cases[name].step, constants_of(fits[other])))
-    rows = []
-    for where, some in {"another half day": halves, "another station": stations}.items():
-        if some:  # a reader's own may be the only station
-            of_mean = [mean_over_stated(z, constants, step) for z, step, constants in some]
-            rows.append([where, spread(of_mean, TENTH), spread([of_filter(*each) for each in some], TENTH)])
-
-    def over_hours(some):
-        return [mean_over_stated(z, constants, step, n=round(4 * 3600 / step)) for z, step, constants in some]
-
-    same = [(case.errors[:, UP], case.step, constants_of(fits[name])) for name, case in cases.items()]
-    rows.append(["the same day, over four hours", spread(over_hours(same), TENTH), ""])
-    if stations:
-        rows.append(["another station, over four hours", spread(over_hours(stations), TENTH), ""])
+            z, step, fitted = cases[name].errors[:, UP], cases[name].step, constants_of(fits[other])
+            stations.append(ratios(kalman, z, step, np.nanvar(cases[other].errors[:, UP]), fitted))
+            hours.append(mean_over_stated(z, fitted, step, n=round(4 * 3600 / step)))
+    rows = [["another half day", *(spread(each, TENTH) for each in zip(*halves, strict=True))]]
+    if stations:  # a reader's own may be the only one
+        rows.append(["another station", *(spread(each, TENTH) for each in zip(*stations, strict=True))])
+        rows.append(["another station, over four hours", "", spread(hours, TENTH), "", ""])
     return rows
 
 

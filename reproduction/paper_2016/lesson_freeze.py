@@ -1,4 +1,4 @@
-"""The drawings of the lesson on freezing a filter: its start, and a car that brakes."""
+"""The drawing of the lesson on freezing a filter: its start."""
 
 from dataclasses import replace
 
@@ -88,28 +88,4 @@ def draw_start(steps=25):
     plots.label_line(frozen, f"frozen at once: up to {at_once.max():.0f} m off", at=3, xytext=(10, 4))
     plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {at_once.max():.0f} m off")
     ax.get_legend().remove()
-    return fig
-
-
-def draw_braking(misses, seconds=5):
-    """Return a figure of how far predictions lie beyond the true place, by the second at which they were made.
-
-    misses maps a brake in m/s² to {name of a filter: misses (m) of the predictions of seconds 0, 1, ...}.
-    """
-    of_acceleration = plots.COLOUR_OF["acceleration"]
-    of_velocity = plots.COLOUR_OF["kalman"]
-    styles = [(of_velocity, ":"), (of_velocity, "-"), (of_acceleration, "--"), (of_acceleration, "-")]
-    names = [f"{brake:g} m/s²" for brake in misses]
-    fig, ax = plots.panels([names], height=3.9)
-    ax[names[1]].sharey(ax[names[0]])
-    for name, of_filters in zip(names, misses.values(), strict=True):
-        lines = []
-        for (filter_name, off), (colour, style) in zip(of_filters.items(), styles, strict=True):
-            lines += ax[name].plot(np.arange(len(off)), off, style, color=colour, marker=".", label=filter_name)
-        ax[name].axhline(0, color="0.4", lw=1.0)
-        plots.finish(ax[name], "second of the brake", f"a brake of {name}")
-        ax[name].get_legend().remove()
-    ax[names[0]].set_ylabel(f"predicted {seconds} s ahead,\nbeyond the true place (m)")
-    fig.legend(lines, list(of_filters), loc="outside lower center", ncols=1)
-    fig.suptitle("No filter foresees a brake", x=0.02, ha="left", weight="bold")
     return fig

@@ -57,16 +57,8 @@ def line_of(text, start):
     return line
 
 
-def has_question_mark(name):
-    """Whether the table of heights has one in the line of this height."""
-    return "?" in line_of(printed("judged"), name)
-
-
-def constants_of_heights():
-    """The constants r, sigma and tau (s) of each recording's height, as the lesson shows them."""
-    names = [f"{station}, {kind}" for station in recorded.TABLES for kind in recorded.KINDS]
-    rows = {name: row(printed("judged"), name) for name in names}
-    return {name: (noise**2, sigma, 60 * tau) for name, (noise, sigma, tau, *_) in rows.items()}
+HEIGHTS = [f"{station}, {kind}" for station in recorded.TABLES for kind in recorded.KINDS]
+PAIR = (1.2, 3600.0)  # sigma (m) and tau (s) that the lesson takes for every height
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +69,11 @@ def days():
 @pytest.fixture(scope="module")
 def cases():
     return lesson.cases()
+
+
+@pytest.fixture(scope="module")
+def fits(cases):
+    return lesson.fits(cases)
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +93,7 @@ def hatch():
 
 
 # Numbers that no cell prints: computed in tests below.
-COMPUTED = """0.05 0.10 0.12 0.20 0.76 0.79 0.86 0.1 0.2 0.25 0.4 0.7 0.8 0.80 0.84 0.88 0.93 0.94 1.07 1.14 1.2 1.26
-1.4 1.56 1.6 1.7 2.46 3.3 4.7 1.0"""
+COMPUTED = "0.045 0.1 0.2 0.25 0.4 0.8 0.84 0.86 0.94 1.0 1.2 1.4 1.42 1.44 1.5 1.6 2.2 2.46 3.3"
 
 
 def test_numbers_with_decimals_are_printed_by_cells_or_computed_in_a_test():
@@ -112,36 +108,24 @@ def test_numbers_with_decimals_are_printed_by_cells_or_computed_in_a_test():
 
 
 def test_the_question_of_the_first_line_is_answered(cases):
-    up = cases[WALL].errors[:2800, UP]
-    means = up.reshape(28, 100).mean(axis=1)
-    one, made = np.std(cases[WALL].errors[:, UP]), mpt.metrics.rms(means)
+    height = cases[WALL].errors[:, UP]
+    means = height[:2800].reshape(28, 100).mean(axis=1)
+    one, made = np.std(height), mpt.metrics.rms(means)
     assert 2.4 < one < 2.6
     says("Each one is wrong by two and a half metres or so")
-    says(f"takes all of a fix's error, {one:.2f} m, for noise")
+    says(f"the variance of all of a fix's error, {one:.2f}² m²")
     assert f"{one / 10:.2f}" == "0.25"
     says("some nineteen of their means should lie within 0.25 m of the mean of the day. Four did")
     assert round(28 * 0.6827) == 19
     assert np.sum(np.abs(means) < 0.25) == 4
     says(f"the rms error of the 28 was {made:.2f} m")
-    stated = lesson.stated_at_rest(4.7, 1.14, 2700.0, 3000.0, 100)
-    says(f"With the 7 % it is {stated:.1f} m. The 28 means were {made:.2f} m off.")
-    says(f"but $\\sqrt{{{stated:.1f}^2 + 1.2^2}}$ = {np.hypot(stated, 1.2):.1f} m")
-    from_header = mpt.metrics.rms(means + cases[WALL].offset[UP])
-    says(f"Measured from NYA1's file the 28 means were {from_header:.1f} m off")
-
-
-def test_the_mean_keeps_most_of_what_lasts_and_little_of_the_noise(cases):
-    kept = {"noise": [], "lasting": []}
-    for case in cases.values():
-        for part, ratios in kept.items():
-            stretches = lesson.stretches_of(getattr(case, part)[:, UP])
-            assert len(stretches) == 28
-            ratios.append(mpt.metrics.rms(stretches.mean(axis=1)) / mpt.metrics.rms(stretches.ravel()))
-    noise, lasting = map(spread, kept.values())
-    says(f"In all six {lasting} of the lasting error stayed")
-    says(f"Of the noise {noise} stayed, and not 0.10, since it is not quite new at each fix")
-    known = [row(printed("judged"), name)[2] for name in constants_of_heights() if not has_question_mark(name)]
-    says(f"the count says {spread(1 / np.sqrt(1 + 50 / (2 * np.array(known))), '{:.2f}')} where the day determines τ")
+    r = lesson.noise_of(height)
+    stated = lesson.stated_at_rest(r, *PAIR, 3000.0, 100)
+    says(f"On your wall $r$ is {r:.1f} m², and this is $\\sqrt{{1.44/1.42 + {r / 100:.3f}}}$ = {stated:.1f} m.")
+    says(f"The 28 means were {made:.2f} m off.")
+    says(f"$\\sqrt{{{stated:.1f}^2 + 1.2^2}}$ = {np.hypot(stated, 1.2):.1f} m")
+    from_file = mpt.metrics.rms(means + cases[WALL].offset[UP])
+    says(f"From the height in NYA1's file the 28 means were {from_file:.1f} m off")
 
 
 def test_the_bars_of_the_figure_are_means_that_follow_the_line(cases):
@@ -150,11 +134,11 @@ def test_the_bars_of_the_figure_are_means_that_follow_the_line(cases):
     up = cases[WALL].errors[: 100 * len(bars), UP].reshape(-1, 100)
     np.testing.assert_allclose(np.array(bars), up.mean(axis=1)[:, None] + np.zeros(2))
     assert np.corrcoef(up.mean(axis=1), wave.reshape(-1, 100).mean(axis=1))[0, 1] > 0.95
-    says("They follow the line")
+    says("They follow the line, though not closely, since some noise is left; and most miss the band.")
+    assert np.sum(np.abs(up.mean(axis=1)) > 0.25) > 6
 
 
-def test_the_parts_of_the_walls_error(cases):
-    says(f"It has {np.std(cases[WALL].lasting[:, UP]):.2f} m for σ, and the fit never saw it")
+def test_two_frequencies_have_three_times_the_noise(cases):
     says("at the price of about three times the noise")
     for name in recorded.TABLES:
         sizes = [recorded.size(cases[f"{name}, {kind}"].noise) for kind in recorded.KINDS]
@@ -162,28 +146,22 @@ def test_the_parts_of_the_walls_error(cases):
 
 
 def test_the_formula_is_computed_by_hand():
-    says(f"$1 + 50/90$, or {1 + 50 / 90:.2f}")
-    R = np.exp(-np.abs(np.subtract.outer(np.arange(100), np.arange(100))) * 30 / 2700)
+    sigma, tau = PAIR
+    count = 1 + 50 / 120
+    says(f"Then fifty minutes have $1 + 50/120$, or {count:.2f}, different errors.")
+    R = np.exp(-np.abs(np.subtract.outer(np.arange(100), np.arange(100))) * 30 / tau)
     best = 1 / np.sqrt(np.linalg.inv(R).sum())
-    assert f"{best:.2f}" == f"{1 / np.sqrt(1.56):.2f}"
-    says(f"leaves $1/\\sqrt{{1.56}}$, or {best:.2f} of the lasting error")
-    count = 1 + 50 / 90
-    wave, noise = 1.14**2 / count, 4.7 / 100
-    says(f"1.14²/1.56 = {wave:.2f} m². The noise leaves 4.7/100 = {noise:.2f} m².")
-    says(f"Together that is {wave + noise:.2f} m², and its root is {np.sqrt(wave + noise):.2f} m")
+    assert f"{best:.2f}" == f"{1 / np.sqrt(count):.2f}"
+    says(f"leaves $1/\\sqrt{{1.42}}$ = {best:.2f} of the lasting error")
+    says("To halve it takes four different errors, and for these you wait $6\\tau$, six hours.")
+    assert 1 + 6 / 2 == 4
+    assert f"{sigma**2:.2f}" == "1.44"
     says(f"After a time τ, {100 * np.exp(-1):.0f} % of it is left on average")
     says("something new has come, nearly as large as σ")
     assert np.sqrt(1 - np.exp(-2)) == pytest.approx(0.93, abs=0.005)
-
-
-def test_the_root_of_n_ends_where_the_noise_is_as_large_as_what_lasts():
-    r, sigma, _ = constants_of_heights()[WALL]
-    says("unless $n$ is far below $r/\\sigma^2$, which on your wall is four")
-    assert round(r / sigma**2) == 4
-    says("A phone with 10 m of noise each second, and your wall's lasting error, has $r/\\sigma^2$ of some eighty.")
-    assert 75 < 100 / sigma**2 < 85
-    hour = lesson.stated_at_rest(100.0, 1.14, 2700.0, 3600.0, 3600)
-    says(f"Its mean of an hour would be {hour:.1f} m off, where $\\sqrt n$ says {10 / np.sqrt(3600):.1f}")
+    two_hours = lesson.stated_at_rest(4.0, *PAIR, 7200.0, 240)
+    says(f"$\\sqrt{{1.44/2 + 4/240}}$ = {two_hours:.2f} m")
+    says(f"$\\sqrt{{0.86^2 + 1.2^2}}$ = {np.hypot(two_hours, 1.2):.1f} m")
 
 
 def test_the_mean_leaves_seven_percent_more_than_the_best_average():
@@ -195,7 +173,7 @@ def test_the_mean_leaves_seven_percent_more_than_the_best_average():
     weights[[0, -1]] = t[1] / 2 + 1.0  # the trapezoidal rule, and a time tau at each end
     with_each = np.exp(-np.abs(np.subtract.outer(t, t))) @ weights / weights.sum()
     np.testing.assert_allclose(with_each, 1 / (1 + T / 2), rtol=1e-6)
-    says("leaves up to 7 % more")
+    says("The plain mean leaves up to 7 % more.")
     x = np.linspace(0.01, 50, 5000)
     ratio = np.sqrt(2 * (x - 1 + np.exp(-x)) / x**2 * (1 + x / 2))
     assert 1.06 < ratio.max() < 1.07
@@ -203,10 +181,22 @@ def test_the_mean_leaves_seven_percent_more_than_the_best_average():
     assert np.sqrt(R.mean() * np.linalg.inv(R).sum()) == pytest.approx(ratio[np.abs(x - 3).argmin()], abs=2e-3)
 
 
-def test_the_filter_has_what_the_fit_says():
-    day = re.findall(r"(?m)^(?:r|sigma|tau) ([\d.]+)", printed("fit"))
-    r, sigma, tau = float(day[0]), float(day[1]), 60 * float(day[2])
-    assert f'"r": {r:.1f}, "sigma": {sigma:.2f}, "tau": {tau:.1f}' in source(CELLS["kalman"])
+def test_the_pair_is_near_what_was_fitted(fits):
+    says("we took round numbers, σ = 1.2 m and τ = one hour")
+    assert ', {"r": r, "sigma": 1.2, "tau": 3600.0}' in source(CELLS["kalman"])
+    assert "sigma=1.2, tau=3600.0" in source(CELLS["judged"])
+    by_size = sorted(float(fit.sigma[0]) for fit in fits.values())
+    assert np.exp(np.log(by_size[:5]).mean()) == pytest.approx(1.2, abs=0.05)
+    assert by_size[5] > 3
+
+
+def test_the_noise_is_half_of_the_mean_squared_step():
+    """Of errors that are known; what lasts adds a hundredth of its variance."""
+    model = recorded.with_lasting(30.0, 4.0, *PAIR).model
+    x, z = mpt.simulate(model, 3000, np.random.default_rng(5))
+    assert lesson.noise_of((z - x[:, :1])[:, 0]) == pytest.approx(4.0 + 1.44 * 30 / 3600, rel=0.1)
+    noise = re.search(r"r ([\d.]+) m²", printed("fit"))[1]
+    assert noise == "4.5"
 
 
 def test_what_a_window_leaves_is_what_theory_says():
@@ -245,26 +235,20 @@ def test_made_over_stated_is_judged_on_errors_of_a_known_kind():
         )
         fits[f"{station}, {TWO}"] = fit
 
-    def twice_the_mean(z, step, r, sigma, tau):
+    def twice_the_mean(z, step, r, sigma=0.0, tau=1.0):
         """Stands for a filter: twice the mean of the window, stated as the formula does."""
         yield 2 * z.mean(keepdims=True), np.atleast_2d(lesson.stated_at_rest(r, sigma, tau, 3000.0, 100) ** 2)
 
     made = {where: ratios for where, *ratios in lesson.carried(cases, fits, twice_the_mean)}
+    # The plain mean leaves up to 5 % more over this span than is stated, 400 windows know an rms to 4 %.
     for where, least, largest in (("another half day", 1 / 3, 3.0), ("another station", np.sqrt(5) / 3, 3.0)):
-        for text, times in zip(made[where], (1, 2), strict=True):
-            found = [float(each) for each in text.split(" to ")]
-            # 400 windows know an rms to 4 %, and the text has a tenth
-            np.testing.assert_allclose(found, [times * least, times * largest], rtol=0.12, atol=0.05)
+        _, formula, white, aware = ([float(each) for each in text.split(" to ")] for text in made[where])
+        for times, found in ((1, formula), (2, aware)):
+            np.testing.assert_allclose(found, [times * least, times * largest], rtol=0.14, atol=0.05)
+        by_root_n = [float(each) for each in made[where][0].split(" to ")]
+        np.testing.assert_allclose(white, 2 * np.array(by_root_n), atol=0.15)
     (name, *_) = cases
     assert "another station" not in [row[0] for row in lesson.carried({name: cases[name]}, fits, twice_the_mean)]
-
-
-def test_a_tau_that_the_day_does_not_determine_has_a_question_mark():
-    case = SimpleNamespace(errors=np.random.default_rng(0).standard_normal((200, 3)), step=30.0)
-    for high, mark in ((6.9, ""), (7.3, "?")):  # e^1.96 = 7.1
-        fit = SimpleNamespace(known={"tau": np.array([[600, 600 * high]])}, r=[1.0], sigma=[1.0], tau=[600.0])
-        ((_, _, _, tau, *_),) = lesson.judged({"a": case}, {"a": fit}, lambda z, step, **_: [([0.0], np.eye(1))])
-        assert tau == f"10{mark}"
 
 
 def test_two_hours_of_a_fix_a_second_are_no_substitute_for_a_day():
@@ -311,67 +295,56 @@ def test_the_filter_that_is_taught_is_that_of_the_package(kalman):
 
 
 def test_what_the_filters_state_and_make_is_read():
-    (white, by_white), (state, by_aware) = re.findall(r"states ([\d.]+) m and makes ([\d.]+) m", printed("kalman"))
+    (white, by_white), (_, by_aware) = re.findall(r"states ([\d.]+) m and makes ([\d.]+) m", printed("kalman"))
     says("White is twice as far off as it states")
     assert float(by_white) / float(white) == pytest.approx(2, abs=0.1)
-    says("Aware is no nearer, but it says so. Neither filter knows that you stand, so here both are a little worse")
-    assert all(0.94 < float(made) < 1.1 for made in (by_white, by_aware))
-    says(f"the unknown velocity makes white state {white} m, not 0.25 m")
+    says("Aware is no nearer, but it says so.")
+    assert 1 < float(by_aware) / float(by_white) < 1.1
     assert f"{2 * 2.46 / np.sqrt(100):.2f}" == white  # the newest point of a line
-    p, e, both = re.search(
-        r"position to ([\d.]+) m, the lasting error to ([\d.]+) m, their sum to ([\d.]+)", printed("kalman")
-    ).groups()
-    says(
-        f"Aware knows the sum to {both} m, but after fifty minutes the error only to {e} m, no better than at the start"
-    )
-    says(f"and the position to {p} m")
-    says("that of $e$ is some 0.8 m too low")
-    r, sigma, tau = constants_of_heights()[WALL]
-    lasting = recorded.with_lasting(30.0, r, sigma, tau)
-    P = lasting.covariances(100)[-1]
-    assert round(P[-1, 0] / P[0, 0], 1) == -0.8
-    assert p == state
+    e, both = re.search(r"the lasting error to ([\d.]+) m, their sum to ([\d.]+)", printed("kalman")).groups()
+    says(f"After fifty minutes it knows the sum to {both} m, and the error no better than at the start.")
+    assert e == f"{PAIR[0]:.2f}"
 
 
-def test_what_the_table_of_six_heights_says_is_said(cases):
-    rows = np.array([row(printed("judged"), name)[3:] for name in constants_of_heights()])
-    _, formula, white, aware = rows.T
-    assert (round(white.min()), round(white.max())) == (2, 6)
-    says("White is two to six times too sure, aware is right within a quarter")
-    for honest in (formula, aware):
-        assert 0.75 < honest.min() < honest.max() < 1.25
-    changes = []
-    for (name, (r, sigma, tau)), in_the_table in zip(constants_of_heights().items(), rows[:, 2:], strict=True):
+def test_what_the_tables_say_is_said(cases, fits):
+    rows = np.array([row(printed("judged"), name)[1:] for name in HEIGHTS])
+    formula = rows[:, 1]
+    says("Two numbers serve five of the six heights. At the sixth the formula is 2.4 times too sure")
+    odd = HEIGHTS.index(f"Belem, {ONE}")
+    assert formula[odd] == 2.4
+    for honest in (rows[:, 1], rows[:, 3]):
+        assert 0.75 < np.delete(honest, odd).min() < np.delete(honest, odd).max() < 1.25
+    for name, found in zip(HEIGHTS, rows[:, 2:], strict=True):
         step, axis = cases[name].step, cases[name].errors[:, UP]
-        filters = recorded.white(step, np.var(axis)), recorded.with_lasting(step, r, sigma, tau)
+        filters = recorded.white(step, np.var(axis)), recorded.with_lasting(step, lesson.noise_of(axis), *PAIR)
         ends = [each.estimates(recorded.windows(axis)) for each in filters]
-        made = np.array([mpt.metrics.rms(end.x[-1, 0]) for end in ends])
-        stated = np.sqrt([end.P[-1, 0, 0].mean() for end in ends])
-        np.testing.assert_allclose(in_the_table, made / stated, atol=0.06)  # a tenth is shown
-        changes.append(made[1] / made[0] - 1)
-    says("Their errors differ by a seventh at most")
-    assert 0.12 < np.abs(changes).max() < 1 / 7
-    says("In fifty minutes the error was 0.3 to 3 times what the formula stated, and aware was no better.")
-    for where in ("another half day", "another station"):
-        found = row(printed("carried"), f"{where} ")
-        assert len(found) == 4
-        for least, largest in (found[:2], found[2:]):
-            assert 0.25 <= least < 0.5
-            assert 1.5 < largest < 3.5
-    says("The receiver's own other half day was hardly better than another station.")
-    own, other = (
-        np.array(row(printed("carried"), f"{where} "))[[1, 3]] for where in ("another half day", "another station")
-    )
-    assert (own > 0.9 * other).all()
-    says("Over four hours it was 0.2 to 4 times.")
-    low, high = row(printed("carried"), "another station, over four hours")[-2:]
-    assert (low, round(high)) == (0.2, 4)
+        made = [mpt.metrics.rms(end.x[-1, 0]) / np.sqrt(end.P[-1, 0, 0].mean()) for end in ends]
+        np.testing.assert_allclose(found, made, atol=0.06)  # a tenth is shown
+    half, other = (row(printed("carried"), f"{where} ") for where in ("another half day", "another station"))
+    for first, last in ((2, 4), (6, 8)):  # the formula, and aware
+        for low, high in (half[first:last], other[first:last]):
+            assert 0.3 <= low < 0.5
+            assert 2 < high < 3.3
+    says("In fifty minutes the formula and aware were wrong by up to a factor of three, either way.")
+    low, high = np.minimum(half, other)[::2], np.maximum(half, other)[1::2]
+    says(f"But $\\sqrt n$ was {low[0]:.0f} to {high[0]:.0f} times too sure, and white {low[2]:.0f} to {high[2]:.0f}.")
+    hours = row(printed("carried"), "another station, over four hours")
+    assert 1 / 5 <= hours[0] < hours[1] < 5
+    says("Expect to be wrong by a factor of three, over four hours of five.")
+    worst = dict.fromkeys((0, PAIR[0]), 0.0)
+    for name, case in cases.items():
+        parts = np.array_split(case.errors[:, UP], 2)
+        for part, (r, sigma, tau) in zip(parts, fits[name].halves[::-1, 0], strict=True):
+            for least in worst:
+                found = lesson.mean_over_stated(part, (r, max(sigma, least), tau), case.step)
+                worst[least] = max(worst[least], found)
+    says("Take no σ below 1.2 m: tried on the other half of each day, the error was then")
+    says(f"at most {worst[PAIR[0]]:.1f} times what was stated, instead of {worst[0]:.1f}.")
 
 
 @pytest.mark.parametrize("speed", [1.4, 15.0, 30.0])
 def test_in_steady_motion_aware_is_as_honest(kalman, speed):
     """Of the formula's world, with a fix each 30 s: the start must not hold a filter that moves at up to 30 m/s."""
-    says("and is more so for whoever hardly turns")
     rng = np.random.default_rng(3)
     for r, sigma, tau in ((0.09, 1.12, 4080.0), (0.81, 3.22, 4980.0)):
         keep = np.exp(-30.0 / tau)
@@ -400,33 +373,7 @@ def test_the_more_one_turns_the_less_the_lasting_error_matters(cases):
         found = white.estimates(walks[:, :1] + np.tile(recorded.windows(axis), 10))
         made = (found.x[:, 0] - walks[:, 0])[20:]
         assert mpt.metrics.rms(made.ravel()) / np.sqrt(found.P[20:, 0, 0].mean()) == pytest.approx(1.0, abs=0.04)
-    says("| move, with a fix each 30 s or with 10 m of noise | the usual filter | its own $\\sqrt P$, which was")
-
-
-def too_sure(q, r, sigma, tau, dt=1.0):
-    """How many times too sure the filter without the lasting error is: exact, from the covariance of its error."""
-    kf = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(dt, q, r + sigma**2))
-    K, a = kf.B[:, 0], np.exp(-dt / tau)
-    # The error of position and velocity, and e: e_x = A e_x + (I - K H) w - K (a e + new + v)
-    A = np.block([[kf.A, -a * K[:, None]], [np.zeros((1, 2)), a]])
-    reaches = np.eye(2) - np.outer(K, [1.0, 0.0])
-    noise = np.zeros((3, 3))
-    noise[:2, :2] = reaches @ mpt.constant_velocity(dt, q, 1.0).Q @ reaches.T + r * np.outer(K, K)
-    new = np.append(-K, 1.0)
-    noise += sigma**2 * (1 - a**2) * np.outer(new, new)
-    P = np.linalg.solve(np.eye(9) - np.kron(A, A), noise.ravel()).reshape(3, 3)
-    return np.sqrt(P[0, 0] / kf.P[0, 0])
-
-
-def test_with_a_fix_each_second_it_matters_more():
-    heights = constants_of_heights()
-    walkers = [too_sure(0.1, *each) for each in heights.values()]
-    says(f"White was {spread(walkers, '{:.1f}')} times too sure for simulated walkers (note 4)")
-    says("and is more so for whoever hardly turns")
-    for each, walker in zip(heights.values(), walkers, strict=True):
-        assert walker < too_sure(1e-2, *each) < too_sure(1e-4, *each)
-    _, sigma, tau = heights[WALL]
-    assert too_sure(0.1, 100.0, sigma, tau) < 1.05  # a phone
+    says("the usual one will do, since it hardly averages: for simulated walkers it was right")
 
 
 def test_the_rule_for_q_is_what_it_says():
@@ -436,13 +383,13 @@ def test_the_rule_for_q_is_what_it_says():
     assert wander[:, -1].std() == pytest.approx(1.4, rel=0.03)
 
 
-def test_constants_of_heights_state_too_much_for_east_and_north(cases):
+def test_the_pair_states_too_much_for_east_and_north(cases):
     found = [
-        lesson.mean_over_stated(cases[name].errors[:, axis], constants, cases[name].step)
-        for name, constants in constants_of_heights().items()
+        lesson.mean_over_stated(case.errors[:, axis], (lesson.noise_of(case.errors[:, axis]), *PAIR), case.step)
+        for case in cases.values()
         for axis in (0, 1)
     ]
-    says(f"east and north the error was only {spread(found, '{:.1f}')} of what they state")
+    says(f"East and north the error was {spread(found, '{:.1f}')} of what these numbers state")
 
 
 def test_the_mean_of_the_day_is_not_that_of_the_header(cases):
@@ -450,13 +397,9 @@ def test_the_mean_of_the_day_is_not_that_of_the_header(cases):
     esbc, nya1, belem = (f"{abs(two[name][UP]):.1f}" for name in ("ESBC", "NYA1", "Belem"))
     assert esbc == nya1
     one = max(abs(cases[f"{name}, {ONE}"].offset[UP]) for name in recorded.TABLES)
-    says(f"the mean of a day was {esbc} m off at NYA1 and at ESBC in Denmark, about what the formula states for a day")
-    says(f"and {belem} m at Belem at the equator")
-    says(f"With one it was up to {one:.1f} m off.")
-    for station in ("ESBC", "NYA1"):
-        r, sigma, tau = constants_of_heights()[f"{station}, {TWO}"]
-        assert lesson.stated_at_rest(r, sigma, tau, 86_400.0, 2880) == pytest.approx(abs(two[station][UP]), abs=0.15)
-    says(f"in height up to {belem} m here with two frequencies and {one:.1f} m with one")
+    says(f"the mean of a day was {esbc} m off at NYA1 and at ESBC in Denmark, and {belem} m at Belem")
+    says(f"with one it was up to {one:.1f} m off.")
+    says(f"{belem} m in height with two frequencies, {one:.1f} m with one; yours may be larger")
 
 
 # The page on smoothing
@@ -544,10 +487,9 @@ def test_one_frequency_is_smoothed_with_its_own_phase_only(days, cases, hatch, m
 
 
 def test_what_smoothing_takes_off():
-    rows = {name: row(PRINTED, name) for name in constants_of_heights()}
+    rows = {name: row(PRINTED, name) for name in HEIGHTS}
     took = {kind: [100 * (1 - rows[n][1] / rows[n][0]) for n in rows if n.endswith(kind)] for kind in (ONE, TWO)}
     one, two = (spread(took[kind], "{:.0f}") for kind in (ONE, TWO))
-    says(f"it took {two} % off the error of a fix with two frequencies, and {one} % with one")
     page_says(f"Smoothing took {two} % off the error of a fix with two frequencies, and {one} % with one")
     better = [100 * (1 - mean / smoothed) for _, smoothed, mean in rows.values()]
     page_says(f"If you stand still for 50 min, the mean is better, by {min(better):.0f} to {max(better):.0f} %")

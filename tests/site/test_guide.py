@@ -185,7 +185,7 @@ def test_only_one_state_is_covered_below_85_percent_and_it_is_the_one_that_the_g
     (said,) = (made for _, made in guide[1] if "on the worse axis" in made)
     below = re.findall(r"(?m)^ *(\d+) s, ([a-z ]+): 0\.(?:[0-7]\d|8[0-4]) ± .*, (\d+) independent", said)
     assert below == [("1", "after standing still", "17")]
-    assert "a start from standing still one second ahead, and seventeen predictions" in GUIDE
+    assert "starting from rest, one second ahead; and seventeen predictions" in GUIDE
 
 
 def test_a_pandas_frame_with_a_time_index_becomes_a_track():
