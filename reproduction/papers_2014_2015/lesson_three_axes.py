@@ -88,8 +88,8 @@ def draw_lost_axis(last=30):
         ax[name].set_ylim(-limit, limit)
         ax[name].set_xlim(0, k[-1] + 2)
         ax[name].set_xticks([0, last, k[-1]])
-    plots.finish(ax["east"], "", "east: measured\nall the time")
-    plots.finish(ax["height"], "", f"height: silent\nafter second {last}")
+    plots.finish(ax["east"], "second", "east: measured\nall the time")
+    plots.finish(ax["height"], "second", f"height: silent\nafter second {last}")
     plots.finish(ax["far"], "second", "the height again, from afar")
     ax["east"].set_ylabel("error (m)")
     ax["far"].set_ylabel("error (m)")
@@ -161,10 +161,10 @@ def diagonal_apart(c):
     return float(np.sqrt(along @ apart.P @ along)), float(np.sqrt(along @ true @ along))
 
 
-def silent_in_company(changes, true_changes=None, errors=None, seconds=30):
+def silent_in_company(changes, true_changes=None, seconds=30):
     """Return sigma of the height after so many seconds of its silence, with one filter for all axes: stated, and true.
 
-    The filter assumes correlations (3, 3) of the random changes, and of the measurement errors (none if not given).
+    The filter assumes correlations (3, 3) of the random changes.
     What it states is true unless the true correlations of the changes are others.
 
     >>> stated, true = silent_in_company(correlated(3, 0.0))
@@ -172,7 +172,7 @@ def silent_in_company(changes, true_changes=None, errors=None, seconds=30):
     10.5 10.5
     """
     F, H, identity = (np.kron(np.eye(3), each) for each in (AXIS.F, AXIS.H, np.eye(2)))
-    R = AXIS.R[0, 0] * (np.eye(3) if errors is None else errors)
+    R = AXIS.R[0, 0] * np.eye(3)
     Q, true_Q = (np.kron(each, AXIS.Q) for each in (changes, changes if true_changes is None else true_changes))
     P, true = np.zeros((6, 6)), np.zeros((6, 6))
     for k in range(60 + seconds):  # sixty steps settle the filter

@@ -105,7 +105,7 @@ def test_the_step_is_that_of_the_package(taught):
 
 def test_the_numbers_of_the_scene_and_of_the_repair():
     late, right = (np.sqrt(settled(H)[2][0, 0]) for H in (NEXT, NOW))
-    says(f"It says that it knows the position to {100 * late:.0f} centimetres")
+    says(f"and it says that it knows the position to {100 * late:.0f} centimetres")
     says("each position wrong by some 30 centimetres")
     assert np.sqrt(0.1) == pytest.approx(0.3, abs=0.02)
     says(f"At 1.5 m/s it is 1.5 m, nine times the σ of {late:.3f} m at which the filter settles.")
@@ -239,7 +239,7 @@ def test_successive_surprises_of_the_late_filter_are_hardly_correlated():
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE}))
     new = mpt.metrics.innovations(kf, measured[:, None]).values[60:, 0]
     correlation = np.mean(new[1:] * new[:-1]) / np.mean(new**2)
-    says(f"Nor is one surprise correlated with the next: that test finds −{-correlation:.2f}.")
+    says(f"Nor are successive surprises correlated on such a walk: that test finds −{-correlation:.2f}.")
 
 
 def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
@@ -323,7 +323,7 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_a_ramp_sees_neither_q_nor_r():
-    says("Q, r and P, since every filter that still corrects its speed settles in the same place.")
+    says("Q, r and P, since every filter that still corrects its speed settles in the same place;")
     rng = np.random.default_rng(5)
     for _ in range(15):
         root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
@@ -458,7 +458,7 @@ def test_uneven_steps_give_the_late_filter_away():
 
 def test_after_a_turn_a_filter_looks_late_until_it_has_settled():
     """Without noise, of the right filter: the delay that the mark tells, by seconds between the mark and the turn."""
-    says("Go on for ten seconds, turn")
+    says("Go on until the filter will have settled after a turn, here ten seconds.")
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE}))
 
     def delay(beyond):
