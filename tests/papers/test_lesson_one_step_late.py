@@ -105,7 +105,7 @@ def test_the_step_is_that_of_the_package(taught):
 
 def test_the_numbers_of_the_scene_and_of_the_repair():
     late, right = (np.sqrt(settled(H)[2][0, 0]) for H in (NEXT, NOW))
-    says(f"It says that it knows the position to {100 * late:.0f} centimetres")
+    says(f"and it says that it knows the position to {100 * late:.0f} centimetres")
     says("each position wrong by some 30 centimetres")
     assert np.sqrt(0.1) == pytest.approx(0.3, abs=0.02)
     says(f"At 1.5 m/s it is 1.5 m, nine times the σ of {late:.3f} m at which the filter settles.")
@@ -239,7 +239,7 @@ def test_successive_surprises_of_the_late_filter_are_hardly_correlated():
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE}))
     new = mpt.metrics.innovations(kf, measured[:, None]).values[60:, 0]
     correlation = np.mean(new[1:] * new[:-1]) / np.mean(new**2)
-    says(f"Nor is one surprise correlated with the next: that test finds −{-correlation:.2f}.")
+    says(f"Nor are successive surprises correlated on such a walk: that test finds −{-correlation:.2f}.")
 
 
 def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
