@@ -251,7 +251,11 @@ def times(name: str, value: object) -> Array:
     array([ 0., 60.])
     """
     need = "an (N,) or (N, M) array of finite times that do not decrease"
-    values = real_numbers(name, _in_seconds(value), need)
+    try:
+        values = _in_seconds(value)
+    except TypeError as error:
+        refuse(name, need, f"dates that cannot be subtracted: {error}", TypeError)
+    values = real_numbers(name, values, need)
     if values.ndim not in (1, 2) or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
     kind = values.dtype
@@ -281,6 +285,6 @@ def _in_seconds(value):
         first = next(values.flat)
     if values.dtype.kind == "m":
         return values / np.timedelta64(1, "s")
-    if isinstance(first, timedelta):
-        return np.reshape([each.total_seconds() for each in values.flat], values.shape)
+    if isinstance(first, timedelta | np.timedelta64):
+        return np.reshape([as_seconds(each) for each in values.flat], values.shape)
     return value

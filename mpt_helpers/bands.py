@@ -34,6 +34,7 @@ from scipy.special import ndtri
 from . import _checks as checks
 from ._base import Filter
 from ._checks import Array, Seconds
+from ._engine.algebra import whitened
 from .model import LinearModel
 
 __all__ = [
@@ -45,7 +46,6 @@ __all__ = [
     "coverage",
     "following",
     "interval_score",
-    "placebo",
 ]
 
 SHORTEST_MEMORY = 5  # fixes
@@ -314,15 +314,12 @@ def _predicted_measurement(model, x, P, seconds, R):
 
 def _nis_per_number(innovations, S):
     """Return NIS / m of innovations (..., m), at most CAP, where m counts those that are there."""
-    seen = np.isfinite(innovations)
-    S = np.where(seen[..., None] & seen[..., None, :], S, np.eye(S.shape[-1]))
-    y = np.where(seen, innovations, 0)
-    nis = (y * np.linalg.solve(S, y[..., None])[..., 0]).sum(axis=-1)
-    return np.minimum(nis / seen.sum(axis=-1), CAP)
+    unit, _ = whitened(innovations.T, np.moveaxis(S, (-2, -1), (0, 1)))
+    return np.minimum(np.square(unit).sum(axis=0) / np.isfinite(innovations).sum(axis=-1), CAP)
 
 
 def _model_of_any_step(estimator):
-    if estimator.model.dt is None:
+    if estimator.model.transition is None:
         need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
         checks.refuse("estimator", need, "one whose F and Q are for one length only")
     if estimator.parts and any(leaf.t is not None or leaf.r is not None for leaf in estimator.leaves):
@@ -435,37 +432,6 @@ def _count_independent(a, where):
         if made >= end or of_track != track:
             count, end, track = count + 1, due, of_track
     return count
-
-
-def placebo(a: ForecastErrors, rng: np.random.Generator) -> ForecastErrors:
-    """Return the errors with a sigma that tells nothing: the median of each axis times lognormal (0, 1) numbers.
-
-    A band that follows its errors holds as many of them with this sigma; a true sigma must have a better score.
-
-    Parameters
-    ----------
-    a : ForecastErrors
-        The errors of `ahead`.
-    rng : numpy.random.Generator
-        Source of random numbers.
-
-    Returns
-    -------
-    ForecastErrors
-        The errors with another sigma, and with c = 1.
-
-    Examples
-    --------
-    >>> import mpt_helpers as mpt
-    >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1))
-    >>> a = mpt.metrics.ahead(kf, [[0.0], [0.5], [2.0]], seconds=1.0)
-    >>> mpt.bands.placebo(a, np.random.default_rng(1)).sigma.ravel().round(2)
-    array([0.54, 0.87])
-
-    """
-    # The median, since a band on a short track has not yet learnt the size.
-    sigma = np.median(a.sigma, axis=0) * np.exp(rng.standard_normal(a.sigma.shape))
-    return a._replace(sigma=sigma, recent=np.ones(len(a.recent)))
 
 
 class LiveBand:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -34,7 +34,8 @@ class LinearModel(Immutable):
         x(k+1) = F x(k) + w(k),     w ~ N(0, Q)
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
-    A model is immutable. `dataclasses.replace` makes another one; one with another F or Q knows one length of a step.
+    A model is immutable. `dataclasses.replace` makes another one: of another dt or transition with the F and Q that
+    follow, of another F or Q without the transition.
 
     Parameters
     ----------
@@ -45,10 +46,16 @@ class LinearModel(Immutable):
     x0, P0 : array_like (n,), (n, n), optional
         Mean and covariance of x(0), zero where not given, as in the papers.
     dt : float or timedelta, optional
-        Length of a step in s, for a model with a transition.
+        Length of a step in s; 1 s is assumed where the seconds of a model without it are asked for.
     transition : callable, optional
         transition(dt) returns F and Q of a step of dt seconds, for tracks with times of their own. Two steps of dt / 2
         must be one of dt. A function of a module, or a frozen dataclass with `__call__`, can be pickled.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For matrices that do not fit together, an R that is not positive definite, covariances that are none, a
+        transition that is none or has another F or Q, and another dt without a transition.
 
     Examples
     --------
@@ -75,6 +82,8 @@ class LinearModel(Immutable):
     P0: Array
     dt: float | None
     transition: Transition | None
+    # dt and transition, again: from them `replace` knows the F and Q that it hands on.
+    _made_by: tuple[float, Transition | None] | None = field(repr=False)
 
     def __init__(
         self,
@@ -87,14 +96,14 @@ class LinearModel(Immutable):
         P0: ArrayLike | None = None,
         dt: Seconds | None = None,
         transition: Transition | None = None,
+        _made_by: tuple[float, Transition | None] | None = None,
     ):
-        if (dt is None) != (transition is None):
-            lacking, other = ("dt", "transition") if dt is None else ("transition", "dt")
-            checks.refuse(lacking, f"to be given beside {other}", None, TypeError)
-        if transition is not None:
+        if dt is not None:
             dt = checks.duration("dt", dt)
-            F_dt, Q_dt = _checked(transition, dt)
-            F, Q = F_dt if F is None else F, Q_dt if Q is None else Q
+        if transition is not None:
+            F, Q, transition = _of_the_transition(F, Q, dt, transition, _made_by)
+        elif _made_by is not None and dt not in (None, _made_by[0]):
+            checks.refuse("dt", f"a transition for steps of another length than {_made_by[0]:g} s", f"{dt:g} s")
         n, m = checks.rows("F", F), checks.rows("H", H)
         given = {
             "F": checks.array("F", F, (n, n)),
@@ -104,9 +113,8 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
         }
-        if transition is not None and not (np.array_equal(given["F"], F_dt) and np.array_equal(given["Q"], Q_dt)):
-            dt = transition = None  # as in `replace` of F or Q: what another length would be is not known
-        for name, value in (given | {"dt": dt, "transition": transition}).items():
+        made_by = None if dt is None else (dt, transition)
+        for name, value in (given | {"dt": dt, "transition": transition, "_made_by": made_by}).items():
             object.__setattr__(self, name, value)
 
     def over(self, dt: ArrayLike) -> tuple[Array, Array]:
@@ -156,8 +164,9 @@ class LinearModel(Immutable):
 
         """
         factor = checks.not_negative("factor", factor)
-        transition = None if self.transition is None else Scaled(self.transition, factor)
-        return replace(self, Q=factor * self.Q, transition=transition)
+        if self.transition is None:
+            return replace(self, Q=factor * self.Q)
+        return replace(self, transition=Scaled(self.transition, factor))
 
     @property
     def n(self) -> int:
@@ -168,6 +177,24 @@ class LinearModel(Immutable):
     def m(self) -> int:
         """Dimension of the measurement."""
         return len(self.H)
+
+
+def _of_the_transition(F, Q, dt, transition, made_by):
+    """Return F and Q of a step of dt, and the transition, or None where it is not known for another F or Q."""
+    if dt is None:
+        checks.refuse("dt", "to be given beside transition", None, TypeError)
+    F_dt, Q_dt = _checked(transition, dt)
+    dt_before, transition_before = (None, None) if made_by is None else made_by
+    if transition_before is not None:  # in `replace`: the F and Q that it hands on are made anew
+        F_before, Q_before = transition_before(dt_before)
+        F = None if np.array_equal(F, F_before) else F
+        Q = None if np.array_equal(Q, Q_before) else Q
+    F, Q = F_dt if F is None else F, Q_dt if Q is None else Q
+    if np.array_equal(F, F_dt) and np.array_equal(Q, Q_dt):
+        return F_dt, Q_dt, transition
+    if transition is not transition_before:
+        checks.refuse("transition", "to make the F and Q that are given beside it (or to be None)", "one of others")
+    return F, Q, None
 
 
 def _checked(transition, dt):
@@ -324,7 +351,7 @@ def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: A
     """
     dt, q, r = _positive(dt, q, r)
     G = np.array([[dt / 2], [1.0]])
-    return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]], x0=x0, P0=P0)
+    return LinearModel(F=[[1, dt], [0, 1]], H=[[1, dt]], Q=q * G @ G.T, R=[[r]], x0=x0, P0=P0, dt=dt)
 
 
 def constant_velocity(
@@ -428,7 +455,7 @@ def gps_ins(
         dt, q, _ = _positive(dt, q, variance)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
     H = [[1, 0, 0], [0, 1, 1], [1, -dt, 0]]
-    return LinearModel(F=F, H=H[: len(r)], Q=np.diag([0, q, 0]), R=np.diag(r), x0=x0, P0=P0)
+    return LinearModel(F=F, H=H[: len(r)], Q=np.diag([0, q, 0]), R=np.diag(r), x0=x0, P0=P0, dt=dt)
 
 
 def _positive(dt, q, r):
@@ -463,18 +490,19 @@ def stack(*models: LinearModel) -> LinearModel:
         checks.refuse("models", "at least one model", "none")
     for i, model in enumerate(models):
         checks.instance(f"models[{i}]", model, LinearModel)
-    steps = {model.dt for model in models}
-    if len(steps - {None}) > 1:
+    steps = {model.dt for model in models if model.dt is not None}
+    if len(steps) > 1:
         checks.refuse("models", "models of the same dt", " and ".join(f"{model.dt} s" for model in models))
 
     def diagonal(name):
         return block_diag(*[getattr(model, name) for model in models])
 
     given = {name: diagonal(name) for name in ("H", "R", "P0")} | {"x0": np.concatenate([model.x0 for model in models])}
-    if None in steps:
+    given["dt"] = next(iter(steps), None)
+    if any(model.transition is None for model in models):
         return LinearModel(F=diagonal("F"), Q=diagonal("Q"), **given)
     axes = [each for model in models for each in _axes_of(model.transition)]
-    return LinearModel(dt=steps.pop(), transition=SideBySide(tuple(axes)), **given)
+    return LinearModel(transition=SideBySide(tuple(axes)), **given)
 
 
 def _axes_of(transition):

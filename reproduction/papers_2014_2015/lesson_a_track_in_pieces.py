@@ -10,7 +10,8 @@ from reproduction import plots
 
 from .lesson_one_step_late import PRINTED, UNKNOWN, walk
 
-POSITIONS = replace(PRINTED, H=[[1, 0]])  # of a sensor that shows the position
+# Of a sensor that shows the position to 3 m: a piece of the figure does not forget its start before it ends.
+COARSE = replace(PRINTED, H=[[1, 0]], R=[[9.0]])
 BLUE = plots.COLOUR_OF["lainiotis"]
 SHADES = ("0.93", "#C6DBEF")  # of the pieces, in turns
 
@@ -51,11 +52,12 @@ def draw_stack(pieces=4, L=5):
     return fig
 
 
-def draw_relay(pieces=4, L=30):
+def draw_relay(pieces=4, L=10):
     """Return a figure of a track in pieces: from pretended starts, with a runner, and from his starts."""
-    true, measured = walk(pieces * L)
-    pretended = mpt.KalmanFilter(POSITIONS).filter(measured.reshape(pieces, L).T[:, None])[:, 0]  # from 0 exactly
-    whole = mpt.KalmanFilter(replace(POSITIONS, P0=UNKNOWN)).filter(measured[:, None])[:, 0]
+    true, _ = walk(pieces * L)
+    measured = true + np.sqrt(COARSE.R[0, 0]) * np.random.default_rng(2).standard_normal(len(true))
+    pretended = mpt.KalmanFilter(COARSE).filter(measured.reshape(pieces, L).T[:, None])[:, 0]  # from 0 exactly
+    whole = mpt.KalmanFilter(replace(COARSE, P0=UNKNOWN)).filter(measured[:, None])[:, 0]
     starts = L * np.arange(pieces)
     brought = np.append(0, whole[L - 1 : -1 : L])
     fig, ax = plots.panels([["pretend"], ["relay"], ["again"]], height=1.75)
@@ -63,24 +65,26 @@ def draw_relay(pieces=4, L=30):
         for start in starts[1:]:
             axes.axvline(start, color="0.6", lw=0.8, ls=":")
         axes.plot(np.arange(1, pieces * L + 1), true, color="0.8", lw=4)
-        axes.set(xlim=(-6, pieces * L + 6), ylim=(-15, 1.15 * true.max()))
+        axes.set(xlim=(-3, pieces * L + 3), ylim=(-12, 1.25 * true.max()))
     passes = {"pretend": (0 * brought, pretended.T), "again": (brought, whole.reshape(pieces, L))}
     for name, (first, estimates) in passes.items():
         for start, at_start, estimate in zip(starts, first, estimates, strict=True):
             ax[name].plot(start + np.arange(L + 1), np.append(at_start, estimate), color=BLUE)
         ax[name].plot(starts, first, "o", color=BLUE, ms=5)
-    ax["relay"].plot(starts, brought, "o", color=BLUE, ms=5)
-    arrow = {"arrowstyle": "->", "color": BLUE, "lw": 1.6, "shrinkA": 4, "shrinkB": 4}
-    ends = zip(starts + L, np.append(brought[1:], whole[-1]), strict=True)
-    for start, at_start, end in zip(starts, brought, ends, strict=True):
-        ax["relay"].annotate("", end, (start, at_start), arrowprops=arrow)
+    ends, mended = pretended[-1], np.append(brought[1:], whole[-1])
+    for name in ("pretend", "relay"):
+        ax[name].plot(starts + L, ends, "o", mec=BLUE, mfc="white", ms=5, zorder=3)
+    ax["relay"].plot(np.append(starts, pieces * L), np.append(brought, whole[-1]), "o", color=BLUE, ms=5)
+    arrow = {"arrowstyle": "->", "color": BLUE, "lw": 1.6, "shrinkA": 3, "shrinkB": 3}
+    for at, end, to in zip(starts + L, ends, mended, strict=True):
+        ax["relay"].annotate("", (at, to), (at, end), arrowprops=arrow)
     texts = {
         "pretend": "each pretends to start at 0",
-        "relay": "the runner: a step for each piece",
+        "relay": "the runner mends each end",
         "again": "each starts where he says",
     }
     for name, text in texts.items():
-        ax[name].annotate(text, (1, 0.85 * true.max()), color=BLUE)
+        ax[name].annotate(text, (0, 0.95 * true.max()), color=BLUE)
     ax["again"].annotate("grey: the true track", (pieces * L, 0), color="0.45", ha="right")
     plots.finish(ax["pretend"], "", "first: all pieces at once (m)")
     plots.finish(ax["relay"], "", "then: one piece after the other (m)")

@@ -4,6 +4,8 @@ import copy
 import pickle
 import warnings
 from dataclasses import replace
+from datetime import timedelta
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,8 +13,8 @@ from motions import TAU, Forgetful, Singer
 from oracles import gaussian_conditioning_of_steps, plain_loop, van_loan
 
 import mpt_helpers as mpt
-from mpt_helpers import bands, metrics
-from mpt_helpers.model import ConstantVelocity, SideBySide
+from mpt_helpers import bands, fitting, metrics
+from mpt_helpers.model import ConstantVelocity, Scaled, SideBySide
 
 
 def forgetful(q=0.3, r=0.5, dt=0.7, **given):
@@ -164,7 +166,7 @@ def test_a_copy_of_a_model_has_its_motion(make, copied):
     assert (again, hash(again), again.transition) == (model, hash(model), model.transition)
     assert copied(kf) == kf
     assert replace(model, H=2 * model.H).transition == model.transition
-    if model.dt is not None:
+    if model.transition is not None:
         np.testing.assert_array_equal(again.over(1.3), model.over(1.3))
 
 
@@ -185,7 +187,7 @@ def test_a_model_keeps_its_transition_without_noise_and_loses_it_with_another_F(
         np.testing.assert_array_equal(F, (model if quiet.n == 2 else axes).over(2.0)[0])
         assert not Q.any()
     for other in (replace(model, F=np.eye(2)), replace(model, Q=2 * model.Q), replace(axes, F=np.eye(4))):
-        assert other.dt is other.transition is None
+        assert (other.dt, other.transition) == (0.7, None)
         with pytest.raises(ValueError, match="t: needs a model with a transition"):
             mpt.KalmanFilter(other, t=[0.0, 1.0])
 
@@ -193,7 +195,73 @@ def test_a_model_keeps_its_transition_without_noise_and_loses_it_with_another_F(
 def test_a_stack_has_the_transitions_of_its_axes():
     both = mpt.stack(mpt.stack(forgetful(), forgetful()), mpt.constant_velocity(0.7, 1, 1))
     assert both.transition == SideBySide((Forgetful(TAU, 0.3), Forgetful(TAU, 0.3), ConstantVelocity(1.0)))
-    assert mpt.stack(forgetful(), mpt.gsm_axis(0.7, 1, 1)).dt is None
+    one_length = mpt.stack(forgetful(), mpt.gsm_axis(0.7, 1, 1))
+    assert (one_length.dt, one_length.transition) == (0.7, None)
+
+
+def a_walk(q=0.5):
+    """Its F says nothing of dt."""
+    return of(partial(walk, q=q))
+
+
+def walk(dt, q):
+    return np.eye(1), np.array([[q * dt]])
+
+
+@pytest.mark.parametrize(
+    "make", [*MODELS.values(), a_walk, lambda: a_walk(0.0), lambda: mpt.exact_motion(forgetful(), [0, 20])]
+)
+def test_another_dt_or_transition_makes_another_F_and_Q(make):
+    """`replace` hands on the F and Q that it finds: once they stayed, and the transition was lost."""
+    model = make()
+    longer = replace(model, dt=2.0)
+    assert longer.dt == 2.0
+    np.testing.assert_array_equal((longer.F, longer.Q), model.over(2.0))
+    louder = replace(model, transition=Scaled(model.transition, 3.0))
+    np.testing.assert_array_equal((louder.F, louder.Q), (model.F, 3.0 * model.Q))
+    for each in (longer, louder, pickle.loads(pickle.dumps(longer)), replace(longer, R=2 * model.R)):
+        np.testing.assert_array_equal(each.over(1.3), (louder if each is louder else model).over(1.3))
+        assert replace(replace(each, dt=0.3), dt=each.dt) == each
+
+
+def test_what_is_replaced_on_purpose_stays():
+    model = forgetful()
+    other = replace(model, dt=2.0, Q=np.eye(2))
+    assert (other.dt, other.transition) == (2.0, None)
+    np.testing.assert_array_equal((other.F, other.Q), (model.over(2.0)[0], np.eye(2)))
+    for change in ({"F": np.eye(2)}, {"Q": np.eye(2)}, {"transition": None}):
+        other = replace(model, **change)
+        assert (other.dt, other.transition) == (0.7, None)
+        assert pickle.loads(pickle.dumps(other)) == other
+        np.testing.assert_array_equal((other.F, other.Q), (change.get("F", model.F), change.get("Q", model.Q)))
+
+
+ONE_LENGTH = {
+    "gsm_axis": mpt.gsm_axis(5.0, 0.01, 0.1),
+    "gps_ins": mpt.gps_ins(5.0, 0.01, (1.0, 1.0)),
+    "of one's own": mpt.LinearModel(F=[[1.0]], H=[[1.0]], Q=[[1.0]], R=[[1.0]], dt=timedelta(seconds=5)),
+}
+
+
+@pytest.mark.parametrize("model", ONE_LENGTH.values(), ids=ONE_LENGTH)
+def test_a_model_of_one_length_knows_it(model):
+    for each in (model, mpt.stack(model, model), replace(model, R=2 * model.R), pickle.loads(pickle.dumps(model))):
+        assert (each.dt, each.transition) == (5.0, None)
+        np.testing.assert_array_equal(mpt.KalmanFilter(each).times_of(3), [0.0, 5.0, 10.0])
+    kf, z = mpt.KalmanFilter(model), np.zeros((300, model.m))
+    assert fitting.blocks_of(kf, z).name == "6 blocks of 50 fixes"
+    assert fitting.blocks_of(kf, np.zeros((900, model.m))).name == "15 blocks of 60 fixes"  # of 300 s
+    assert replace(model, dt=None).dt is None
+    for call in (lambda: mpt.KalmanFilter(model, t=[0.0, 5.0]), lambda: bands.ahead(kf, z, seconds=5.0)):
+        with pytest.raises(ValueError, match=r"needs a model .*one length only"):
+            call()
+    with pytest.raises(ValueError, match="dt: needs a model with a transition"):
+        kf.step(model.x0, kf.P0, z[0], dt=1.0)
+
+
+def test_separate_filters_of_one_length_are_those_of_one_step():
+    both = mpt.Separate(*[mpt.KalmanFilter(mpt.gsm_axis(5.0, 0.01, 0.1))] * 2)
+    np.testing.assert_array_equal(both.times_of(2), [0.0, 5.0])
 
 
 def wrong(f=1.0, power=1.0, at_zero=0.0):
@@ -217,16 +285,36 @@ REFUSED = {
     "Q of another shape": (lambda: of(lambda dt: (np.eye(2), np.eye(1))), ValueError, "transition: needs a"),
     "no Q": (lambda: mpt.LinearModel(F=[[1]], H=[[1]], R=[[1]]), TypeError, "Q: needs a .* got None"),
     "no F": (lambda: mpt.LinearModel(H=[[1]], R=[[1]]), TypeError, "F: needs a matrix, got None"),
-    "dt without a transition": (
-        lambda: mpt.LinearModel(F=[[1]], H=[[1]], Q=[[1]], R=[[1]], dt=1.0),
-        TypeError,
-        "transition: needs to be given beside dt",
+    "F beside a transition of another": (
+        lambda: mpt.LinearModel(F=[[2]], transition=wrong(), dt=1.0, H=[[1]], R=[[1]]),
+        ValueError,
+        "transition: needs to make the F and Q that are given beside it",
+    ),
+    "Q replaced beside the transition": (
+        lambda: replace(forgetful(), Q=np.eye(2), transition=Forgetful(TAU, 0.1)),
+        ValueError,
+        "transition: needs to make the F and Q that are given beside it",
+    ),
+    "another dt for the same F and Q": (
+        lambda: replace(mpt.gsm_axis(5, 1, 1), dt=2.0),
+        ValueError,
+        "dt: needs a transition for steps of another length than 5 s, got 2 s",
+    ),
+    "another dt without the transition": (
+        lambda: replace(forgetful(), dt=2.0, transition=None),
+        ValueError,
+        "dt: needs a transition for steps of another length than 0.7 s, got 2 s",
+    ),
+    "a stack of two dt, of one length each": (
+        lambda: mpt.stack(mpt.gsm_axis(1, 1, 1), mpt.gsm_axis(5, 1, 1)),
+        ValueError,
+        "models: needs models of the same dt, got 1.0 s and 5.0 s",
     ),
     "a stack of none": (mpt.stack, ValueError, "models: needs at least one model, got none"),
     "a stack of two dt": (
         lambda: mpt.stack(mpt.gsm_axis(1, 1, 1), forgetful(), forgetful(dt=0.5)),
         ValueError,
-        "models: needs models of the same dt, got None s and 0.7 s and 0.5 s",
+        "models: needs models of the same dt, got 1.0 s and 0.7 s and 0.5 s",
     ),
 }
 

@@ -30,6 +30,7 @@ KINDS = {
     "datetime64[ns]": lambda dates: np.array(dates, "datetime64[ns]"),
     "datetime64 in a list": lambda dates: list(np.array(dates, "datetime64[us]")),
     "timedeltas": lambda dates: [each - dates[0] for each in dates],
+    "timedeltas of two kinds": lambda dates: [dates[0] - dates[0], *(np.timedelta64(d - dates[0]) for d in dates[1:])],
     "timedelta64": lambda dates: np.array(dates, "datetime64[ms]") - np.datetime64(dates[0], "ms"),
     "Unix seconds": lambda dates: [each.replace(tzinfo=UTC).timestamp() for each in dates],
 }
@@ -113,8 +114,16 @@ REFUSED = {
     "back in time": (DATES[::-1], r"t: needs .*got -60.25 after 0, in row 1"),
     "with a zone and without": (
         [DATES[0], DATES[1].replace(tzinfo=UTC)],
-        "can't subtract offset-naive and",
+        "t: needs .*got dates that cannot be subtracted: can't subtract offset-naive and",
     ),
+    "dates, then numbers": ([DATES[0], 5.0], "t: needs .*got dates that cannot be subtracted: unsupported operand"),
+    "dates, then none": ([DATES[0], None], "t: needs .*got dates that cannot be subtracted: unsupported operand"),
+    "numbers, then dates": ([5.0, DATES[0]], "t: needs .*got an array of objects of type datetime, float"),
+    "datetime64, then datetimes": (
+        [np.datetime64(DATES[0]), DATES[1]],
+        "t: needs .*got an array of objects of type datetime, datetime64",
+    ),
+    "lengths, then none": ([DATES[1] - DATES[0], None], "t: needs .*got an array of objects of type NoneType, float"),
 }
 
 

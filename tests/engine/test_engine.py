@@ -548,7 +548,7 @@ def test_a_model_keeps_its_times_where_F_and_Q_still_fit():
     assert replace(model, x0=np.zeros(4), R=np.eye(2)).dt == 0.7
     assert model.with_noise_times(2.0).dt == 0.7
     assert mpt.exact_motion(model, np.zeros(4)).dt == 0.7
-    assert replace(model, F=np.eye(4)).dt is None
+    assert replace(model, F=np.eye(4)).transition is None
 
 
 @pytest.mark.parametrize("driven", [0, 1])

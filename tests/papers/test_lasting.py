@@ -49,7 +49,7 @@ def test_the_step_is_the_models_own():
     with pytest.raises(ValueError, match="dt: needs the model's own time step, 30 s, got 1 s"):
         lasting_error(CV, 1.0, 600.0, dt=1.0)
     with pytest.raises(ValueError, match="dt: needs the time step in seconds, which this model does not say, got none"):
-        lasting_error(AXIS, 1.0, 600.0)
+        lasting_error(replace(AXIS, dt=None), 1.0, 600.0)
 
 
 def test_the_start_and_the_states_stay_in_front():

@@ -69,7 +69,7 @@ def with_gaps(rng, rows, push=0.1):
 
 def test_the_loop_is_the_filter_of_the_package_by_the_lines_that_the_lesson_gives(taught):
     z = taught["recordings"]["50% missing"][:300]
-    model, call = re.findall(r"`(?:model = )?(mpt\.[LK].*?)`", "".join(LESSON.cell("do")["source"]))
+    call, model = re.findall(r"`(?:model = )?(mpt\.[LK].*?)`", "".join(LESSON.cell("do")["source"]))
     expected = eval(call, {"mpt": mpt, "model": eval(model, {"mpt": mpt, **taught}), "z": z})
     np.testing.assert_allclose(taught["one_by_one"](z), expected, rtol=0, atol=1e-9)
     np.testing.assert_allclose(taught["Q"], Q)
@@ -95,7 +95,7 @@ def test_the_example_by_hand():
     says(f"two statements, sum {evidence:.1f}")
     says(f"O was {information}, the number of statements, and t was {evidence:.1f}, their sum")
     says(f"({runner} + {evidence:.1f}) / (1 + {information})")
-    says("Each surprise is the real start plus the noise of one measurement.")
+    says("Each is the real start plus the noise of one measurement.")
     says(f"The runner arrives with {runner}, of variance 1")
     says(f"The ordinary filter begins at {runner} with variance 1. Its gains are 1/2 and 1/3: it moves to 4.5, then")
     x, P = runner, 1.0
@@ -112,11 +112,11 @@ def test_the_example_by_hand():
     assert [each.item() for each in (X, T, P, t, information_of_code)] == [0, 1, 0, evidence, information]
 
 
-def test_a_pretended_piece_overshoots():
-    says("It overshoots, since the jump reads as speed.")
-    true, measured = lesson.walk(120)
-    pretended = mpt.KalmanFilter(lesson.POSITIONS).filter(measured[90:, None])[:, 0]
-    assert (pretended - true[90:]).max() > 10
+def test_the_pretended_pieces_of_the_picture_end_too_low():
+    says("Each pretended piece starts at 0, climbs, and ends too low. The runner lifts each end,")
+    *_, hollow, filled = lesson.draw_relay().axes[1].lines
+    assert (hollow.get_ydata() < filled.get_ydata()[1:] - 1).all()
+    assert (hollow.get_ydata() > 1).all()
 
 
 def test_what_the_first_two_surprises_of_a_piece_see():
@@ -134,7 +134,7 @@ def test_what_the_first_two_surprises_of_a_piece_see():
 
 def test_the_noises_of_the_surprises_are_independent():
     """The covariance of all surprises of a piece that starts exactly, without a filter's lines: diagonal, and S."""
-    says("These noises are uncorrelated, and independent if they are Gaussian.")
+    says("These noises are uncorrelated.")
     for factor in (0.01, 1, 100):
         rows, names = 12, with_model(F, factor * Q)
         # z = (sum of what each push does) + noise; the surprise of row k is z(k) - E[z(k) | z(1) ... z(k-1)]
@@ -158,7 +158,7 @@ def test_the_noises_of_the_surprises_are_independent():
 
 def test_a_piece_of_one_measurement_is_the_filter_of_the_paper(taught):
     """T, O, P are F_n, O_n, P_n; X is K_n z and t is K_m z (Eq. 7)."""
-    says("With pieces of one measurement this is the filter of Lainiotis, as a paper of 2014 has it")
+    says("With pieces of one measurement all this is the filter of Lainiotis")
     z = 1.7
     X, T, P, t, information = taught["pretend"]([(z, 0.1)])
     S = (NOW @ Q @ NOW.T).item() + 0.1
@@ -197,9 +197,6 @@ def test_the_best_length_of_a_piece():
     best = min(steps, key=steps.get)
     says("Their sum is smallest at L = \\sqrt{N/2}, about 70 here. Near it little changes.")
     assert best == round(np.sqrt(N / 2))
-    says("If that takes more than some 1.5 \\sqrt N early rows, use the runner.")
-    says("There the two were equally fast in our timings, at 150 of 10,000 rows.")
-    assert round(1.5 * np.sqrt(N), -1) == 150
     assert round(best, -1) == 70
     assert steps[80] < 1.01 * steps[best]
 
@@ -239,12 +236,11 @@ def test_several_measurements_a_row_take_an_inverse_and_a_huge_variance():
 
 def test_pieces_begun_early(taught):
     """As printed; and the first piece is the loop, also where the rows do not fill the last one, or it is alone."""
-    printed = re.findall(
-        r"(\d+) rows early: seams up to (\S+) σ; off the loop by up to (\S+) mm", printed_by("early-tried")
-    )
-    assert len(printed) == 4
-    for _, seam, off in printed:
-        assert float(off) < 1000 * 0.3 * float(seam)  # σ of a position is 0.24 m, where nothing is missing
+    lines = re.findall(r"(?m)^(?:half missing|a gap of 200 rows) +(\d+) +(\S+) +(\S+)$", printed_by("early-tried"))
+    (_, plenty, least), (_, few, more), (_, lost, _) = [[float(each.replace(",", "")) for each in row] for row in lines]
+    assert plenty < 0.001 < 0.1 < few < 1 < 10_000 < lost
+    assert least < 0.001 < more < 1
+    says("Forty rows are plenty here, even where half of all are missing at random.")
     z = taught["recordings"]["5% missing"][:130]
     for L in (60, 130):
         x, _ = taught["begun_early"](z, L)
@@ -257,9 +253,8 @@ def test_a_filter_that_remembers_shows_at_the_seams():
     truth = np.cumsum(1.5 + np.cumsum(rng.normal(0, 0.001, 10_000)))
     z = truth + rng.normal(0, np.sqrt(0.1), 10_000)
     begun_early = with_model(F, 1e-4 * Q)["begun_early"]
-    says("With a ten-thousandth of this Q, as for a ship on a steady course,")
+    says("with a ten-thousandth of this Q, as for a ship on a steady course,")
     says(f"40 early rows leave seams of some {begun_early(z, 80, 40)[1]:.0f} σ")
-    says("and 160, with pieces of 320, some 0.01 σ")
     assert begun_early(z, 320, 160)[1] == pytest.approx(0.01, rel=0.3)
     assert begun_early(z, 160, 80)[1] > 0.05
 
@@ -314,33 +309,6 @@ def test_the_table_says_what_was_measured():
         says(f"| {way} | {to_one_digit:,.0f}")
 
 
-def test_early_rows_must_outlast_the_gaps(taught):
-    says(
-        "where a gap of 200 rows covers the 160 early rows of a piece, the seam is thousands of σ; 240 of them suffice"
-    )
-    z = taught["complete"][:2000].copy()
-    z[760:960] = np.nan  # pieces begin at row 960, of either length
-    whole = taught["one_by_one"](z)[:, 0]
-    for early, largest in ((160, np.inf), (240, 0.01)):
-        x, seam = taught["begun_early"](z, 2 * early, early)
-        assert (seam > 1000) == (early == 160)
-        assert np.abs(x[:, 0] - whole).max() < largest
-
-
-def test_a_combination_that_drifts_costs_the_short_mend_digits():
-    says("holds some combination of the unknowns, so that it drifts, the short `mend` loses digits of it")
-    blocks = np.eye(2)
-    z = np.cumsum(np.random.default_rng(5).normal(0, 1.0, 3000))
-    off = {}
-    for name, H in {"drifts": [[1.0, 0.0, 0.5, 0.0]], "held": [[1.0, 0.0, 0.5, 0.3]]}.items():
-        F_of = np.kron(blocks, F)
-        if name == "held":
-            F_of[2:, 2:] *= 0.9
-        names = with_model(F_of, np.kron(blocks, Q), np.array(H))
-        off[name] = np.abs(names["in_pieces"](z, 70) - names["one_by_one"](z)).max()
-    assert off["held"] < 1e-7 < 1e-4 < off["drifts"]
-
-
 def times_as_fast(way, other, rounds):
     """How many times as fast the first function is as the other: the least processor times, in turns.
 
@@ -358,7 +326,7 @@ def times_as_fast(way, other, rounds):
 @pytest.mark.parametrize(("unknowns", "said"), [(4, 9), (6, 7), (12, 4)])
 def test_pieces_are_faster_than_the_loop_and_gain_less_with_more_unknowns(taught, unknowns, said):
     """Within a factor of two, since machines, numpy's builds and other programs differ by as much."""
-    says("| none of these | pieces with the runner | 9 with four unknowns, 7 with six, 4 with twelve |")
+    says("| pieces with the runner | 9 with four, 7 with six, 4 with twelve |")
     z = taught["recordings"]["5% missing"]
     blocks = np.eye(unknowns // 2)
     H = np.random.default_rng(unknowns).standard_normal((1, unknowns))
@@ -368,20 +336,59 @@ def test_pieces_are_faster_than_the_loop_and_gain_less_with_more_unknowns(taught
     assert said / 2 < ratio * len(z) / part < 2 * said
 
 
+def written_out(F, Q, H, r=0.1):
+    """The loop of a model in Python's own numbers, as code with each product written out; P by its upper half."""
+    n = range(len(F))
+
+    def total(numbers, names):
+        return " + ".join(f"{float(number)!r} * {name}" for number, name in zip(numbers, names, strict=True) if number)
+
+    def p(i, j):
+        return f"p{min(i, j)}{max(i, j)}"
+
+    upper = [(i, j) for i in n for j in n if i <= j]
+    x = [f"x{i}" for i in n]
+    lines = [f"{', '.join(x)} = {', '.join(total(F[i], x) for i in n)}"]
+    lines += [f"m{i}{j} = {total(F[i], [p(k, j) for k in n])}" for i in n for j in n]
+    lines += [f"p{i}{j} = {total(F[j], [f'm{i}{k}' for k in n])} + {float(Q[i, j])!r}" for i, j in upper]
+    correct = [f"g{i} = {total(H[0], [p(i, k) for k in n])}" for i in n]
+    correct += [f"s = 1 / ({total(H[0], [f'g{i}' for i in n])} + {r})", f"e = (z - ({total(H[0], x)})) * s"]
+    correct += [f"x{i} += g{i} * e" for i in n]
+    correct += [f"p{i}{j} -= g{i} * s * g{j}" for i, j in upper]
+    start = [f"x{i} = 0.0" for i in n] + [f"p{i}{j} = {100.0 * (i == j)}" for i, j in upper]
+    body = [*lines, "if z == z:", *(f"    {each}" for each in correct), f"found.append(({', '.join(x)}))"]
+    names = {}
+    code = ["def run(zs):", *(f"    {each}" for each in ["found = []", *start, "for z in zs:"])]
+    exec("\n".join([*code, *(f"        {each}" for each in body), "    return found"]), names)
+    return names["run"]
+
+
+@pytest.mark.parametrize(("unknowns", "said"), [(4, 6), (6, 2)])
+def test_plain_numbers_lose_their_lead_with_more_unknowns(taught, unknowns, said):
+    says("30 with two, 6 with four that all mix, 2 with six |")
+    rng = np.random.default_rng(unknowns)
+    mixing = np.eye(unknowns) + 0.1 * rng.standard_normal((unknowns, unknowns))
+    mixing *= 0.98 / np.abs(np.linalg.eigvals(mixing)).max()
+    names = with_model(mixing, 0.01 * np.eye(unknowns), rng.standard_normal((1, unknowns)))
+    z = taught["recordings"]["5% missing"][:500]
+    run = written_out(names["F"], names["Q"], names["H"])
+    np.testing.assert_allclose(run(z.tolist()), names["one_by_one"](z), rtol=0, atol=1e-7)
+    ratio = times_as_fast(partial(run, z.tolist()), partial(names["one_by_one"], z), 7)
+    assert said / 2 < ratio < 2 * said
+
+
 @pytest.mark.parametrize(("early", "said"), [(40, 2), (160, 1)])
 def test_pieces_begun_early_take_half_the_time_of_the_runner(taught, early, said):
     """Within a factor of two, as above."""
-    says("Forty early rows took half the time of the runner.")
-    says("| none of these, and the filter soon forgets | pieces begun early | twice that |")
-    says("With 10,000 rows the runner is then about as fast.")
+    says("With forty early rows this takes half the time of the runner.")
+    says("From some 150 early rows on, the runner was as fast for 10,000 rows.")
     z = taught["recordings"]["5% missing"]
     ways = partial(taught["begun_early"], z, 2 * early, early), partial(taught["in_pieces"], z, 80)
     assert said / 2 < times_as_fast(*ways, 10) < 2 * said
 
 
 def test_a_step_of_a_hundred_pieces_takes_a_few_times_as_long_as_of_one(taught):
-    says("with few unknowns a step of a hundred pieces takes only a few times as long as a step of one")
-    says("| you have a hundred recordings | the loop, on a stack of them | some tens |")
+    says("a step of a hundred pieces takes only a few times as long as a step of one")
     one = np.ones((2, 1)), np.eye(2), np.ones((1, 1)), np.full((1, 1), 0.1)
     many = [np.repeat(each[None], 100, axis=0) for each in one]
 
