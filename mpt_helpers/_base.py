@@ -40,18 +40,11 @@ from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.algebra import LinearMap, Motion, whitened
 from ._engine.columns import Epochs
-from ._engine.pieces import VAGUE
+from ._engine.digits import is_vague
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
-from .equations import unit_measurements
 from .model import LinearModel
-
-# The largest variance of the prediction of a measurement, in units of R. Rounding of I - K H makes P after the
-# measurement wrong by some 1e-31 of it: here by 1 % of R.
-LARGEST = 1e29
-# The largest share of a variance that may be rounding after a step.
-MOST_ROUNDING = 0.1
 
 
 class Estimates(NamedTuple):
@@ -82,24 +75,6 @@ def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, A
         return values[..., 0], covariances[..., 0]
     M = values.shape[2]
     return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
-
-
-def require_digits(T_size: Array, P: Array, after: Array, times_R: float, dt: float | None = None) -> None:
-    """Raise a ValueError if a step from P (n, n) leaves no digit in the covariance `after` it.
-
-    T P Tᵀ is a part of `after`. Doubles round P_ij by ε σ_i σ_j, and so this part by up to ε (|T| σ)². T_size is |T|,
-    or |T_1| |T_2| for T = T_1 T_2. times_R is the variance of the prediction of a measurement, in units of its noise.
-    The error names dt where it is given.
-    """
-    sigma = np.sqrt(np.abs(P.diagonal()))
-    rounding = np.finfo(float).eps * (T_size @ sigma) ** 2
-    if times_R < LARGEST and np.isfinite(after).all() and (rounding <= MOST_ROUNDING * after.diagonal()).all():
-        return
-    held = "whose variances doubles hold beside those of the measurements"
-    if dt is not None:
-        checks.refuse("dt", f"a time over which the state has a prediction {held}", f"{dt:.6g} s")
-    need = f"a covariance with a prediction {held} (filter and estimates take a larger P0 than single steps do)"
-    checks.refuse("P", need, f"{times_R:.2g} times as much")
 
 
 class Filter(Immutable):
@@ -343,14 +318,6 @@ class RecursiveFilter(Filter):
 
     optimal = True  # other than in Filter, where it is False
 
-    def __init_subclass__(cls) -> None:
-        """Let a subclass with a step of its own not inherit the faster ways of a parent, which make the parent's."""
-        super().__init_subclass__()
-        if "next_step" in vars(cls):
-            for way in ("next_steps", "advance"):
-                if way not in vars(cls):
-                    setattr(cls, way, getattr(RecursiveFilter, way))
-
     def __post_init__(self) -> None:
         checks.instance("model", self.model, LinearModel)
 
@@ -413,23 +380,8 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def vague(self) -> bool:
-        """Whether P0 is so large beside Q and R that the first updates leave few digits in P (`_engine.pieces`).
-
-        Raises ValueError where it is so large that none is left.
-        """
-        H, Q, R = self.model.H, self.model.Q, self.model.R
-        largest = self._variance_of_a_first_measurement(R)
-        if not largest < LARGEST:
-            checks.refuse("P0", f"variances of what is measured below {LARGEST:g} R", f"{largest:.2g} R")
-        if self.r is not None:
-            given = np.where(self.r > 0, self.r, np.inf).reshape(*self.r.shape[:2], -1)
-            R = np.diag(np.minimum(np.diag(R), given.min(axis=(0, 2))))
-        return self.optimal and self._variance_of_a_first_measurement(H @ Q @ H.T + R) > VAGUE
-
-    def _variance_of_a_first_measurement(self, noise):
-        """Return the largest variance that P0 gives to a first measurement, in units of the noise (m, m)."""
-        G = unit_measurements(self.model.H, noise)[0] @ self.model.F
-        return float((G @ self.P0 @ G.T).max())
+        """Whether P0 is so large that its first epochs need `pieces` for their digits; raises where none is left."""
+        return is_vague(self.model, self.P0, self.r) and self.optimal
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _checks as checks
-from ._base import RecursiveFilter, require_digits
+from ._base import RecursiveFilter
 from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns
-from ._engine.pieces import VAGUE
+from ._engine.digits import require_digits
 from ._engine.shared import Step
 from .equations import neutralised, unit_measurements
 from .model import LinearModel, missed_by_halves
@@ -131,8 +131,7 @@ class KalmanFilter(RecursiveFilter):
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
         keep = np.eye(self.model.n) - kf.K @ kf.H
-        if not (kf.S.max() < VAGUE and np.isfinite(kf.P).all()):
-            require_digits(np.abs(keep) @ np.abs(kf.F), P, kf.P, kf.S.max(), dt)
+        require_digits(keep, kf.F, P, kf.P, kf.S.max(), dt)
         return keep @ kf.F, kf.K @ W, kf.P
 
     def step(
@@ -153,11 +152,13 @@ class KalmanFilter(RecursiveFilter):
         for name, given, shape in (("t", self.t, (N,)), ("r", self.r, (N, m))):
             if given is not None and given.shape not in (shape, (*shape, M)):
                 checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, M)}", f"shape {given.shape}")
-        r = None if self.r is None else self.r.reshape(N, m, -1)
-        epochs = Epochs(z, self.motion, self._steps, r, self.model.over)
+        r = self.r
         if r is not None:
-            checks.used_variances("r", np.broadcast_to(r, z.shape)[~epochs.missing])
-        return epochs
+            r = r.reshape(N, m, -1)
+            checks.used_variances("r", np.broadcast_to(r, z.shape)[~np.isnan(z)])
+            # The variance of a missing measurement may be anything: the model's stands for it.
+            r = np.where(np.isfinite(r) & (r > 0), r, np.diag(self.model.R)[:, None])
+        return Epochs(z, self.motion, self._steps, r, self.model.over)
 
     @cached_property
     def _steps(self):
@@ -176,14 +177,17 @@ class KalmanFilter(RecursiveFilter):
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""
-        seen = row[1]
+        if type(self).next_step is not KalmanFilter.next_step:  # a subclass has a step of its own
+            return super().advance(row, x, P)
         of_whole_rows, of_others = self._columns
-        partly = of_others is not of_whole_rows and (seen != seen[:1]).any()
-        return (of_others if partly else of_whole_rows).advance(row, x, P)
+        seen = row[1]
+        if of_others is not of_whole_rows and (seen != seen[:1]).any():
+            return of_others.advance(row, x, P)
+        return of_whole_rows.advance(row, x, P)
 
     @cached_property
     def _columns(self):
-        """The filter on columns for rows that are whole or missed, and the one for others: correlated noises differ."""
+        """Two KalmanColumns: for rows that are whole or missed, and for those that are partly missing."""
         H, R, P0 = self.model.H, self.model.R, self.model.P0
         uncorrelated = np.diag(np.diag(R))
         if self.r is not None or np.array_equal(R, uncorrelated):

@@ -83,21 +83,18 @@ class Epochs:
         """Return the covariances of the measurements (N, m, m, M or 1), or (m, m, 1) where all are the model's R."""
         if self.r is None:
             return R[..., None]
-        # The variance of a measurement that is missing may be anything: the model's stands for it.
-        known = np.where(np.isfinite(self.r) & (self.r > 0), self.r, np.diag(R)[:, None])
-        return known[:, :, None] * np.eye(len(R))[..., None]
+        return self.r[:, :, None] * np.eye(len(R))[..., None]
 
     def rows(self) -> tuple[np.ndarray | None, ...]:
         """Return z (zero where missing), seen, F, Q and r; the last three are None where they are the model's."""
         W, (N, m, _) = self.width, self.z.shape
         seen = ~self.missing[..., :W]
         z = np.where(self.missing, 0.0, self.z).reshape(N, m, -1, W)
-        F = Q = r = None
+        F = Q = None
         if self.dt is not None:
             every = self.motions(slice(None))
             F, Q = (np.moveaxis(np.broadcast_to(A, (*A.shape[:3], W)), 2, 0) for A in (every.matrix, every.Q))
-        if self.r is not None:
-            r = np.where(seen, self.r, 1.0)  # a NaN that is not used must not spread
+        r = None if self.r is None else np.broadcast_to(self.r, seen.shape)
         return z, seen, F, Q, r
 
 

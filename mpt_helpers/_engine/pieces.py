@@ -32,9 +32,6 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # The largest number of runs: where pieces do not fit together, all of them run again from where the ones before ended.
 # After the last run the track is not cut.
 MOST_PASSES = 3
-# A start is vague where its P0 gives a first measurement more than this times the variance of the noises: rounding
-# would leave some three digits in P.
-VAGUE = 1e12
 # The largest number of rows that are taken in another way after a vague start.
 MOST_OF_A_START = 32
 # The least eigenvalue that a correlation matrix counts as having: below its square, 1e-14, differences are rounding.
