@@ -76,7 +76,8 @@ def _run(options):
     named = {what: name for what, name in named.items() if name is not None}
     stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
     picture = folder / f"{stem}.png"
-    require_free([picture], options.overwrite, path)  # before the work
+    if path.suffix != ".png":  # which is refused for what it holds
+        require_free([picture], options.overwrite, path)  # before the work
     how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
     try:
         c = tracks.track(path, columns=named, **how)
