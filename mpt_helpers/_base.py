@@ -10,17 +10,20 @@ Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, b
 
 Their covariances are (N, n, n, M), or (N, n, n, 1) where all tracks share them.
 
-A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest. On the way of z through
-`filter`, every line but the last two is one call:
+A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest. This is the way of z
+through `filter`:
 
-    Filter.filter           z to (N, m, M)
-    RecursiveFilter.run     z to Epochs, which know the gaps, steps and variances
-    run.estimates           tracks without gaps, or any others?
-        shared_steps, run_shared     without: A_k, B_k and P once for all of them; then x <- A x + B z
-        pieces.through, advance      others: x and P of all tracks as columns, one row of z after the other
+    Filter.filter              makes z (N, m, M)
+    RecursiveFilter.run        makes Epochs: z with its gaps, steps and variances
+    _engine.run.estimates      takes one of two ways:
+      1 shared_steps             tracks without gaps: A_k, B_k and P, made once by `next_step`
+        run_shared               x <- A x + B z, several steps in one product
+      2 Epochs.rows              all others: tracks as columns
+        pieces.through           one row after the other, or a long track in pieces
+          advance                one row: x and P of all tracks, predicted and corrected
 
-`smooth` and `innovations_of` begin with `run.estimates` too. `advance` takes one row: it calls `next_step` for each
-track, unless a filter has a faster way, as KalmanFilter has in `_engine.columns`.
+`advance` calls `next_step` for each track, unless a filter has a faster way: KalmanFilter has one in `_engine.columns`.
+`smooth` and `innovations_of` begin with `estimates`, too.
 """
 
 from __future__ import annotations
@@ -89,12 +92,12 @@ class Filter(Immutable):
 
     @property
     def parts(self) -> Sequence[Filter]:
-        """The filters that it is made of; none but for joint and separate filters and predictors."""
+        """The filters that it is made of: empty but for joint and separate filters and predictors."""
         return ()
 
     @property
     def optimal(self) -> bool:
-        """Say whether its gain is that of its covariance P, so that P says all that is known, in all its parts."""
+        """Whether its gain, and that of all its parts, is optimal for its P: then P is the covariance of its error."""
         return bool(self.parts) and all(each.optimal for each in self.parts)
 
     @property
@@ -233,8 +236,8 @@ class Filter(Immutable):
         Raises
         ------
         ValueError
-            For other shapes, for numbers that are not finite, for a P that is no covariance, and for a P or dt so large
-            that doubles do not hold the step.
+            For other shapes, for numbers that are not finite, for a P that is not a covariance, and for a P or dt so
+            large that the step exceeds double precision.
         TypeError
             For anything but real numbers, for a filter without steps (a predictor, a FIR filter), and for dt or r where
             the filter is not a KalmanFilter.
@@ -244,7 +247,7 @@ class Filter(Immutable):
 
     @property
     def leaves(self) -> list[Filter]:
-        """The filters that it is made of in the end, itself where it is made of none."""
+        """The filters at the bottom of `parts`: itself where it has none."""
         return [leaf for part in self.parts for leaf in part.leaves] or [self]
 
     def times_of(self, N: int) -> Array:
@@ -308,15 +311,15 @@ class Filter(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RecursiveFilter(Filter):
-    """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else follows from it.
+    """A filter with coefficients and a covariance. A subclass defines `next_step`; all else follows from it.
 
-    Its gain is assumed to be the Kalman gain for its P. A subclass with another gain must say `optimal = False`, and
+    Its gain is assumed to be the Kalman gain for its P. A subclass with another gain must set `optimal = False`, and
     has no smoother. A wrong `True` silently gives wrong results.
     """
 
     model: LinearModel
 
-    optimal = True  # other than in Filter, where it is False
+    optimal = True
 
     def __post_init__(self) -> None:
         checks.instance("model", self.model, LinearModel)
@@ -351,15 +354,15 @@ class RecursiveFilter(Filter):
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k (M, n, n), B_k (M, n, m) and P(k+1/k+1) (M, n, n) of each P(k/k) of a stack (M, n, n).
 
-        It calls `next_step` for one after the other. A subclass may make all of them at once.
+        It calls `next_step` for each. A subclass may compute all of them at once.
         """
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as `_engine.columns` has them.
+        """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks (see `_engine.columns`).
 
-        Columns that see the same measurements go together. A subclass may do the same in fewer operations.
+        Tracks that miss the same measurements are computed together. A subclass may have a faster way.
         """
         z, seen, F, _, r = row
         if F is not None or r is not None:
@@ -434,7 +437,7 @@ class RecursiveFilter(Filter):
 
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
-        It warns where damped modes without process noise take the digits of P(k/N).
+        It warns where damped modes without process noise make P(k/N) inaccurate.
         """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter whose P is that of the best estimate, got a {type(self).__name__}")
@@ -450,5 +453,5 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def shared_steps(self) -> Callable[[int, int], Any]:
-        """Make the steps and products of M tracks of N epochs without gaps, and keep those of the last call."""
+        """Return `make_shared_steps` of this filter, as a function of N and M that keeps its last result."""
         return lru_cache(maxsize=1)(partial(steps.make_shared_steps, self.next_step, self.P0, self.model.m))

@@ -1,4 +1,4 @@
-"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` is that of many tracks.
+"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` is one of many tracks.
 
 A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros
 in H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed,
@@ -27,7 +27,7 @@ from ._engine.shared import Step
 from .equations import neutralised, unit_measurements
 from .model import LinearModel, missed_by_halves
 
-# By how much two half steps may miss the whole one before a filter warns that a transition loses its digits there.
+# The relative difference between a step and two half steps above which the filter warns of an inaccurate transition.
 MISSED_ELSEWHERE = 1e-3
 
 
@@ -37,9 +37,9 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    filterpy makes the gains and covariances of tracks without gaps, which share them, and of single steps. Tracks with
-    gaps, times or variances of their own do not pass through filterpy: they are filtered side by side, as columns of
-    arrays, by the same equations (`_engine.columns`).
+    filterpy computes the gains and covariances of single steps, and those that tracks without gaps share. Tracks with
+    gaps, times or variances of their own are filtered side by side instead, as columns of arrays, by the same equations
+    (`_engine.columns`).
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class KalmanFilter(RecursiveFilter):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k) by filterpy, as in RecursiveFilter.
 
         dt is the length of the step in s, r (m,) are the variances; the model's where not given. Raises ValueError for
-        a P that is no covariance, and for a step over which doubles do not hold the variances.
+        a P that is not a covariance, and for a step whose variances exceed double precision.
         """
         kf = copy.copy(self._filterpy)  # predict and update set its attributes, and other threads may take a step too
         kf.P = P
@@ -162,7 +162,7 @@ class KalmanFilter(RecursiveFilter):
 
     @cached_property
     def _steps(self):
-        """The steps (N, 1 or M) before each epoch in s, or None. Warns where a transition loses its digits."""
+        """The steps (N, 1 or M) before each epoch in s, or None. Warns of an inaccurate transition."""
         if self.t is None:
             return None
         t = self.t.reshape(len(self.t), -1)

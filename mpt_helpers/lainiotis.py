@@ -19,8 +19,8 @@ class LainiotisFilter(RecursiveFilter):
 
     F_n, K_n and P_n describe a step from an exactly known x(k/k); O_n and K_m add the information of the measurement
     about x(k/k). Such steps compose: many steps in a row have matrices of the same form, and every filter here uses
-    that to run a long track in pieces. The results are the Kalman filter's; where tracks have gaps of their own they
-    take many times as long.
+    that to run a long track in pieces. The results are those of the Kalman filter; tracks with gaps of their own take
+    many times as long.
 
     Parameters
     ----------
