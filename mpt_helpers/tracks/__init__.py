@@ -22,9 +22,8 @@ from .. import _checks as checks
 from .._checks import Array, Seconds
 from . import geodesy, report
 from .cleaning import Cleaned, Source, clean
-from .doubts import way_of
 from .fixes import FEWEST, grid_of
-from .readers import MANY, NO_TIME, Recording, moment_of, read, read_frame, read_gpx
+from .readers import MANY, NO_TIME, Recording, moment_of, read, read_frame
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
@@ -33,6 +32,7 @@ __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 # is counts as missing: some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
+UNSORTED = 0.25  # of the times: if more are before the one before, the rows are in no order
 # Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
 DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
@@ -109,12 +109,12 @@ def gpx(
     """
     pause = math.inf if pause is None else checks.duration("pause", pause)
     origin = None if origin is None else _origin(origin)
-    recording = read_gpx(Path(path))
+    recording = read(Path(path))
     time, segment = recording.time, recording.segment
     rows, left_out = usable(path, recording)
     why = report.counted(left_out)
-    if not len(rows):
-        raise ValueError(f"{path}: needs a recorded track, got {len(time)} fixes, {why or 'and no times'}")
+    if recording.lat is None or not len(rows):
+        raise ValueError(f"{path}: needs a recorded track in degrees, got {len(time)} fixes{why and ', '}{why}")
     if left_out and not skip:
         first = np.setdiff1d(np.arange(len(time)), rows)[0]
         where = f"fix {(segment[: first + 1] == segment[first]).sum()} of segment {segment[first]}"
@@ -317,41 +317,39 @@ def track(
     """
     if show is not None:
         show("reading")
-    if hasattr(source, "columns"):
-        path, recording = "frame", read_frame(source, columns)
-    else:
-        path = Path(source)
-        recording = read(path, columns)
-    return of_recording(path, recording, seconds=seconds, limit=limit, pause=pause, show=show)
-
-
-def of_recording(path: Path | str, recording: Recording, **how: Any) -> Cleaned:
-    """Return a Recording as a Cleaned; path is where it is from, for errors, and `how` is for `clean`."""
+    is_frame = hasattr(source, "iloc")
+    path = "frame" if is_frame else Path(source)
+    recording = read_frame(source, columns) if is_frame else read(path, columns)
+    known = recording.time[recording.time != NO_TIME]
+    back = np.sum(np.diff(known) < 0)
+    if back > UNSORTED * len(known):
+        got = f"{back} of {len(known)} before the one before: sort them, as by frame.sort_values('time')"
+        raise ValueError(f"{path}: needs times in order, got {got}")
     rows, left_out = usable(path, recording)
     if len(rows) < FEWEST:
         got = ", ".join([f"{len(rows)} of {len(recording.time)}", *filter(None, [report.counted(left_out)])])
-        got += _what_ails(recording)
         raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
-    t = recording.time[rows] / 1e6
-    t, said = t - t.min(), [*recording.said, *_said_of_order(t, recording.segment[rows])]
-    known = recording.time[recording.time != NO_TIME]
-    if len(known) > (1 + MANY) * len(rows) and (np.diff(known) < 0).any():
+    t, segment = recording.time[rows] / 1e6, recording.segment[rows]
+    t -= t.min()
+    said = [*recording.said, *_notes_on_order(t, segment)]
+    if back and len(known) > (1 + MANY) * len(rows):
         said.append("ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?")
     if recording.metres is None:
-        charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], recording.segment[rows])
+        charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], segment)
         grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
     else:
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
-    c = clean(t, z, relative, segment=recording.segment[rows], rounding=max(grids) ** 2 / 12, **how)
+    how = {"seconds": seconds, "limit": limit, "pause": pause, "show": show}
+    c = clean(t, z, relative, segment=segment, rounding=max(grids) ** 2 / 12, **how)
     return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
 
 
 def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
     """Return the rows of a recording that can be used, and how many others there are by reason."""
-    time, N = recording.time, len(recording.time)
+    time = recording.time
     if recording.metres is None:
         lat, lon = recording.lat, recording.lon
         somewhere = _on_earth(lat, lon)
@@ -360,36 +358,21 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
     else:
         somewhere = np.isfinite(recording.metres).all(axis=1)
     timed = time != NO_TIME
-    kept = []
+    kept = [np.empty(0, dtype=int)]
     for number in np.unique(recording.segment):
         rows = np.flatnonzero((recording.segment == number) & somewhere & timed)
-        if len(rows):
-            kept.append(rows[longest_in_order(time[rows])])
-    rows = np.concatenate(kept) if kept else np.empty(0, dtype=int)
-    unread = ~timed & np.isin(np.arange(N), list(recording.unread))
+        kept.append(rows[longest_in_order(time[rows])])
+    rows = np.concatenate(kept)
     reasons = {  # each row counts for one
         "no position on the Earth": int((~somewhere).sum()),
-        "no time": int((somewhere & ~timed & ~unread).sum()),
-        "a time that cannot be read": int((somewhere & unread).sum()),
+        "no time that can be read": int((somewhere & ~timed).sum()),
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
     return rows, {reason: count for reason, count in reasons.items() if count > 0}
 
 
-def _what_ails(recording):
-    """Say what is wrong with times that cannot be read, or of which most run back or stand still."""
-    steps = np.diff(recording.time[recording.time != NO_TIME])
-    if recording.unread:
-        return f", as {way_of('time', next(iter(recording.unread.values())))}"
-    if len(steps) and np.mean(steps < 0) > 0.5:
-        return ": most times are before the one before them; if the file begins with the last fix, turn it round"
-    if len(steps) and np.mean(steps == 0) > 0.5:
-        return ": most times are equal to the one before them; have they lost digits (as float32)?"
-    return ""
-
-
-def _said_of_order(t, segment):
-    """Say that segments are not in order of time, or overlap, as those of two receivers do."""
+def _notes_on_order(t, segment):
+    """Return notes on segments that are not in order of time, or overlap, as those of two receivers do."""
     first = np.flatnonzero(np.append(True, np.diff(segment) != 0))
     starts, ends = np.minimum.reduceat(t, first), np.maximum.reduceat(t, first)
     order = np.argsort(starts, kind="stable")

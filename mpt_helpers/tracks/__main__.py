@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .. import tracks
-from . import readers, report, writers
+from . import report, writers
 from .files import require_free, write_together
+from .readers import COLUMNS
 
-# Above so many fixes a notice is printed first: a million take a minute and 1.8 GB.
-LARGE, BYTES_OF_MEMORY, FIXES_A_SECOND = 200_000, 1800, 20_000
 DPI = 130
 DESCRIPTION = (
     "Read a recorded track (GPX, or CSV with columns time and lat, lon or x, y), refuse its faults, smooth it, test "
@@ -61,7 +60,7 @@ def _parser():
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist, but never FILE")
     names = parser.add_argument_group("columns of a CSV that have other names")
-    for what in readers.COLUMNS:
+    for what in COLUMNS:
         names.add_argument(f"--{what}", metavar="NAME", dest=f"column_{what}")
     return parser
 
@@ -73,27 +72,23 @@ def _run(options):
     if not folder.is_dir():
         make = f"mkdir -p {shlex.quote(str(folder))}"
         raise ValueError(f"{folder}: needs a folder that exists, to write to; make it: {make}")
-    named = {what: getattr(options, f"column_{what}") for what in readers.COLUMNS}
+    named = {what: getattr(options, f"column_{what}") for what in COLUMNS}
+    named = {what: name for what, name in named.items() if name is not None}
     stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
+    picture = folder / f"{stem}.png"
+    require_free([picture], options.overwrite, path)  # before the work
+    how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
     try:
-        _show("reading")
-        recording = readers.read(path, {what: name for what, name in named.items() if name is not None})
-        N, in_degrees = len(recording.time), recording.metres is None
-        smooth, picture = folder / f"{stem}_smooth.{'gpx' if in_degrees else 'csv'}", folder / f"{stem}.png"
-        require_free([smooth, picture], options.overwrite, path)
-        if N > LARGE:
-            _show()
-            minutes, gigabytes = N / FIXES_A_SECOND / 60, N * BYTES_OF_MEMORY / 1e9
-            words = f"{path.name}: {N:,} fixes: about {minutes:.0f} min and {gigabytes:.1f} GB of memory"
-            print(words, file=sys.stderr)
-        how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
-        c = tracks.of_recording(path, recording, **how)
+        c = tracks.track(path, columns=named, **how)
         _show("drawing")
         png = io.BytesIO()
         c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
-        track = writers.gpx_bytes(c) if in_degrees else writers.csv_bytes(c)
     finally:
         _show()
+    if c.source.recording.metres is None:
+        smooth, track = folder / f"{stem}_smooth.gpx", writers.gpx_bytes(c)
+    else:
+        smooth, track = folder / f"{stem}_smooth.csv", writers.csv_bytes(c)
     replaced = [each.name for each in (smooth, picture) if each.exists()]
     write_together({smooth: track, picture: png.getvalue()}, options.overwrite, path)
     files = [str(smooth), str(picture)]

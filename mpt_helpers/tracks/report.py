@@ -27,11 +27,10 @@ TOGETHER = "\u00a0"  # a blank at which no line is broken
 A_FEW, VAGUE = 0.3, math.log(10)  # errors of a logarithm: below the first one they are a percentage
 LISTED = 5  # times of faults
 OF_THE_BAND = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
-# A usual recording is neither so fast nor so slow: a fighter's speed, a snail's. Between fixes of RARELY or more a
-# tenth of a second may lie, in milliseconds. A larger share of fixes than MANY is hardly one of faults.
-VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
-RARELY = 100.0  # s
-MANY = 0.1
+# A usual recording is neither so fast nor so slow: a fighter's speed, a snail's. Nor is it so slow where fixes are so
+# far apart: these are a usual speed and step in milliseconds.
+VERY_FAST, VERY_SLOW, SLOW_AND_RARE, RARELY = 400.0, 0.02, 0.4, 100.0  # m/s, m/s, m/s, s
+MANY = 0.1  # of the fixes: a larger share is hardly one of faults
 
 
 def text(c: Cleaned) -> str:
@@ -68,47 +67,30 @@ def _notes(c):
 
 
 def unusual(c: Cleaned) -> list[str]:
-    """Return what is unusual for a recorded track, as questions: it may be in other units, or have too few digits.
-
-    Times in milliseconds that are taken for seconds make a quarter of an hour of each second, and a snail of a car: a
-    track that hardly moves is asked about, and one with rare fixes that would be no faster than a usual one. Degrees in
-    radians make a track in the Atlantic of any other.
-    """
+    """Return questions about what is unusual for a recorded track: it may be in other units, or have too few digits."""
     found = []
     fixes = np.isfinite(c.z).all(axis=1) & c.mask
     seconds, moved = np.diff(c.t[fixes]), np.linalg.norm(np.diff(c.z[fixes], axis=0), axis=1)
     later = seconds > 0
-    in_degrees = c.source is not None and bool(c.source.charts)
     if later.any():
-        found += _of_speeds(moved[later] / seconds[later], float(np.median(seconds[later])), in_degrees)
-    if in_degrees:
+        step, speed = np.median(seconds[later]), np.quantile(moved[later] / seconds[later], 0.99)
+        seen = ""
+        if speed > VERY_FAST:
+            seen = f"one step in a hundred is faster than {speed:.0f} m/s"
+        elif speed < VERY_SLOW or (step >= RARELY and speed < SLOW_AND_RARE):
+            seen = f"99 of 100 steps are slower than {speed:.1g} m/s, with a fix every {step:g} s"
+        if seen:
+            units = "are the times in seconds, not milliseconds, and the positions in metres, or a file's in degrees?"
+            found.append(f"ATTENTION: {seen}: {units}")
+    if c.source is not None and c.source.charts:
         recording, rows = c.source.recording, c.source.rows[fixes]
-        if (np.abs(recording.lat[rows]) < math.pi / 2).all() and (np.abs(recording.lon[rows]) < math.pi).all():
-            found.append(
-                "ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians? numpy.degrees(lat)"
-            )
+        if max(np.abs(recording.lat[rows]).max() * 2, np.abs(recording.lon[rows]).max()) < math.pi:
+            found.append("ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians?")
     share = _share_refused(c)
     if share > MANY:
-        many = f"{share:.0%} of the fixes are refused. So many are hardly faults"
-        found.append(f"ATTENTION: {many}: are digits missing, or is the noise large?")
+        asked = "So many are hardly faults: are digits missing, or is the noise large?"
+        found.append(f"ATTENTION: {share:.0%} of the fixes are refused. {asked}")
     return found
-
-
-def _of_speeds(speeds, step, in_degrees):
-    """Ask about units where the speed (m/s) that 99 of 100 steps have at most is unusual for a usual step (s)."""
-    speed = float(np.quantile(speeds, 0.99))
-    rarely = f", with a fix every {step:g} s" if step >= RARELY else ""
-    if speed > VERY_FAST:
-        units = "degrees" if in_degrees else "metres, not millimetres"
-        seen = f"one step in a hundred is faster than {speed:.0f} m/s"
-        return [f"ATTENTION: {seen}: are the times in seconds, and the positions in {units}?"]
-    if speed == 0:
-        return ["ATTENTION: 99 of 100 fixes stand where the one before them stood: are digits missing?"]
-    if speed < VERY_SLOW or (rarely and speed < VERY_FAST / 1000):
-        units = "" if in_degrees else ", and the positions in metres, not degrees or kilometres"
-        seen = f"99 of 100 steps are slower than {speed:.1g} m/s{rarely}"
-        return [f"ATTENTION: {seen}: are the times in seconds, not milliseconds{units}?"]
-    return []
 
 
 def _share_refused(c):

@@ -303,9 +303,9 @@ AT_MOST = {
 }
 
 
-# Each fault on a track of another kind; `make slow` runs all on all.
+# Each fault on a short recording; `make slow` runs all on all.
 FEW = [
-    ("run_fenix2_1hz", stuck),
+    ("hike_gpxo_2s", stuck),
     ("hike_gpxo_2s", shift),
     ("phone_ride_stoplight_1s", bursts),
     ("hike_korita_11s", singles),
