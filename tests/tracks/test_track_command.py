@@ -145,7 +145,7 @@ def test_a_recording_is_not_written_over_even_if_asked_and_a_link_is_replaced_no
     assert code == 1
     assert "giro.png: is the recording itself, which is not written over" in err
     assert [path.name for path in spoilt.parent.iterdir()] == ["giro.png"]
-    picture.write_bytes(PNG + bytes(9))
+    picture.write_bytes(PNG + bytes(9) + b"IHDR")
     assert "giro.png: needs a GPX or CSV file, got a binary file" in said(capsys, picture)[2]
     picture.write_bytes(before)
     picture.rename(spoilt)
