@@ -311,7 +311,7 @@ class Filter(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RecursiveFilter(Filter):
-    """A filter with coefficients and a covariance. A subclass defines `next_step`, and everything else follows from it.
+    """A filter with coefficients and a covariance. A subclass defines `next_step`; all else follows from it.
 
     Its gain is assumed to be the Kalman gain for its P. A subclass with another gain must set `optimal = False`, and
     has no smoother. A wrong `True` silently gives wrong results.

@@ -25,7 +25,6 @@ A filter on columns is one function of a row (z, seen, F, Q, r), which holds tho
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -48,7 +47,7 @@ class Epochs:
     motion: Motion
     dt: np.ndarray | None = None
     r: np.ndarray | None = None
-    over: Callable[..., Any] | None = None
+    over: Any = None
 
     @cached_property
     def missing(self) -> np.ndarray:

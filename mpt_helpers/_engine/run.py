@@ -59,12 +59,13 @@ def _on_columns(estimator, epochs, x, covariances):
     for part in tiles(M, most):
         tile = epochs.of(part)
         rows = tile.rows()
-        _, _, c, W = rows[0].shape
-        x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, W))
-        P0 = np.repeat(estimator.P0[..., None], W, axis=2)
-        # Views of x and P, which `through` writes to.
-        written = x[..., part].reshape(N, n, c, W), P if P is None or P.shape[3] == 1 else P[..., part]
-        _require_held(through(estimator.advance, rows, x0, P0, *written, estimator.vague))
+        _, _, c, width = rows[0].shape
+        x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, width))
+        P0 = np.repeat(estimator.P0[..., None], width, axis=2)
+        # Views, which `through` writes to. If only the tracks of this tile share P, it is written to each of them.
+        x_part = x[..., part].reshape(N, n, c, width)
+        P_part = P[..., part] if covariances and W > 1 else P
+        _require_held(through(estimator.advance, rows, x0, P0, x_part, P_part, estimator.vague))
     return P
 
 

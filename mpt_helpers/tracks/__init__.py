@@ -1,7 +1,7 @@
-"""Recorded tracks: from a file, or from latitudes and longitudes, to times in seconds and positions in metres.
+"""Recorded tracks: read, without their faults, smoothed, with a prediction band that was tested on the track itself.
 
-`track` does all that there is to do with one: it reads a file, refuses faults, fits, smooths and judges. `clean` does
-the same with numbers. `gpx` only reads, and refuses a file whose times are not in order, or skips such fixes.
+`track` does all of it with a file or a pandas frame, and `clean` with times and positions in metres. `gpx` only reads
+segments from a GPX file; `local` and `degrees` convert between degrees and metres.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from .readers import MANY, NO_TIME, Recording, moment_of, read, read_frame
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
 
-# Latitudes and longitudes (°) and heights (m) are not beyond these, and no height is below the lowest. A number that
-# is counts as missing: some files write -32768 where there is no height.
+# The largest latitude, longitude (°) and height (m), and the lowest height. A number beyond them counts as missing:
+# some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
-UNSORTED = 0.25  # of the times: if more are before the one before, the rows are in no order
-# Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
+UNSORTED = 0.25  # of the times: if more than that are before the one before them, the rows are in no order
+# The digits of files: decimals of degrees, of minutes or of seconds, or whole numbers of which 2^31 are half a circle.
 DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
 
@@ -69,10 +69,9 @@ def gpx(
 ) -> list[Track]:
     """Return the track segments of a GPX file; segments without a fix are left out.
 
-    Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
-    together: filter each for itself. Every fix needs a time, later than that of the one before in its segment: an equal
-    time is almost always one fix written twice or the rounding of times, and would count as two independent
-    measurements.
+    Filter each segment by itself: between two of them the receiver was switched off, or the file's author joined
+    tracks. Every fix needs a time, later than that of the one before in its segment: two equal times are almost always
+    one fix written twice, or rounded times, and would count as two independent measurements.
 
     Parameters
     ----------
@@ -81,13 +80,13 @@ def gpx(
     up : bool
         Whether z has the heights as a third column.
     skip : bool
-        Whether to leave out, with a warning, fixes without a position or a time, and as few as will do where times do
-        not increase.
+        Whether to leave out, with a warning, fixes without a position or a time, and as few others as possible so that
+        times increase.
     pause : float or timedelta, optional
         A segment is also cut wherever its next fix comes more than this later, in s.
     origin : tuple of float, optional
-        Latitude and longitude (°) and, if wanted, height (m) of one plane for all segments. Where not given, each
-        segment lies in the plane through its own first fix: segments may be far apart.
+        Latitude and longitude (°) and, if wanted, height (m) of one plane for all segments. By default each segment
+        lies in the plane through its own first fix, since segments may be far apart.
 
     Returns
     -------
@@ -97,8 +96,8 @@ def gpx(
     Raises
     ------
     ValueError
-        For a file that is no GPX or holds no tracks (routes and waypoints have no times), naming the first fix that is
-        out of order or has no time or no degrees; for a pause that is not positive and an origin that is none.
+        If the file is no GPX or holds no tracks (routes and waypoints have no times), or a fix is out of order or lacks
+        its time or position: the first one is named. Also for a pause that is not positive, and for a bad origin.
 
     Examples
     --------
@@ -146,7 +145,7 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
     Raises
     ------
     ValueError
-        For other shapes, numbers that are no degrees, and an origin that is none.
+        For other shapes, numbers that are no degrees, and a bad origin.
 
     Examples
     --------
@@ -189,7 +188,7 @@ def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
     Raises
     ------
     ValueError
-        For another shape and an origin that is none.
+        For another shape, and for a bad origin.
 
     Examples
     --------
@@ -206,15 +205,15 @@ def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
 
 
 def longest_in_order(time: Array) -> Array:
-    """Return the rows of the most fixes whose times (microseconds, NO_TIME where there is none) increase.
+    """Return the rows of the longest increasing subsequence of times (Fredman 1975), in microseconds or NO_TIME.
 
-    So one clock error does not cost all that follows it. It is the longest increasing subsequence (Fredman 1975).
+    One clock error then costs one fix, not all that follow it.
     """
     known = np.flatnonzero(time != NO_TIME)
     if (np.diff(time[known]) > 0).all():
         return known
-    # Of all orders of k + 1 rows the one that ends earliest can be continued by most: ends[k] is its last time, rows[k]
-    # the row of that, the newest of several at one time. `before` has the row before each one.
+    # Of all increasing subsequences of k + 1 rows, the one that ends earliest can be continued by most: ends[k] is its
+    # last time, rows[k] its last row, the newest of several at one time; `before` has the row before each one.
     ends, rows, before = [], [], {}
     for row in known.tolist():
         k = bisect.bisect_left(ends, time[row])
@@ -229,12 +228,12 @@ def longest_in_order(time: Array) -> Array:
 
 
 def _on_earth(lat, lon):
-    """Tell which latitudes and longitudes are degrees; NaN is none."""
+    """Tell which latitudes and longitudes are degrees; NaN is not."""
     return (np.abs(lat) <= MOST[0]) & (np.abs(lon) <= MOST[1])
 
 
 def _no_degrees(lat, lon):
-    """Say what stands in place of degrees."""
+    """Return what stands in place of degrees, with what it may be."""
     wrong = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ~_on_earth(lat, lon))
     if not len(wrong):
         return "none"
@@ -274,9 +273,9 @@ def track(
 ) -> Cleaned:
     """Return the track of a GPX or CSV file, or of a pandas frame, without its faults, smoothed and with a band.
 
-    All segments are read and smoothed, each for itself. Fixes without a time, with one that does not increase, and
-    without degrees are left out, and named in `report()`. An hdop, or an accuracy, says how precise fixes are relative
-    to each other. `to_frame()` of the result gives a frame back.
+    Each segment is smoothed by itself. Fixes without a position or a time, and those whose time does not increase, are
+    left out and counted in `report()`. Fixes are weighed by their accuracy or hdop, where the file states one.
+    `to_frame()` of the result gives a frame back.
 
     Parameters
     ----------
@@ -293,7 +292,7 @@ def track(
     pause : float or timedelta, optional
         After so long without a fix, in s, a recording begins anew, as of `clean`.
     show : callable, optional
-        Called with what is done next, in words.
+        Called with the name of each stage as it begins.
 
     Returns
     -------
@@ -303,7 +302,7 @@ def track(
     Raises
     ------
     ValueError
-        For a file or frame that holds no recorded track, naming what it has, and as `clean`.
+        For a file or frame that holds no recorded track, saying what it holds instead, and as `clean`.
 
     Examples
     --------

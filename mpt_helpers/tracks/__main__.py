@@ -26,7 +26,7 @@ DESCRIPTION = (
 def main(argv: Sequence[str]) -> int:
     """Run the command with its arguments, and return its exit status."""
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a terminal of few letters, or a name that is no text: escaped, not refused
+        if hasattr(stream, "reconfigure"):  # escape what a terminal cannot show, or a file name that is not text
             stream.reconfigure(errors="backslashreplace")
     options = _parser().parse_args(argv)
     try:
@@ -50,12 +50,12 @@ def _words(error, path):
 
 def _parser():
     parser = argparse.ArgumentParser(prog="python -m mpt_helpers track", description=DESCRIPTION)
-    parser.add_argument("file", type=Path, metavar="FILE", help="a GPX or CSV file, or one of them compressed (.gz)")
+    parser.add_argument("file", type=Path, metavar="FILE", help="a GPX or CSV file, plain or gzipped (.gz)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="where to write (beside FILE)")
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="how far ahead to predict (10)")
-    pause = "begin anew after so many seconds without a fix (60, or ten usual steps if these are longer)"
+    pause = "start a new part after so many seconds without a fix (60, or ten usual steps if these are longer)"
     parser.add_argument("--pause", type=float, metavar="S", help=pause)
-    limit = "refuse fixes whose squared distance is so many times what is expected; 50 to 200 do alike (100)"
+    limit = "refuse a fix whose squared distance is so many times its variance; 50 to 200 do alike (100)"
     parser.add_argument("--limit", type=float, default=100.0, metavar="NIS", help=limit)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist, but never FILE")
@@ -76,7 +76,8 @@ def _run(options):
     named = {what: name for what, name in named.items() if name is not None}
     stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
     picture = folder / f"{stem}.png"
-    require_free([picture], options.overwrite, path)  # before the work
+    if path.suffix != ".png":  # which is refused for what it holds
+        require_free([picture], options.overwrite, path)  # before the work
     how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
     try:
         c = tracks.track(path, columns=named, **how)
@@ -101,6 +102,6 @@ def _run(options):
 
 
 def _show(what=""):
-    """Say on a terminal what is done, in one line; nothing clears it."""
+    """Show on a terminal which stage runs, in one line; without a word the line is cleared."""
     if sys.stderr.isatty():
         print(f"\r\033[K{what and what + ' ...'}", end="", file=sys.stderr, flush=True)

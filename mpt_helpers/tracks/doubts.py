@@ -29,7 +29,8 @@ KINDS = (
 WAYS = (
     (r"\d{13,}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms'), 'us' or 'ns'; of digits format='%Y%m%d%H%M%S'"),
     (r"\d{5}\.\d+", "days of a spreadsheet? pandas.to_datetime(COLUMN, unit='D', origin='1899-12-30')"),
-    (r"\d+(\.\d*)?", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
+    (r"\d+\.\d+", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S.%f'), as texts"),
+    (r"\d+", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
     (r"[+-]?\d+([.,'\s]\d{3})*[.,]?\d*", "pandas.read_csv(FILE, decimal=',', thousands='.'), or the two exchanged"),
     (r"[\d.]+ *[NSEWnsew]", "COLUMN.str[:-1].astype(float) * COLUMN.str[-1].map({'N': 1, 'S': -1, 'E': 1, 'W': -1})"),
     (r".*\d *[°º'd].*", "degrees + minutes / 60 + seconds / 3600, negative south and west"),
@@ -37,9 +38,9 @@ WAYS = (
     (r"\d{4}\D.*", "pandas.to_datetime(COLUMN)"),
     (r"(?s).*", "numbers are decimal; of dates pandas.to_datetime(COLUMN, dayfirst=True), or False"),
 )
-# Several mobiles: so many fixes stand beside one of another, and lie so much farther from the line between any two
-# neighbours than from that between their own.
-AT_LEAST, FARTHER = 10, 2.5
+# Several mobiles: a column changes its value at least so often, has so many fixes of each value, and these lie so much
+# farther from the line between their neighbours in time than from that between their neighbours of the same value.
+CHANGES, OF_EACH, FARTHER = 10, 5, 2.5
 
 
 def refuse_other_kinds(path: Path, data: bytes) -> None:
@@ -62,16 +63,17 @@ def refuse_signs(name: str, others: dict[str, list[str]], column: str, degrees: 
         letters = [cell.strip().upper() for cell in cells]
         negative = np.array([cell.startswith(minus) for cell in letters], dtype=bool)
         if set(letters) <= {*words, plus, minus, ""} and (degrees[negative] > 0).any():
-            way = f"frame[{column!r}] *= frame[{other!r}].str.upper().str[0].map({{{plus!r}: 1, {minus!r}: -1}})"
+            letter = f"frame[{other!r}].str.strip().str.upper().str[0]"
+            way = f"frame[{column!r}] *= {letter}.map({{{plus!r}: 1, {minus!r}: -1}})"
             got = f"the sign of {column} in column {other!r}: {way}; or drop that column"
             raise ValueError(f"{name}: needs signed degrees, got {got}")
 
 
 def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int64], position: Array) -> None:
-    """Refuse a table of several mobiles, told by the values of another column: ships by their MMSI.
+    """Refuse a table of several mobiles, as ships with an MMSI, and name the column that tells them apart.
 
-    One mobile is nearest to the fixes before and after it, whatever the column says. Of several, the fixes of one value
-    lie on a line between their own neighbours in time, and not on that between any two.
+    A fix of one mobile lies between the fixes before and after it, whatever another column says. With several mobiles
+    it lies between those with its own value of that column only.
     """
     rows = np.flatnonzero((time != np.iinfo(np.int64).min) & np.isfinite(position).all(axis=1))
     rows = rows[np.argsort(time[rows], kind="stable")]
@@ -79,7 +81,7 @@ def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int
     for column, cells in others.items():
         values, value = np.unique([cells[row] for row in rows], return_inverse=True)
         changes = np.diff(value) != 0
-        if changes.sum() < AT_LEAST or len(values) * AT_LEAST > len(rows):
+        if changes.sum() < CHANGES or len(values) * OF_EACH > len(rows):
             continue
         mixed = np.append(changes, False) | np.append(False, changes)
         apart = _off_the_line(time, position, in_turn)[mixed]

@@ -98,11 +98,6 @@ class Chart:
         x, y, z = axes_at(self.lat, self.lon).T @ np.array([across * east, across * north, np.cos(angle)])
         return np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
 
-    def speed(self, z: Array, v: Array) -> Array:
-        """Return the speed (N,) on the Earth of velocities v (N, 2) at positions z: the way of one second."""
-        here, there = (earth_centred(*self.degrees(each), 0.0) for each in (z, z + v))
-        return np.linalg.norm(there - here, axis=0)
-
     @property
     def _radii(self):
         """The Earth's radii of curvature in the middle, towards the east and towards the north."""

@@ -6,6 +6,7 @@ The words need no knowledge of filters; a specialist's numbers stand in brackets
 from __future__ import annotations
 
 import math
+from datetime import timedelta
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -13,28 +14,28 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from . import geodesy
+from .geodesy import earth_centred
 from .readers import UNIX, moment_of
 from .writers import degrees_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
-DOUBTFUL = 0.05  # of the rows, whose speed is not told from that: a glider that is parked for a minute is no such track
+DOUBTFUL = 0.05  # of the rows: if the speed of more is not told from MOVING, the time in motion is not known
 REST, REST_STEP = 60.0, 2.0  # s: a rest lasts a minute, which is looked at in steps
 KM_H = 3.6
 COLUMNS = 100  # of a terminal
-TOGETHER = "\u00a0"  # a blank at which no line is broken
-A_FEW, VAGUE = 0.3, math.log(10)  # errors of a logarithm: below the first one they are a percentage
-LISTED = 5  # times of faults
+TOGETHER = "\u00a0"  # a blank at which a line is not broken
+A_FEW, UNKNOWN = 0.3, math.log(10)  # errors of a logarithm: told in per cent, as a factor, or not at all
+LISTED = 5  # times of faults at most
 OF_THE_BAND = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
-# A usual recording is neither so fast nor so slow: a fighter's speed, a snail's. Nor is it so slow where fixes are so
-# far apart: these are a usual speed and step in milliseconds.
+# Usual recordings lie between the speeds of a snail and of a fighter. Fixes RARELY seconds apart and so slow are usual
+# ones whose times are in milliseconds.
 VERY_FAST, VERY_SLOW, SLOW_AND_RARE, RARELY = 400.0, 0.02, 0.4, 100.0  # m/s, m/s, m/s, s
 MANY = 0.1  # of the fixes: a larger share is hardly one of faults
 
 
 def text(c: Cleaned) -> str:
-    """Return the report of a Cleaned; what is to be asked stands before the numbers that it makes doubtful."""
+    """Return the report of a Cleaned; questions stand before the numbers that they make doubtful."""
     lines = [_heading(c), *(f"note: {each}" for each in _notes(c))]
     lines += [*_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
     filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
@@ -62,7 +63,7 @@ def summary(c: Cleaned) -> dict[str, Any]:
 
 
 def _notes(c):
-    """Return what was taken for what, and what is unusual, in words."""
+    """Return the notes of the reader and of `clean`, and questions about what is unusual."""
     return [*([] if c.source is None else c.source.said), *c.said, *c.unusual]
 
 
@@ -98,11 +99,7 @@ def _share_refused(c):
 
 
 def _clock(seconds):
-    minutes, seconds = divmod(round(seconds), 60)
-    days, hours = divmod(minutes // 60, 24)
-    if days < 2:
-        return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
-    return f"{days:,} days {hours}:{minutes % 60:02d}:{seconds:02d}"
+    return str(timedelta(seconds=round(seconds)))
 
 
 def counted(left_out: dict[str, int]) -> str:
@@ -145,7 +142,7 @@ def _faults(c):
 
 
 def _moments(c, rows):
-    """Say when the first few of some rows were recorded."""
+    """Return when the first few of some rows were recorded, in words."""
     t = c.t[c.line.rows]
     seconds = c.t[rows][(c.t[rows] >= t.min()) & (c.t[rows] <= t.max())] - t.min()  # without faults of time
     if not len(seconds):
@@ -178,7 +175,7 @@ def _symbol(name, value, unit):
 def _known(log_error):
     if log_error < A_FEW:
         return f"known to {log_error:.0%}"
-    return f"known to a factor of {math.exp(log_error):.1f}" if log_error < VAGUE else "hardly known"
+    return f"known to a factor of {math.exp(log_error):.1f}" if log_error < UNKNOWN else "hardly known"
 
 
 def _prediction(c):
@@ -195,26 +192,23 @@ def _prediction(c):
 
 
 def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
-    """Return km, seconds in motion or None, the median speed in motion, the fastest but 0.1 %, and their error (km/h).
+    """Return the length (km), the seconds in motion or None, the median speed in motion, the top speed and their error.
 
-    Of a track with charts the way is that on the Earth; of a rest it is the straight line from its start to its end. In
-    motion is a row that is faster than MOVING and does not lie in a minute at rest (`_at_rest`). How long that was is
-    not known where many speeds are within their error of MOVING.
+    The top speed is the 99.9 % quantile; speeds are in km/h. Lengths and speeds are those on the Earth where the track
+    is in degrees, and a rest counts as the straight line from its start to its end. A row is in motion if it is faster
+    than MOVING and not in a minute at rest. If too many speeds cannot be told from MOVING, the time in motion is None.
     """
     rows = c.line.rows
-    position, velocity = c.x[rows][:, :4:2], c.x[rows][:, 1:4:2]
-    speed, on_earth = np.linalg.norm(velocity, axis=1), position.T
+    position, later = c.x[:, :4:2], c.x[:, :4:2] + c.x[:, 1:4:2]  # a second later
+    here, there = position.T[:, rows], later.T[:, rows]
     if c.source is not None and c.source.charts:
-        for k, chart in enumerate(c.source.charts):
-            own = c.source.plane[rows] == k
-            speed[own] = chart.speed(position[own], velocity[own])
-        lat, lon = degrees_of(c)
-        on_earth = geodesy.earth_centred(lat[rows], lon[rows], 0.0)
-    rest = _at_rest(c.line, position, speed)
+        here, there = (earth_centred(*degrees_of(c, each), 0.0)[:, rows] for each in (position, later))
+    speed = np.linalg.norm(there - here, axis=0)
+    rest = _at_rest(c.line, position[rows], speed)
     same = np.diff(c.line.number) == 0
     kept = np.ones(len(rows), dtype=bool)
     kept[1:-1] = ~(rest[1:-1] & rest[:-2] & rest[2:] & same[:-1] & same[1:])
-    steps = np.linalg.norm(np.diff(on_earth[:, kept], axis=1), axis=0)
+    steps = np.linalg.norm(np.diff(here[:, kept], axis=1), axis=0)
     seconds = np.diff(c.t[rows])
     moving = (speed > MOVING) & ~rest
     error = math.sqrt(float(np.median(c.P[rows, 1, 1])))
@@ -232,8 +226,8 @@ def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
 def _at_rest(line, position, speed):
     """Tell which rows of a line lie in a minute at rest.
 
-    The error of a receiver that stands wanders, at the speed of a slow walk. But it leads nowhere: such a minute stays
-    within the way that MOVING makes in it, and half of its speeds are below twice MOVING.
+    The fixes of a receiver at rest drift at the speed of a slow walk, but stay in one place: within such a minute they
+    keep within the distance that MOVING covers in it, and half of their speeds are below twice MOVING.
     """
     rest = np.zeros(len(position), dtype=bool)
     size = int(REST / REST_STEP) + 1
@@ -245,8 +239,8 @@ def _at_rest(line, position, speed):
             continue
         windows = [sliding_window_view(np.interp(grid, t, each), size) for each in (*position[own].T, speed[own])]
         extent = np.linalg.norm([np.ptp(each, axis=1) for each in windows[:-1]], axis=0)
-        calm = (extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING)
-        among = np.convolve(calm, np.ones(size))[: len(grid)] > 0.5  # the steps of the grid that a calm minute holds
+        still = (extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING)
+        among = np.convolve(still, np.ones(size))[: len(grid)] > 0.5  # grid points inside such a minute
         rest[own] = among[np.minimum(np.searchsorted(grid, t), len(grid) - 1)]
     return rest
 
@@ -263,7 +257,7 @@ def _way(c):
 
 
 def _digits(value):
-    """Return a number with two digits that count, without an exponent where it is readable without."""
+    """Return a number with two significant digits, without an exponent if it stays readable."""
     if value == 0 or not 1e-4 <= abs(value) < 1e6:
         return f"{value:.1e}"
     return f"{value:.{max(0, 1 - math.floor(math.log10(abs(value))))}f}"

@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import re
 import zipfile
 
 import numpy as np
@@ -165,6 +166,50 @@ def test_a_table_that_is_written_in_another_way_is_refused_with_the_way_to_mend_
         mpt.track(path)
 
 
+@pytest.mark.parametrize(
+    "times",
+    [
+        *(compact(form) for form in ("%H%M%S", "%H%M%S.00", "%H:%M:%S", "%d/%m/%Y %H:%M:%S", "%Y-%m-%d %H:%M:%S UTC")),
+        UNIX * 1000,
+        [f"{25569 + each / 86400:.8f}" for each in UNIX],
+    ],
+)
+def test_the_line_that_a_refusal_names_makes_times_of_a_column(tmp_path, times):
+    path = tmp_path / "a.csv"
+    path.write_text(text_of("time,lat,lon", times, LAT, LON))
+    with pytest.raises(ValueError, match=r"pandas\.to_datetime") as refused:
+        mpt.track(path)
+    texts = {"time": str} if "as texts" in str(refused.value) else {}
+    frame = pd.read_csv(path, dtype=texts).assign(date="2022-05-03")
+    line = re.search(r"pandas\.to_datetime\(.*?\)(?=$|, )", str(refused.value))[0]
+    frame["time"] = eval(line, {"pandas": pd, "frame": frame})
+    time = readers.read_frame(frame).time
+    np.testing.assert_allclose(time / 1e6, UNIX, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        text_of("time;lat;lon", [f"{a};{b};{c}" for a, b, c in zip(ISO, *COMMAS, strict=True)]),
+        text_of("time,lat,lon,note", ISO, LAT, LON, ['"six feet' if k == 5 else "n" for k in range(N)]),
+        text_of("time,note,lat,lon", ISO, ['"a\nb"' if k == 5 else "n" for k in range(N)], LAT, LON),
+        text_of("time,lat,lon", ISO, LAT, [f"{b},7" if k == 5 else b for k, b in enumerate(LON)]),
+    ],
+    ids=["semicolons", "open quote", "two lines", "long line"],
+)
+def test_the_line_that_a_refusal_names_makes_a_table(tmp_path, text):
+    path, new = tmp_path / "a.csv", tmp_path / "new.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"pandas\.read_csv") as refused:
+        readers.read(path)
+    line = re.search(r"pandas\.read_csv\(.*'new.csv'\)", str(refused.value))[0]
+    eval(line.replace("'new.csv'", "NEW"), {"pandas": pd, "FILE": path, "NEW": new})
+    r = readers.read(new)
+    there = np.isfinite(r.lat) & (r.time != readers.NO_TIME)
+    assert np.isin(np.round(r.lat[there], 7), LAT).all()
+    assert there.sum() >= N - 1
+
+
 def test_a_prefix_may_be_undeclared_and_a_comment_holds_no_fix(tmp_path):
     """As in files that were put together by hand: nothing but the fixes changes in what is written."""
     head, *fixes = GPX.replace("<time>", "<x:hr>90</x:hr><time>").split("<trkpt")
@@ -223,6 +268,13 @@ def test_two_mobiles_in_one_table_are_refused_by_the_name_of_their_column(tmp_pa
         ValueError, match=f"needs one mobile, got 2, by their column '{name}': take one: frame.*== '257000001'"
     ):
         read(tmp_path, text)
+
+
+def test_so_are_many_mobiles_of_a_few_fixes_each(tmp_path):
+    who, t = np.repeat(np.arange(60), 6), np.tile(10 * np.arange(6), 60)
+    z = 500 * who[:, None] + 3 * t[:, None] + np.random.default_rng(1).normal(0, 2, (360, 2))
+    with pytest.raises(ValueError, match="needs one mobile, got 60, by their column 'icao24'"):
+        read(tmp_path, text_of("icao24,time,x,y", who, t, *z.T))
 
 
 @pytest.mark.parametrize("at_rest", [False, True])
@@ -326,6 +378,14 @@ def test_of_a_file_that_is_cut_the_whole_fixes_are_read_and_it_is_said(tmp_path,
     assert words.split("[")[0] in " ".join(c.report().split())
     c.gpx(tmp_path / "b.gpx")
     np.testing.assert_allclose(readers.read(tmp_path / "b.gpx").lat, LAT[c.source.rows], atol=1e-4)
+
+
+def test_a_file_that_is_cut_keeps_its_segments(tmp_path):
+    text = GPX.replace(f"<time>{ISO[150]}</time></trkpt>", f"<time>{ISO[150]}</time></trkpt></trkseg><trkseg>")
+    (tmp_path / "a.gpx").write_text(text[:-300])
+    c = mpt.track(tmp_path / "a.gpx")
+    c.gpx(tmp_path / "b.gpx")
+    assert np.unique(readers.read(tmp_path / "b.gpx").segment).tolist() == [1, 2]
 
 
 def test_a_clock_that_is_put_back_within_a_recording_is_asked_about(tmp_path):

@@ -145,6 +145,9 @@ def test_a_recording_is_not_written_over_even_if_asked_and_a_link_is_replaced_no
     assert code == 1
     assert "giro.png: is the recording itself, which is not written over" in err
     assert [path.name for path in spoilt.parent.iterdir()] == ["giro.png"]
+    picture.write_bytes(PNG + bytes(9) + b"IHDR")
+    assert "giro.png: needs a GPX or CSV file, got a binary file" in said(capsys, picture)[2]
+    picture.write_bytes(before)
     picture.rename(spoilt)
     photo = spoilt.parent / "photo.png"
     photo.write_bytes(b"mine")
@@ -321,7 +324,7 @@ def test_hdop_weighs_the_fixes(tmp_path):
     true, _, _ = positions()
 
     def error(c):
-        there = tracks.local(*writers.degrees_of(c), (57.0, 9.9))
+        there = tracks.local(*writers.degrees_of(c, c.x[:, ::2]), (57.0, 9.9))
         return mpt.metrics.rms(there - true)
 
     assert error(weighed) < 0.9 * error(plain)
