@@ -17,10 +17,25 @@ def predicted_covariance(model, P, steps=1):
     array([[1. , 1.5],
            [1.5, 3. ]])
     """
-    F_N, Q_N = np.eye(len(model.F)), np.zeros_like(model.Q)
-    for _ in range(steps):
-        F_N, Q_N = model.F @ F_N, model.F @ Q_N @ model.F.T + model.Q
-    return F_N @ P @ F_N.T + Q_N
+    F, Q = several_steps(model.F, model.Q, steps)
+    return F @ P @ F.T + Q
+
+
+def several_steps(F, Q, steps):
+    """Return F and Q of `steps` steps in a row, by doubling.
+
+    >>> several_steps(np.eye(1), np.eye(1), steps=5)
+    (array([[1.]]), array([[5.]]))
+    """
+    F_N, Q_N = np.eye(len(F)), np.zeros_like(Q)
+    if steps == 1:
+        return F, Q
+    while steps:
+        if steps % 2:
+            F_N, Q_N = F @ F_N, F @ Q_N @ F.T + Q
+        F, Q = F @ F, F @ Q @ F.T + Q
+        steps //= 2
+    return F_N, Q_N
 
 
 def unit_measurements(H, R):
