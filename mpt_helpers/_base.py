@@ -10,17 +10,20 @@ Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, b
 
 Their covariances are (N, n, n, M), or (N, n, n, 1) where all tracks share them.
 
-A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest. On the way of z through
-`filter`, every line but the last two is one call:
+A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest. This is the way of z
+through `filter`:
 
-    Filter.filter           z to (N, m, M)
-    RecursiveFilter.run     z to Epochs, which know the gaps, steps and variances
-    run.estimates           tracks without gaps, or any others?
-        shared_steps, run_shared     without: A_k, B_k and P once for all of them; then x <- A x + B z
-        pieces.through, advance      others: x and P of all tracks as columns, one row of z after the other
+    Filter.filter              makes z (N, m, M)
+    RecursiveFilter.run        makes Epochs: z with its gaps, steps and variances
+    _engine.run.estimates      takes one of two ways:
+      1 shared_steps             tracks without gaps: A_k, B_k and P, made once by `next_step`
+        run_shared               x <- A x + B z, several steps in one product
+      2 Epochs.rows              all others: tracks as columns
+        pieces.through           one row after the other, or a long track in pieces
+          advance                one row: x and P of all tracks, predicted and corrected
 
-`smooth` and `innovations_of` begin with `run.estimates` too. `advance` takes one row: it calls `next_step` for each
-track, unless a filter has a faster way, as KalmanFilter has in `_engine.columns`.
+`advance` calls `next_step` for each track, unless a filter has a faster way: KalmanFilter has one in `_engine.columns`.
+`smooth` and `innovations_of` begin with `estimates`, too.
 """
 
 from __future__ import annotations
@@ -40,18 +43,11 @@ from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.algebra import LinearMap, Motion, whitened
 from ._engine.columns import Epochs
-from ._engine.pieces import VAGUE
+from ._engine.digits import is_vague
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
-from .equations import unit_measurements
 from .model import LinearModel
-
-# The largest variance of the prediction of a measurement, in units of R. Rounding of I - K H makes P after the
-# measurement wrong by some 1e-31 of it: here by 1 % of R.
-LARGEST = 1e29
-# The largest share of a variance that may be rounding after a step.
-MOST_ROUNDING = 0.1
 
 
 class Estimates(NamedTuple):
@@ -84,24 +80,6 @@ def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, A
     return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
 
 
-def require_digits(T_size: Array, P: Array, after: Array, times_R: float, dt: float | None = None) -> None:
-    """Raise a ValueError if a step from P (n, n) leaves no digit in the covariance `after` it.
-
-    T P Tᵀ is a part of `after`. Doubles round P_ij by ε σ_i σ_j, and so this part by up to ε (|T| σ)². T_size is |T|,
-    or |T_1| |T_2| for T = T_1 T_2. times_R is the variance of the prediction of a measurement, in units of its noise.
-    The error names dt where it is given.
-    """
-    sigma = np.sqrt(np.abs(P.diagonal()))
-    rounding = np.finfo(float).eps * (T_size @ sigma) ** 2
-    if times_R < LARGEST and np.isfinite(after).all() and (rounding <= MOST_ROUNDING * after.diagonal()).all():
-        return
-    held = "whose variances doubles hold beside those of the measurements"
-    if dt is not None:
-        checks.refuse("dt", f"a time over which the state has a prediction {held}", f"{dt:.6g} s")
-    need = f"a covariance with a prediction {held} (filter and estimates take a larger P0 than single steps do)"
-    checks.refuse("P", need, f"{times_R:.2g} times as much")
-
-
 class Filter(Immutable):
     """A filter of measurements z of its `model`. A subclass defines `run`, and whatever else it offers.
 
@@ -114,12 +92,12 @@ class Filter(Immutable):
 
     @property
     def parts(self) -> Sequence[Filter]:
-        """The filters that it is made of; none but for joint and separate filters and predictors."""
+        """The filters that it is made of: empty but for joint and separate filters and predictors."""
         return ()
 
     @property
     def optimal(self) -> bool:
-        """Say whether its gain is that of its covariance P, so that P says all that is known, in all its parts."""
+        """Whether its gain, and that of all its parts, is optimal for its P: then P is the covariance of its error."""
         return bool(self.parts) and all(each.optimal for each in self.parts)
 
     @property
@@ -258,8 +236,8 @@ class Filter(Immutable):
         Raises
         ------
         ValueError
-            For other shapes, for numbers that are not finite, for a P that is no covariance, and for a P or dt so large
-            that doubles do not hold the step.
+            For other shapes, for numbers that are not finite, for a P that is not a covariance, and for a P or dt so
+            large that the step exceeds double precision.
         TypeError
             For anything but real numbers, for a filter without steps (a predictor, a FIR filter), and for dt or r where
             the filter is not a KalmanFilter.
@@ -269,7 +247,7 @@ class Filter(Immutable):
 
     @property
     def leaves(self) -> list[Filter]:
-        """The filters that it is made of in the end, itself where it is made of none."""
+        """The filters at the bottom of `parts`: itself where it has none."""
         return [leaf for part in self.parts for leaf in part.leaves] or [self]
 
     def times_of(self, N: int) -> Array:
@@ -333,23 +311,15 @@ class Filter(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RecursiveFilter(Filter):
-    """A filter with coefficients and a covariance. A subclass defines `next_step`, and all else follows from it.
+    """A filter with coefficients and a covariance. A subclass defines `next_step`; all else follows from it.
 
-    Its gain is assumed to be the Kalman gain for its P. A subclass with another gain must say `optimal = False`, and
+    Its gain is assumed to be the Kalman gain for its P. A subclass with another gain must set `optimal = False`, and
     has no smoother. A wrong `True` silently gives wrong results.
     """
 
     model: LinearModel
 
-    optimal = True  # other than in Filter, where it is False
-
-    def __init_subclass__(cls) -> None:
-        """Let a subclass with a step of its own not inherit the faster ways of a parent, which make the parent's."""
-        super().__init_subclass__()
-        if "next_step" in vars(cls):
-            for way in ("next_steps", "advance"):
-                if way not in vars(cls):
-                    setattr(cls, way, getattr(RecursiveFilter, way))
+    optimal = True
 
     def __post_init__(self) -> None:
         checks.instance("model", self.model, LinearModel)
@@ -384,15 +354,15 @@ class RecursiveFilter(Filter):
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k (M, n, n), B_k (M, n, m) and P(k+1/k+1) (M, n, n) of each P(k/k) of a stack (M, n, n).
 
-        It calls `next_step` for one after the other. A subclass may make all of them at once.
+        It calls `next_step` for each. A subclass may compute all of them at once.
         """
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as `_engine.columns` has them.
+        """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks (see `_engine.columns`).
 
-        Columns that see the same measurements go together. A subclass may do the same in fewer operations.
+        Tracks that miss the same measurements are computed together. A subclass may have a faster way.
         """
         z, seen, F, _, r = row
         if F is not None or r is not None:
@@ -413,23 +383,8 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def vague(self) -> bool:
-        """Whether P0 is so large beside Q and R that the first updates leave few digits in P (`_engine.pieces`).
-
-        Raises ValueError where it is so large that none is left.
-        """
-        H, Q, R = self.model.H, self.model.Q, self.model.R
-        largest = self._variance_of_a_first_measurement(R)
-        if not largest < LARGEST:
-            checks.refuse("P0", f"variances of what is measured below {LARGEST:g} R", f"{largest:.2g} R")
-        if self.r is not None:
-            given = np.where(self.r > 0, self.r, np.inf).reshape(*self.r.shape[:2], -1)
-            R = np.diag(np.minimum(np.diag(R), given.min(axis=(0, 2))))
-        return self.optimal and self._variance_of_a_first_measurement(H @ Q @ H.T + R) > VAGUE
-
-    def _variance_of_a_first_measurement(self, noise):
-        """Return the largest variance that P0 gives to a first measurement, in units of the noise (m, m)."""
-        G = unit_measurements(self.model.H, noise)[0] @ self.model.F
-        return float((G @ self.P0 @ G.T).max())
+        """Whether P0 is so large that its first epochs need `pieces` for their digits; raises where none is left."""
+        return is_vague(self.model, self.P0, self.r) and self.optimal
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.
@@ -482,7 +437,7 @@ class RecursiveFilter(Filter):
 
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
-        It warns where damped modes without process noise take the digits of P(k/N).
+        It warns where damped modes without process noise make P(k/N) inaccurate.
         """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter whose P is that of the best estimate, got a {type(self).__name__}")
@@ -498,5 +453,5 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def shared_steps(self) -> Callable[[int, int], Any]:
-        """Make the steps and products of M tracks of N epochs without gaps, and keep those of the last call."""
+        """Return `make_shared_steps` of this filter, as a function of N and M that keeps its last result."""
         return lru_cache(maxsize=1)(partial(steps.make_shared_steps, self.next_step, self.P0, self.model.m))

@@ -19,8 +19,8 @@ from .lainiotis import LainiotisFilter
 from .model import LinearModel, stack
 from .steady import SteadyStateFilter
 
-# Two filters are stepped from one state as long as both return the same state, to this share of its size or standard
-# deviation: the two Riccati equations give the same gain to at least six digits.
+# Two filters step from one state as long as both return the same state and P, to this fraction of the size or standard
+# deviation: the gains from the two Riccati equations agree to at least six digits.
 SAME = 1e-6
 
 
@@ -86,8 +86,7 @@ class JoinFilter(Filter):
     ) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from one state, as in Filter.
 
-        Raises TypeError where the two return different states, as with different gains: then each would need a state of
-        its own.
+        Raises TypeError where the two return different states, as with different gains: each would need its own state.
         """
         x_1, P_1 = self.first.step(x, P, z_k, dt, r)
         x_2, P_2 = self.second.step(x, P, z_k, dt, r)

@@ -17,32 +17,17 @@ def predicted_covariance(model, P, steps=1):
     array([[1. , 1.5],
            [1.5, 3. ]])
     """
-    F, Q = several_steps(model.F, model.Q, steps)
-    return F @ P @ F.T + Q
-
-
-def several_steps(F, Q, steps):
-    """Return F and Q of `steps` steps in a row, by doubling.
-
-    >>> several_steps(np.eye(1), np.eye(1), steps=5)
-    (array([[1.]]), array([[5.]]))
-    """
-    F_N, Q_N = np.eye(len(F)), np.zeros_like(Q)
-    if steps == 1:
-        return F, Q
-    while steps:
-        if steps % 2:
-            F_N, Q_N = F @ F_N, F @ Q_N @ F.T + Q
-        F, Q = F @ F, F @ Q @ F.T + Q
-        steps //= 2
-    return F_N, Q_N
+    F_N, Q_N = np.eye(len(model.F)), np.zeros_like(model.Q)
+    for _ in range(steps):
+        F_N, Q_N = model.F @ F_N, model.F @ Q_N @ model.F.T + model.Q
+    return F_N @ P @ F_N.T + Q_N
 
 
 def unit_measurements(H, R):
-    """Return H_1 (p×n) and W (p×m) such that W z = H_1 x + noise of covariance I says all that z = H x + v says.
+    """Return H_1 (p×n) and W (p×m) such that W z = H_1 x + unit noise carries the information of z = H x + v.
 
-    The noise v has covariance R (m×m). p is the smaller of m and n: measurements of the same states are joined here, so
-    that a precise sensor is never added to a much larger H P Hᵀ, where it would be rounded away.
+    The noise v has covariance R (m×m). p = min(m, n): measurements of the same states are combined first. Otherwise the
+    variance of a precise sensor would be added to a much larger H P Hᵀ, and lost to rounding.
 
     >>> H_1, W = unit_measurements(H=np.array([[1.0], [1.0]]), R=np.diag([4.0, 1.0]))
     >>> (H_1 ** 2).round(12), (W / H_1).round(12)
@@ -58,7 +43,7 @@ def unit_measurements(H, R):
 def gain(P, H, R):
     """Return the Kalman gain K = P Hᵀ [H P Hᵀ + R]⁻¹ (n×m) for the predicted covariance P (2014 Eq. 4).
 
-    It is made of `unit_measurements`, so that two sensors of very unequal precision may see the same state.
+    Computed from `unit_measurements`, it stays accurate when sensors of very different precision measure one state.
 
     >>> gain(P=np.eye(1), H=np.array([[1.0]]), R=np.array([[3.0]])).round(12)
     array([[0.25]])
@@ -75,7 +60,7 @@ def _weights(P, H_1):
 def corrected_covariance(P, K, H, R):
     """Return (I - K H) P (I - K H)ᵀ + K R Kᵀ (n×n), Joseph's form, for the predicted covariance P.
 
-    It holds for any gain K, and keeps its digits where R is far smaller than P. All arguments may be stacks.
+    It holds for any gain K, and stays accurate where R is far smaller than P. All arguments may be stacks.
 
     >>> corrected_covariance(P=np.eye(1), K=np.array([[0.5]]), H=np.eye(1), R=np.eye(1))
     array([[0.5]])
@@ -116,7 +101,7 @@ def lainiotis_matrices(model, H=None, R=None):
     H_1, W = unit_measurements(model.H if H is None else H, model.R if R is None else R)
     K = Q @ _weights(Q, H_1)  # K_n is K W
     keep = np.eye(len(F)) - K @ H_1
-    G = np.hstack([keep @ square_root(Q), K])  # a root of P_n keeps more of its digits
+    G = np.hstack([keep @ square_root(Q), K])  # P_n = G Gᵀ keeps more digits than the difference Q - K_n H Q
     root_of_S = np.linalg.cholesky(H_1 @ Q @ H_1.T + np.eye(len(H_1)))
     C = np.linalg.solve(root_of_S, H_1 @ F).T
     W_of_C = np.linalg.solve(root_of_S, W)
@@ -126,9 +111,9 @@ def lainiotis_matrices(model, H=None, R=None):
 def gain_on_the_start(P, C):
     """Return G (n×p) with [I + P O]⁻¹ = I - G Cᵀ for O = C Cᵀ; P (n×n) and C (n×p) may be stacks.
 
-    It is the Kalman gain of measurements Cᵀ x of unit noise, which stand for the information O that one epoch, or many,
-    have about the state before them. With it, [I + P O]⁻¹ P is Joseph's form, which keeps its digits where P is large:
-    the inverse itself loses them, after long gaps and from vague starts.
+    It is the Kalman gain for measurements Cᵀ x of unit noise, which carry the information O that one epoch, or many,
+    have about the state before them. With G, [I + P O]⁻¹ P takes Joseph's form, which stays accurate where P is large;
+    the explicit inverse loses its digits after long gaps and from vague starts.
 
     >>> gain_on_the_start(P=np.eye(1), C=np.array([[2.0]]))
     array([[0.4]])
@@ -166,7 +151,7 @@ def lainiotis_transition(P, Fn, On):
 
 
 def neutralised(H, R, seen):
-    """Return H and R with zeros in H, and rows of the identity in R, for the measurements that seen (m,) lacks."""
+    """Return H and R with rows of zeros in H, and of the identity in R, for measurements not in seen (m,)."""
     H = H * seen[:, None]
     R = np.where(np.outer(seen, seen), R, np.diag(~seen))
     return H, R

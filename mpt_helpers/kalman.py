@@ -1,4 +1,4 @@
-"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` is that of many tracks.
+"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` is one of many tracks.
 
 A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros
 in H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed,
@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _checks as checks
-from ._base import RecursiveFilter, require_digits
+from ._base import RecursiveFilter
 from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns
-from ._engine.pieces import VAGUE
+from ._engine.digits import require_digits
 from ._engine.shared import Step
 from .equations import neutralised, unit_measurements
 from .model import LinearModel, missed_by_halves
 
-# By how much two half steps may miss the whole one before a filter warns that a transition loses its digits there.
+# The relative difference between a step and two half steps above which the filter warns of an inaccurate transition.
 MISSED_ELSEWHERE = 1e-3
 
 
@@ -37,9 +37,9 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    filterpy makes the gains and covariances of tracks without gaps, which share them, and of single steps. Tracks with
-    gaps, times or variances of their own do not pass through filterpy: they are filtered side by side, as columns of
-    arrays, by the same equations (`_engine.columns`).
+    filterpy computes the gains and covariances of single steps, and those that tracks without gaps share. Tracks with
+    gaps, times or variances of their own are filtered side by side instead, as columns of arrays, by the same equations
+    (`_engine.columns`).
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class KalmanFilter(RecursiveFilter):
         """Return A_k, B_k and P(k+1/k+1) from P(k/k) by filterpy, as in RecursiveFilter.
 
         dt is the length of the step in s, r (m,) are the variances; the model's where not given. Raises ValueError for
-        a P that is no covariance, and for a step over which doubles do not hold the variances.
+        a P that is not a covariance, and for a step whose variances exceed double precision.
         """
         kf = copy.copy(self._filterpy)  # predict and update set its attributes, and other threads may take a step too
         kf.P = P
@@ -131,8 +131,7 @@ class KalmanFilter(RecursiveFilter):
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
         keep = np.eye(self.model.n) - kf.K @ kf.H
-        if not (kf.S.max() < VAGUE and np.isfinite(kf.P).all()):
-            require_digits(np.abs(keep) @ np.abs(kf.F), P, kf.P, kf.S.max(), dt)
+        require_digits(keep, kf.F, P, kf.P, kf.S.max(), dt)
         return keep @ kf.F, kf.K @ W, kf.P
 
     def step(
@@ -153,15 +152,17 @@ class KalmanFilter(RecursiveFilter):
         for name, given, shape in (("t", self.t, (N,)), ("r", self.r, (N, m))):
             if given is not None and given.shape not in (shape, (*shape, M)):
                 checks.refuse(name, f"the epochs and tracks of z, {shape} or {(*shape, M)}", f"shape {given.shape}")
-        r = None if self.r is None else self.r.reshape(N, m, -1)
-        epochs = Epochs(z, self.motion, self._steps, r, self.model.over)
+        r = self.r
         if r is not None:
-            checks.used_variances("r", np.broadcast_to(r, z.shape)[~epochs.missing])
-        return epochs
+            r = r.reshape(N, m, -1)
+            checks.used_variances("r", np.broadcast_to(r, z.shape)[~np.isnan(z)])
+            # The variance of a missing measurement may be anything: the model's stands for it.
+            r = np.where(np.isfinite(r) & (r > 0), r, np.diag(self.model.R)[:, None])
+        return Epochs(z, self.motion, self._steps, r, self.model.over)
 
     @cached_property
     def _steps(self):
-        """The steps (N, 1 or M) before each epoch in s, or None. Warns where a transition loses its digits."""
+        """The steps (N, 1 or M) before each epoch in s, or None. Warns of an inaccurate transition."""
         if self.t is None:
             return None
         t = self.t.reshape(len(self.t), -1)
@@ -176,14 +177,17 @@ class KalmanFilter(RecursiveFilter):
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""
-        seen = row[1]
+        if type(self).next_step is not KalmanFilter.next_step:  # a subclass has a step of its own
+            return super().advance(row, x, P)
         of_whole_rows, of_others = self._columns
-        partly = of_others is not of_whole_rows and (seen != seen[:1]).any()
-        return (of_others if partly else of_whole_rows).advance(row, x, P)
+        seen = row[1]
+        if of_others is not of_whole_rows and (seen != seen[:1]).any():
+            return of_others.advance(row, x, P)
+        return of_whole_rows.advance(row, x, P)
 
     @cached_property
     def _columns(self):
-        """The filter on columns for rows that are whole or missed, and the one for others: correlated noises differ."""
+        """Two KalmanColumns: for rows that are whole or missed, and for those that are partly missing."""
         H, R, P0 = self.model.H, self.model.R, self.model.P0
         uncorrelated = np.diag(np.diag(R))
         if self.r is not None or np.array_equal(R, uncorrelated):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
-from ._base import RecursiveFilter, require_digits
+from ._base import RecursiveFilter
 from ._checks import Array
-from ._engine.pieces import VAGUE
+from ._engine.digits import VAGUE, require_digits
 from .equations import gain_on_the_start, lainiotis_matrices, lainiotis_step, neutralised
 
 
@@ -19,8 +19,8 @@ class LainiotisFilter(RecursiveFilter):
 
     F_n, K_n and P_n describe a step from an exactly known x(k/k); O_n and K_m add the information of the measurement
     about x(k/k). Such steps compose: many steps in a row have matrices of the same form, and every filter here uses
-    that to run a long track in pieces. The results are the Kalman filter's; where tracks have gaps of their own they
-    take many times as long.
+    that to run a long track in pieces. The results are those of the Kalman filter; tracks with gaps of their own take
+    many times as long.
 
     Parameters
     ----------
@@ -43,23 +43,27 @@ class LainiotisFilter(RecursiveFilter):
 
         Raises ValueError for a P so large that doubles hold no digit of the next one.
         """
-        constants = self._constants(*seen.tolist())
+        constants = self._constants(seen)
         A, B, P_next = lainiotis_step(P, constants)
-        times_R = (constants.C.T @ P @ constants.C).max()
-        if not times_R < VAGUE:
+        S = (constants.C.T @ P @ constants.C).max()
+        if not S < VAGUE:
             keep = np.eye(len(P)) - gain_on_the_start(P, constants.C) @ constants.C.T
-            require_digits(np.abs(constants.Fn) @ np.abs(keep), P, P_next, times_R)
+            require_digits(constants.Fn, keep, P, P_next, S)
         return A, B, P_next
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) of stacks (M, n, n), as in RecursiveFilter, all at once."""
-        return lainiotis_step(P, self._constants(*seen.tolist()))
+        if type(self).next_step is not LainiotisFilter.next_step:  # a subclass has a step of its own
+            return super().next_steps(P, seen)
+        return lainiotis_step(P, self._constants(seen))
+
+    def _constants(self, seen):
+        """Return the LainiotisMatrices of rows in which these measurements are there; they are made once."""
+        there = tuple(seen.tolist())
+        if there not in self._made:
+            self._made[there] = lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
+        return self._made[there]
 
     @cached_property
-    def _constants(self):
-        """Return the LainiotisMatrices of rows in which these measurements are there; a few are kept."""
-
-        def constants(*seen):
-            return lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, np.array(seen)))
-
-        return lru_cache(maxsize=16)(constants)
+    def _made(self):
+        return {}

@@ -34,9 +34,9 @@ class SteadyStateFilter(RecursiveFilter):
         x(k+1/k+1) = A x(k/k) + B z(k+1),   A = (I - B H) F
 
     Made by `from_kalman` or `from_lainiotis`, which solve different Riccati equations: their agreement (2014 Eq. 15) is
-    a real check. While nothing is missing, the covariance stays P. Through a gap it grows, and afterwards it returns to
-    P: it is the covariance of the true error, if that of the first one is P. A row of z that is partly NaN is refused,
-    since the gain is that of a whole row.
+    a real check. While nothing is missing, the covariance stays P. It grows through a gap and then returns to P. It is
+    the covariance of the true error if that of x0 is P. A row of z that is partly NaN is refused, since the gain is
+    that of a whole row.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class SteadyStateFilter(RecursiveFilter):
     A, B : array_like (n, n), (n, m)
         The coefficients.
     P : array_like (n, n)
-        P(0/0), the covariance of the steady state. It is not compared with A and B: from any other start the
-        covariances converge to it.
+        P(0/0), the covariance of the steady state. It is not checked against A and B: from another P the covariances
+        converge to the steady one.
 
     Raises
     ------
@@ -71,7 +71,7 @@ class SteadyStateFilter(RecursiveFilter):
     B: Array
     P: Array
 
-    optimal = False  # after a gap P changes and the gain does not: P is not that of the best estimate
+    optimal = False  # after a gap P changes and the gain does not
 
     def __init__(self, model: LinearModel, A: ArrayLike, B: ArrayLike, P: ArrayLike):
         super().__init__(model)
@@ -156,6 +156,8 @@ class SteadyStateFilter(RecursiveFilter):
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1) and P(k+1/k+1) of one row of many tracks, and no innovations, as in RecursiveFilter."""
+        if type(self).next_step is not SteadyStateFilter.next_step:  # a subclass has a step of its own
+            return super().advance(row, x, P)
         z, seen, *_ = row
         _require_whole_rows(seen)
         x, P = self.motion(x, P)

@@ -20,7 +20,7 @@ def transposed(A):
 def solved(S, X):
     """Return S⁻¹ X (n, c, ...) for covariances S (n, n, ...), which may be singular, and X (n, c, ...).
 
-    A direction without variance is known exactly and gets zeros; its pivot is only the rounding of zero.
+    A direction of zero variance is known exactly and gets zeros: its pivot is nothing but rounding.
     """
     n = len(S)
     S, X = S.copy(), X.copy()

@@ -16,16 +16,15 @@ A filter on columns is one function of a row (z, seen, F, Q, r), which holds tho
 
     x, P, innovations = advance(row, x, P)
 
-- x comes out linear in x and in z, P depends on neither, and both arguments are left as they were: so `pieces` of a
-  track may start anywhere.
-- innovations (m, c, W) are white and of unit variance, zero where nothing was measured. A filter whose P is not that of
-  the best estimate returns none, (0, c, W).
+- The new x is linear in x and z, the new P depends on neither, and the arguments are left unchanged. `pieces` relies on
+  all three.
+- innovations (m, c, W) are white and of unit variance, and zero where nothing was measured. A filter that is not
+  `optimal` returns none, (0, c, W).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -48,7 +47,7 @@ class Epochs:
     motion: Motion
     dt: np.ndarray | None = None
     r: np.ndarray | None = None
-    over: Callable[..., Any] | None = None
+    over: Any = None
 
     @cached_property
     def missing(self) -> np.ndarray:
@@ -57,7 +56,7 @@ class Epochs:
 
     @property
     def complete(self) -> bool:
-        """Say whether nothing is missing: a NaN, or two infinities, makes the sum NaN, which is faster than a mask."""
+        """Whether nothing is missing. A NaN makes the sum NaN (as do infinities of both signs): faster than a mask."""
         return not math.isnan(self.z.sum())
 
     @cached_property
@@ -83,21 +82,18 @@ class Epochs:
         """Return the covariances of the measurements (N, m, m, M or 1), or (m, m, 1) where all are the model's R."""
         if self.r is None:
             return R[..., None]
-        # The variance of a measurement that is missing may be anything: the model's stands for it.
-        known = np.where(np.isfinite(self.r) & (self.r > 0), self.r, np.diag(R)[:, None])
-        return known[:, :, None] * np.eye(len(R))[..., None]
+        return self.r[:, :, None] * np.eye(len(R))[..., None]
 
     def rows(self) -> tuple[np.ndarray | None, ...]:
         """Return z (zero where missing), seen, F, Q and r; the last three are None where they are the model's."""
         W, (N, m, _) = self.width, self.z.shape
         seen = ~self.missing[..., :W]
         z = np.where(self.missing, 0.0, self.z).reshape(N, m, -1, W)
-        F = Q = r = None
+        F = Q = None
         if self.dt is not None:
             every = self.motions(slice(None))
             F, Q = (np.moveaxis(np.broadcast_to(A, (*A.shape[:3], W)), 2, 0) for A in (every.matrix, every.Q))
-        if self.r is not None:
-            r = np.where(seen, self.r, 1.0)  # a NaN that is not used must not spread
+        r = None if self.r is None else np.broadcast_to(self.r, seen.shape)
         return z, seen, F, Q, r
 
 
@@ -123,8 +119,7 @@ class KalmanColumns:
     """The Kalman filter on columns, for measurements H x (m, n) with noises of covariance R (m, m).
 
     Each measurement is taken in coordinates where it is one component of the state: for H = [1 dt] the state [s v]
-    becomes [s + v dt, v]. Rows with variances r of their own have those in place of R. P0 (n, n) is the covariance of
-    the start.
+    becomes [s + v dt, v]. Where a row brings variances r, they replace R. P0 (n, n) is the covariance of the start.
 
     Correlated noises v, R = L diag(variances) Lᵀ, are made uncorrelated: L⁻¹ z = L⁻¹ H x + L⁻¹ v. For rows that are
     partly missing, the noises become states behind those of x instead: z = [H I] [x; v], without any other noise.
@@ -180,10 +175,9 @@ def _coordinates(F, Q, H, variances, P0):
     Each is (LinearMap or None, index of the row of H, component). Also returns the LinearMap from the last coordinates
     back to the state. None changes nothing.
 
-    In exact arithmetic any choice gives the same estimates, but the digits that are left depend on the component that a
-    measurement replaces. It is the one that contributes most, since one that contributes little would come back as a
-    small difference of large numbers. Rough sizes suffice: those after n steps of the model, within which the noise has
-    reached every state that it reaches.
+    In exact arithmetic any choice gives the same estimates. In doubles, a measurement replaces the component that
+    contributes most to it: one that contributes little would be recovered as a small difference of large numbers. Rough
+    sizes suffice: those after n steps of the model, when the process noise has reached every state that it can reach.
     """
     n, P = len(F), P0
     for _ in range(n):
@@ -191,7 +185,7 @@ def _coordinates(F, Q, H, variances, P0):
     sigma = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))  # the size of each coordinate
     changes, T = [], np.eye(n)
     for j, h in enumerate(H):
-        if h.any():  # a row of zeros tells nothing
+        if h.any():  # a row of zeros measures nothing
             weights = h @ np.linalg.inv(T)  # h x in the present coordinates
             i = int(np.argmax(np.abs(weights) * sigma))
             change = np.eye(n)

@@ -1,14 +1,14 @@
 """One long track as many short ones: Lainiotis' partition.
 
-The Lainiotis filter takes a step as if x(k) were known exactly, and adds afterwards what is not known of it. That holds
-for many rows as well as for one. So a long track is cut into pieces that run side by side, as columns:
+The Lainiotis filter takes a step as if x(k) were known exactly, and then accounts for its uncertainty. The same works
+for many rows at once. So a long track is cut into pieces that run side by side, as columns:
 
-1. every piece from a start that is known exactly: its estimate, its sensitivity to the start, and what its measurements
-   tell about the start;
-2. the starts, one after the other: each takes one Lainiotis step over a whole piece;
-3. every piece again, from its own start. It must end where the next one starts.
+1. Run every piece from a start that is taken as exact. This gives its estimate, its sensitivity to the start, and the
+   information of its measurements about the start.
+2. Find the starts, one after the other. Each is one Lainiotis step over a whole piece.
+3. Run every piece again, from its own start. It must end where the next one starts.
 
-Instead of N rows one after the other there are two runs of K rows, side by side, and N / K starts. It works for any
+N rows in sequence become two runs of K rows, side by side, and N / K starts. It works for any
 `advance` (`columns`), whose rows are a tuple of arrays (N, ..., W), or None, z first: of a filter, or of the smoother's
 way back.
 """
@@ -24,28 +24,25 @@ from .shared import FEW_TRACKS
 # Shorter tracks are not cut, nor are more than FEW_TRACKS. Measured on one processor, with the rows "one track" of
 # benchmarks/bench.py.
 LEAST_ROWS = 30
-# The starts of pieces lose digits where a piece holds several long gaps. So each piece must start where the one before
-# it ends, to this part of a sigma (tracks with pauses of an hour reach 1e-7), or to the rounding of the largest state:
-# a simulated constant acceleration is 1e11 sigmas from its origin after 100,000 rows.
+# The starts of pieces lose digits where a piece holds several long gaps. So each piece must start where the preceding
+# one ends, to this fraction of a sigma (tracks with pauses of an hour reach 1e-7), or to the rounding of the largest
+# state: a simulated constant acceleration is 1e11 sigmas from its origin after 100,000 rows.
 AGREED = 1e-6
 STATE_ROUNDING = 16 * np.finfo(float).eps
-# The largest number of runs: where pieces do not fit together, all of them run again from where the ones before ended.
-# After the last run the track is not cut.
+# The largest number of runs. Where pieces do not fit together, each runs again from where the preceding one ended; if
+# they do not fit after the last run, the track is filtered uncut.
 MOST_PASSES = 3
-# A start is vague where its P0 gives a first measurement more than this times the variance of the noises: rounding
-# would leave some three digits in P.
-VAGUE = 1e12
-# The largest number of rows that are taken in another way after a vague start.
+# The largest number of rows that `_from_a_vague_start` computes.
 MOST_OF_A_START = 32
-# The least eigenvalue that a correlation matrix counts as having: below its square, 1e-14, differences are rounding.
+# Smaller eigenvalues of a correlation matrix count as this one: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
 
 
 def through(advance, rows, x0, P0, x, P, vague=False):
     """Write the states x(1) ... x(N) of rows to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None.
 
-    They start from x0 (n, c, W) and P0 (n, n, W), which may be vague. Rows are cut into pieces where that is faster and
-    costs no digits. Returns whether doubles held the covariances.
+    They start from x0 (n, c, W) and P0 (n, n, W), which may be vague (`digits`). Rows are cut into pieces where that is
+    faster and costs no digits. Returns whether doubles held the covariances.
     """
     if vague:
         k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
@@ -62,7 +59,7 @@ def through(advance, rows, x0, P0, x, P, vague=False):
 def _in_sequence(advance, rows, x_k, P_k, x, P):
     """Do what `through` does, one row after the other. Returns the last P, and whether doubles held all of them.
 
-    An overflow shows to the end; a variance below zero may come and go.
+    An overflow persists to the last row; a variance below zero may come and go.
     """
     least_variance = 0.0
     for k, row in enumerate(_one_by_one(rows)):
@@ -80,7 +77,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
     pieces = _of_each(rows, lambda array: cut(array, K))
     try:
         x_start, P_start = (each[..., :-W] for each in starts(advance, pieces, x0, P0))
-    except np.linalg.LinAlgError:  # too much of a start is lost over the gaps of a piece
+    except np.linalg.LinAlgError:  # the gaps of a piece left no digits of its start
         return False
     x_pieces = np.empty((K, *x_start.shape))
     P_pieces = None if P is None else np.empty((K, *P_start.shape))
@@ -99,7 +96,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
 
 
 def _of_each(rows, function):
-    """Return rows with function(array) in the place of each of their arrays."""
+    """Return rows with function applied to each of their arrays."""
     return tuple(None if array is None else function(array) for array in rows)
 
 
@@ -179,9 +176,9 @@ def starts(advance, pieces, x0, P0):
 def _from_a_vague_start(advance, rows, x0, P0, x, P):
     """Write the first rows as `through` does, and return how many, x and P after the last.
 
-    From row to row, the first updates of a vague start would lose the digits of P0 / R, and without process noise for
-    good. So each of these rows is the end of one piece, of all rows up to it. They are as many as give each track 2 n
-    epochs with a measurement.
+    Taken row by row, the first updates from a vague start would lose the digits of P0 / R, and without process noise
+    never regain them. So row k is computed as the end of one piece of the rows 0 to k. This goes on until each track
+    has had 2 n epochs with a measurement.
     """
     n, _, W = x0.shape
     measured = np.cumsum(rows[1].any(axis=1), axis=0).min(axis=1)
@@ -198,7 +195,7 @@ def _from_a_vague_start(advance, rows, x0, P0, x, P):
 def _next_start(x, P, T, x_piece, P_piece, L, y):
     """Return the start of the next piece by one Lainiotis step over this one, from its start x (n, c), P (n, n).
 
-    They may be stacks. First it is corrected by y = L x + noise of unit variance, in Joseph's form.
+    All arguments may be stacks. The start is corrected by y = L x + noise of unit variance, in Joseph's form.
     """
     TG = T @ gain_on_the_start(P, L.swapaxes(-1, -2))
     keep = T - TG @ L
@@ -207,23 +204,23 @@ def _next_start(x, P, T, x_piece, P_piece, L, y):
 
 
 def _compressed(L, y):
-    """Return L (..., p, n) and y (..., p, c) of p <= n rows that tell as much of x: y = L x + noise of unit variance.
+    """Return p <= n rows L (..., p, n) and y (..., p, c) with the same information: y = L x + noise of unit variance.
 
-    Those given have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays white,
-    and the part of y that Qᵀ drops is noise alone, independent of the rest. Lᵀ L and Lᵀ y would tell the same, but sums
-    of squares lose digits that R keeps. The order of the rows changes their rounding only. The last ones come first,
-    as they are the largest where x grows: of 240 vague starts with gaps half were wrong by less than 5e-5 of a sigma, a
-    twentieth by more than 2e-3.
+    The given L and y have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays
+    white, and the part of y that Qᵀ drops is noise alone, independent of the rest. Lᵀ L and Lᵀ y hold the same
+    information, but sums of squares lose digits that R keeps. The order of the rows changes only the rounding. The last
+    rows come first, as they are the largest where x grows: of 240 vague starts with gaps, half were then wrong by less
+    than 5e-5 of a sigma, and a twentieth by more than 2e-3.
     """
     Q, R = np.linalg.qr(L[..., ::-1, :])
     return R, Q.swapaxes(-1, -2) @ y[..., ::-1, :]
 
 
 def agree(x, P, x_next, P_next):
-    """Say whether pieces start at x (n, c, W) and P (n, n, W) where the ones before them end, at x_next and P_next.
+    """Say whether pieces start where the preceding ones end: x (n, c, W), P (n, n, W) at x_next, P_next.
 
     They are compared along the axes of P_next, each in its own sigma: after a gap a sum of states can be known far
-    better than any state, and is what counts at the next measurement. With U diag(d) Uᵀ = P_next, the components of
+    better than any single state, and it decides at the next measurement. With U diag(d) Uᵀ = P_next, the components of
     these must be small:
 
         d^-½ Uᵀ (x - x_next),   d^-½ Uᵀ (P - P_next) U d^-½

@@ -17,7 +17,7 @@ from .. import _checks as checks
 from .pieces import through
 from .shared import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
-# Numbers in the matrices that tracks take together: 32 MB.
+# Numbers in the covariances of all epochs of the tracks that are computed together: 32 MB.
 MOST_NUMBERS = 4_000_000
 
 
@@ -28,13 +28,13 @@ def estimates(estimator, epochs, x, covariances):
     """
     N, _, M = x.shape
     shared = None
-    # Many tracks are not searched for gaps where no covariance is wanted: they go the first way, where the NaN of a gap
-    # spreads to the last state. The tracks whose last state is NaN run again as columns.
+    # It takes time to search many tracks for gaps. Where no covariance is wanted, all are filtered as if they had none:
+    # a NaN in z spreads to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
     if epochs.dt is None and epochs.r is None and not estimator.vague and (unsearched or epochs.complete):
         shared = estimator.shared_steps(N, M)
     if shared is None:
-        return _by_columns(estimator, epochs, x, covariances)
+        return _on_columns(estimator, epochs, x, covariances)
     steps, products = shared
     run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:
@@ -44,13 +44,13 @@ def estimates(estimator, epochs, x, covariances):
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.any():
         of_gaps = np.empty((*x.shape[:2], gaps.sum()))
-        _by_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
+        _on_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
         x[..., gaps] = of_gaps
     return None
 
 
-def _by_columns(estimator, epochs, x, covariances):
-    """Do what `estimates` does by the second way, one tile of tracks after the other."""
+def _on_columns(estimator, epochs, x, covariances):
+    """Do what `estimates` does, with tracks as columns, one tile of tracks after the other."""
     (N, n, M), W = x.shape, epochs.width
     P = np.empty((N, n, n, W)) if covariances else None
     most = TILE if W == 1 else TILE_OF_COVARIANCES
@@ -59,12 +59,13 @@ def _by_columns(estimator, epochs, x, covariances):
     for part in tiles(M, most):
         tile = epochs.of(part)
         rows = tile.rows()
-        _, _, c, W = rows[0].shape
-        x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, W))
-        P0 = np.repeat(estimator.P0[..., None], W, axis=2)
-        # Views of x and P, which `through` writes to.
-        written = x[..., part].reshape(N, n, c, W), P if P is None or P.shape[3] == 1 else P[..., part]
-        _require_held(through(estimator.advance, rows, x0, P0, *written, estimator.vague))
+        _, _, c, width = rows[0].shape
+        x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, width))
+        P0 = np.repeat(estimator.P0[..., None], width, axis=2)
+        # Views, which `through` writes to. If only the tracks of this tile share P, it is written to each of them.
+        x_part = x[..., part].reshape(N, n, c, width)
+        P_part = P[..., part] if covariances and W > 1 else P
+        _require_held(through(estimator.advance, rows, x0, P0, x_part, P_part, estimator.vague))
     return P
 
 
@@ -102,9 +103,9 @@ def _before(array, start, part):
 
 
 def in_tiles(function, estimator, epochs, d):
-    """Return function(estimator, epochs): values (N, d, M) and covariances (N, d, d, M or 1), for few tracks at a time.
+    """Return function(estimator, epochs), values (N, d, M) and covariances (N, d, d, M or 1), a few tracks at a time.
 
-    So the covariances that it needs take little memory beside those that it returns.
+    This bounds the memory of the covariances that the function needs on the way to its results.
     """
     N, _, M = epochs.z.shape
     parts = tiles(M, max(1, MOST_NUMBERS // (N * estimator.model.n**2)))

@@ -20,16 +20,16 @@ import numpy as np
 TILE = 16_384
 # Tracks per tile where each track has a covariance of its own, which takes more room.
 TILE_OF_COVARIANCES = 4_096
-# Numbers in one array where some ten arrays are in use at once: together they fit into the cache. Measured on one
-# processor with benchmarks/bench.py, like the sizes below.
+# Numbers per array where some ten arrays are in use at once, so that all fit into the cache. Measured on one processor
+# with benchmarks/bench.py, like the sizes below.
 IN_CACHE = 16_384
 # (size, L): take L steps in one product where the states of a tile hold at least `size` numbers. Short products need
 # many calls, long ones do not fit into the cache.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
-# The largest number of different steps that a filter makes and keeps for tracks without gaps. One that has not yet
-# converged, as without process noise, runs faster on columns. The papers' models converge within some 50 steps.
+# The largest number of different steps that a filter makes and keeps for tracks without gaps. A filter that has not
+# converged by then, as without process noise, runs faster on columns. The papers' models converge within some 50 steps.
 MOST_STEPS = 128
-# With at most so many tracks a call of numpy takes longer than its arithmetic.
+# Up to this many tracks, the overhead of a numpy call exceeds its arithmetic.
 FEW_TRACKS = 64
 # A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
 CONVERGED = 2e-16

@@ -1,11 +1,11 @@
-"""The states of all epochs given all measurements: the filter's recursion, run backwards (Rauch, Tung, Striebel 1965).
+"""The smoother: the states of all epochs given all measurements, by a backward pass (Rauch, Tung & Striebel 1965).
 
     x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
     P(k/N) = C_k [P(k+1/N) + Q] C_kᵀ + (I - C_k F) P(k/k) (I - C_k F)ᵀ
 
 A step back is x <- C x + d, P <- C P Cᵀ + D, with d = (I - C F) x(k/k) and D = C Q Cᵀ + (I - C F) P(k/k) (I - C F)ᵀ.
-C, d and D depend on the filter's results alone, and are computed first, many epochs in one call. Then the steps back
-are a filter on columns (`columns`): one `advance` for each epoch, the last one first, and a long track in pieces.
+C, d and D depend only on the filter's results. They are computed first, many epochs in one call. The backward pass is
+then run like a filter on columns (`columns`): one `advance` per epoch, the last one first, and a long track in pieces.
 """
 
 import numpy as np
@@ -61,7 +61,7 @@ def _steps_back(motion, x, P):
     C = transposed(solved(motion.of_covariance(P), FP))
     d = x - product(C, motion.of_state(x))
     kept = P - product(C, FP)  # (I - C F) P
-    # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero but for the rounding of `kept`, which it takes back.
+    # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero but for the rounding of `kept`, which it removes.
     left = transposed(motion.of_state(transposed(kept))) - product(C, motion.noise_of(P))
     D = kept - product(left, transposed(C))
     return np.moveaxis(d, 1, 0), np.moveaxis(C, 2, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)

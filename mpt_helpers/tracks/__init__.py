@@ -1,7 +1,7 @@
-"""Recorded tracks: from a file, or from latitudes and longitudes, to times in seconds and positions in metres.
+"""Recorded tracks: read, without their faults, smoothed, with a prediction band that was tested on the track itself.
 
-`track` does all that there is to do with one: it reads a file, refuses faults, fits, smooths and judges. `clean` does
-the same with numbers. `gpx` only reads, and refuses a file whose times are not in order, or skips such fixes.
+`track` does all of it with a file or a pandas frame, and `clean` with times and positions in metres. `gpx` only reads
+segments from a GPX file; `local` and `degrees` convert between degrees and metres.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from .. import _checks as checks
 from .._checks import Array, Seconds
 from . import geodesy, report
 from .cleaning import Cleaned, Source, clean
-from .doubts import way_of
 from .fixes import FEWEST, grid_of
-from .readers import MANY, NO_TIME, Recording, moment_of, read, read_frame, read_gpx
+from .readers import MANY, NO_TIME, Recording, moment_of, read, read_frame
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
 
-# Latitudes and longitudes (°) and heights (m) are not beyond these, and no height is below the lowest. A number that
-# is counts as missing: some files write -32768 where there is no height.
+# The largest latitude, longitude (°) and height (m), and the lowest height. A number beyond them counts as missing:
+# some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
-# Files have degrees of some decimals, minutes or seconds of some, or whole numbers of which 2^31 are half a circle.
+UNSORTED = 0.25  # of the times: if more than that are before the one before them, the rows are in no order
+# The digits of files: decimals of degrees, of minutes or of seconds, or whole numbers of which 2^31 are half a circle.
 DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
 
@@ -69,10 +69,9 @@ def gpx(
 ) -> list[Track]:
     """Return the track segments of a GPX file; segments without a fix are left out.
 
-    Segments stay apart, since between two of them the receiver was switched off or the file's author put tracks
-    together: filter each for itself. Every fix needs a time, later than that of the one before in its segment: an equal
-    time is almost always one fix written twice or the rounding of times, and would count as two independent
-    measurements.
+    Filter each segment by itself: between two of them the receiver was switched off, or the file's author joined
+    tracks. Every fix needs a time, later than that of the one before in its segment: two equal times are almost always
+    one fix written twice, or rounded times, and would count as two independent measurements.
 
     Parameters
     ----------
@@ -81,13 +80,13 @@ def gpx(
     up : bool
         Whether z has the heights as a third column.
     skip : bool
-        Whether to leave out, with a warning, fixes without a position or a time, and as few as will do where times do
-        not increase.
+        Whether to leave out, with a warning, fixes without a position or a time, and as few others as possible so that
+        times increase.
     pause : float or timedelta, optional
         A segment is also cut wherever its next fix comes more than this later, in s.
     origin : tuple of float, optional
-        Latitude and longitude (°) and, if wanted, height (m) of one plane for all segments. Where not given, each
-        segment lies in the plane through its own first fix: segments may be far apart.
+        Latitude and longitude (°) and, if wanted, height (m) of one plane for all segments. By default each segment
+        lies in the plane through its own first fix, since segments may be far apart.
 
     Returns
     -------
@@ -97,8 +96,8 @@ def gpx(
     Raises
     ------
     ValueError
-        For a file that is no GPX or holds no tracks (routes and waypoints have no times), naming the first fix that is
-        out of order or has no time or no degrees; for a pause that is not positive and an origin that is none.
+        If the file is no GPX or holds no tracks (routes and waypoints have no times), or a fix is out of order or lacks
+        its time or position: the first one is named. Also for a pause that is not positive, and for a bad origin.
 
     Examples
     --------
@@ -109,12 +108,12 @@ def gpx(
     """
     pause = math.inf if pause is None else checks.duration("pause", pause)
     origin = None if origin is None else _origin(origin)
-    recording = read_gpx(Path(path))
+    recording = read(Path(path))
     time, segment = recording.time, recording.segment
     rows, left_out = usable(path, recording)
     why = report.counted(left_out)
-    if not len(rows):
-        raise ValueError(f"{path}: needs a recorded track, got {len(time)} fixes, {why or 'and no times'}")
+    if recording.lat is None or not len(rows):
+        raise ValueError(f"{path}: needs a recorded track in degrees, got {len(time)} fixes{why and ', '}{why}")
     if left_out and not skip:
         first = np.setdiff1d(np.arange(len(time)), rows)[0]
         where = f"fix {(segment[: first + 1] == segment[first]).sum()} of segment {segment[first]}"
@@ -146,7 +145,7 @@ def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = Non
     Raises
     ------
     ValueError
-        For other shapes, numbers that are no degrees, and an origin that is none.
+        For other shapes, numbers that are no degrees, and a bad origin.
 
     Examples
     --------
@@ -189,7 +188,7 @@ def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
     Raises
     ------
     ValueError
-        For another shape and an origin that is none.
+        For another shape, and for a bad origin.
 
     Examples
     --------
@@ -206,15 +205,15 @@ def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
 
 
 def longest_in_order(time: Array) -> Array:
-    """Return the rows of the most fixes whose times (microseconds, NO_TIME where there is none) increase.
+    """Return the rows of the longest increasing subsequence of times (Fredman 1975), in microseconds or NO_TIME.
 
-    So one clock error does not cost all that follows it. It is the longest increasing subsequence (Fredman 1975).
+    One clock error then costs one fix, not all that follow it.
     """
     known = np.flatnonzero(time != NO_TIME)
     if (np.diff(time[known]) > 0).all():
         return known
-    # Of all orders of k + 1 rows the one that ends earliest can be continued by most: ends[k] is its last time, rows[k]
-    # the row of that, the newest of several at one time. `before` has the row before each one.
+    # Of all increasing subsequences of k + 1 rows, the one that ends earliest can be continued by most: ends[k] is its
+    # last time, rows[k] its last row, the newest of several at one time; `before` has the row before each one.
     ends, rows, before = [], [], {}
     for row in known.tolist():
         k = bisect.bisect_left(ends, time[row])
@@ -229,12 +228,12 @@ def longest_in_order(time: Array) -> Array:
 
 
 def _on_earth(lat, lon):
-    """Tell which latitudes and longitudes are degrees; NaN is none."""
+    """Tell which latitudes and longitudes are degrees; NaN is not."""
     return (np.abs(lat) <= MOST[0]) & (np.abs(lon) <= MOST[1])
 
 
 def _no_degrees(lat, lon):
-    """Say what stands in place of degrees."""
+    """Return what stands in place of degrees, with what it may be."""
     wrong = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ~_on_earth(lat, lon))
     if not len(wrong):
         return "none"
@@ -274,9 +273,9 @@ def track(
 ) -> Cleaned:
     """Return the track of a GPX or CSV file, or of a pandas frame, without its faults, smoothed and with a band.
 
-    All segments are read and smoothed, each for itself. Fixes without a time, with one that does not increase, and
-    without degrees are left out, and named in `report()`. An hdop, or an accuracy, says how precise fixes are relative
-    to each other. `to_frame()` of the result gives a frame back.
+    Each segment is smoothed by itself. Fixes without a position or a time, and those whose time does not increase, are
+    left out and counted in `report()`. Fixes are weighed by their accuracy or hdop, where the file states one.
+    `to_frame()` of the result gives a frame back.
 
     Parameters
     ----------
@@ -293,7 +292,7 @@ def track(
     pause : float or timedelta, optional
         After so long without a fix, in s, a recording begins anew, as of `clean`.
     show : callable, optional
-        Called with what is done next, in words.
+        Called with the name of each stage as it begins.
 
     Returns
     -------
@@ -303,7 +302,7 @@ def track(
     Raises
     ------
     ValueError
-        For a file or frame that holds no recorded track, naming what it has, and as `clean`.
+        For a file or frame that holds no recorded track, saying what it holds instead, and as `clean`.
 
     Examples
     --------
@@ -317,41 +316,39 @@ def track(
     """
     if show is not None:
         show("reading")
-    if hasattr(source, "columns"):
-        path, recording = "frame", read_frame(source, columns)
-    else:
-        path = Path(source)
-        recording = read(path, columns)
-    return of_recording(path, recording, seconds=seconds, limit=limit, pause=pause, show=show)
-
-
-def of_recording(path: Path | str, recording: Recording, **how: Any) -> Cleaned:
-    """Return a Recording as a Cleaned; path is where it is from, for errors, and `how` is for `clean`."""
+    is_frame = hasattr(source, "iloc")
+    path = "frame" if is_frame else Path(source)
+    recording = read_frame(source, columns) if is_frame else read(path, columns)
+    known = recording.time[recording.time != NO_TIME]
+    back = np.sum(np.diff(known) < 0)
+    if back > UNSORTED * len(known):
+        got = f"{back} of {len(known)} before the one before: sort them, as by frame.sort_values('time')"
+        raise ValueError(f"{path}: needs times in order, got {got}")
     rows, left_out = usable(path, recording)
     if len(rows) < FEWEST:
         got = ", ".join([f"{len(rows)} of {len(recording.time)}", *filter(None, [report.counted(left_out)])])
-        got += _what_ails(recording)
         raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
-    t = recording.time[rows] / 1e6
-    t, said = t - t.min(), [*recording.said, *_said_of_order(t, recording.segment[rows])]
-    known = recording.time[recording.time != NO_TIME]
-    if len(known) > (1 + MANY) * len(rows) and (np.diff(known) < 0).any():
+    t, segment = recording.time[rows] / 1e6, recording.segment[rows]
+    t -= t.min()
+    said = [*recording.said, *_notes_on_order(t, segment)]
+    if back and len(known) > (1 + MANY) * len(rows):
         said.append("ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?")
     if recording.metres is None:
-        charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], recording.segment[rows])
+        charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], segment)
         grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
     else:
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]
     relative, name = _precision(recording, rows)
     said += [f"fixes are weighed by their {name}"] if name else []
-    c = clean(t, z, relative, segment=recording.segment[rows], rounding=max(grids) ** 2 / 12, **how)
+    how = {"seconds": seconds, "limit": limit, "pause": pause, "show": show}
+    c = clean(t, z, relative, segment=segment, rounding=max(grids) ** 2 / 12, **how)
     return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
 
 
 def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
     """Return the rows of a recording that can be used, and how many others there are by reason."""
-    time, N = recording.time, len(recording.time)
+    time = recording.time
     if recording.metres is None:
         lat, lon = recording.lat, recording.lon
         somewhere = _on_earth(lat, lon)
@@ -360,36 +357,21 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
     else:
         somewhere = np.isfinite(recording.metres).all(axis=1)
     timed = time != NO_TIME
-    kept = []
+    kept = [np.empty(0, dtype=int)]
     for number in np.unique(recording.segment):
         rows = np.flatnonzero((recording.segment == number) & somewhere & timed)
-        if len(rows):
-            kept.append(rows[longest_in_order(time[rows])])
-    rows = np.concatenate(kept) if kept else np.empty(0, dtype=int)
-    unread = ~timed & np.isin(np.arange(N), list(recording.unread))
+        kept.append(rows[longest_in_order(time[rows])])
+    rows = np.concatenate(kept)
     reasons = {  # each row counts for one
         "no position on the Earth": int((~somewhere).sum()),
-        "no time": int((somewhere & ~timed & ~unread).sum()),
-        "a time that cannot be read": int((somewhere & unread).sum()),
+        "no time that can be read": int((somewhere & ~timed).sum()),
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
     return rows, {reason: count for reason, count in reasons.items() if count > 0}
 
 
-def _what_ails(recording):
-    """Say what is wrong with times that cannot be read, or of which most run back or stand still."""
-    steps = np.diff(recording.time[recording.time != NO_TIME])
-    if recording.unread:
-        return f", as {way_of('time', next(iter(recording.unread.values())))}"
-    if len(steps) and np.mean(steps < 0) > 0.5:
-        return ": most times are before the one before them; if the file begins with the last fix, turn it round"
-    if len(steps) and np.mean(steps == 0) > 0.5:
-        return ": most times are equal to the one before them; have they lost digits (as float32)?"
-    return ""
-
-
-def _said_of_order(t, segment):
-    """Say that segments are not in order of time, or overlap, as those of two receivers do."""
+def _notes_on_order(t, segment):
+    """Return notes on segments that are not in order of time, or overlap, as those of two receivers do."""
     first = np.flatnonzero(np.append(True, np.diff(segment) != 0))
     starts, ends = np.minimum.reduceat(t, first), np.maximum.reduceat(t, first)
     order = np.argsort(starts, kind="stable")

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .. import tracks
-from . import readers, report, writers
+from . import report, writers
 from .files import require_free, write_together
+from .readers import COLUMNS
 
-# Above so many fixes a notice is printed first: a million take a minute and 1.8 GB.
-LARGE, BYTES_OF_MEMORY, FIXES_A_SECOND = 200_000, 1800, 20_000
 DPI = 130
 DESCRIPTION = (
     "Read a recorded track (GPX, or CSV with columns time and lat, lon or x, y), refuse its faults, smooth it, test "
@@ -27,7 +26,7 @@ DESCRIPTION = (
 def main(argv: Sequence[str]) -> int:
     """Run the command with its arguments, and return its exit status."""
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a terminal of few letters, or a name that is no text: escaped, not refused
+        if hasattr(stream, "reconfigure"):  # escape what a terminal cannot show, or a file name that is not text
             stream.reconfigure(errors="backslashreplace")
     options = _parser().parse_args(argv)
     try:
@@ -51,17 +50,17 @@ def _words(error, path):
 
 def _parser():
     parser = argparse.ArgumentParser(prog="python -m mpt_helpers track", description=DESCRIPTION)
-    parser.add_argument("file", type=Path, metavar="FILE", help="a GPX or CSV file, or one of them compressed (.gz)")
+    parser.add_argument("file", type=Path, metavar="FILE", help="a GPX or CSV file, plain or gzipped (.gz)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="where to write (beside FILE)")
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="how far ahead to predict (10)")
-    pause = "begin anew after so many seconds without a fix (60, or ten usual steps if these are longer)"
+    pause = "start a new part after so many seconds without a fix (60, or ten usual steps if these are longer)"
     parser.add_argument("--pause", type=float, metavar="S", help=pause)
-    limit = "refuse fixes whose squared distance is so many times what is expected; 50 to 200 do alike (100)"
+    limit = "refuse a fix whose squared distance is so many times its variance; 50 to 200 do alike (100)"
     parser.add_argument("--limit", type=float, default=100.0, metavar="NIS", help=limit)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist, but never FILE")
     names = parser.add_argument_group("columns of a CSV that have other names")
-    for what in readers.COLUMNS:
+    for what in COLUMNS:
         names.add_argument(f"--{what}", metavar="NAME", dest=f"column_{what}")
     return parser
 
@@ -73,27 +72,24 @@ def _run(options):
     if not folder.is_dir():
         make = f"mkdir -p {shlex.quote(str(folder))}"
         raise ValueError(f"{folder}: needs a folder that exists, to write to; make it: {make}")
-    named = {what: getattr(options, f"column_{what}") for what in readers.COLUMNS}
+    named = {what: getattr(options, f"column_{what}") for what in COLUMNS}
+    named = {what: name for what, name in named.items() if name is not None}
     stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
+    picture = folder / f"{stem}.png"
+    if path.suffix != ".png":  # which is refused for what it holds
+        require_free([picture], options.overwrite, path)  # before the work
+    how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
     try:
-        _show("reading")
-        recording = readers.read(path, {what: name for what, name in named.items() if name is not None})
-        N, in_degrees = len(recording.time), recording.metres is None
-        smooth, picture = folder / f"{stem}_smooth.{'gpx' if in_degrees else 'csv'}", folder / f"{stem}.png"
-        require_free([smooth, picture], options.overwrite, path)
-        if N > LARGE:
-            _show()
-            minutes, gigabytes = N / FIXES_A_SECOND / 60, N * BYTES_OF_MEMORY / 1e9
-            words = f"{path.name}: {N:,} fixes: about {minutes:.0f} min and {gigabytes:.1f} GB of memory"
-            print(words, file=sys.stderr)
-        how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
-        c = tracks.of_recording(path, recording, **how)
+        c = tracks.track(path, columns=named, **how)
         _show("drawing")
         png = io.BytesIO()
         c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
-        track = writers.gpx_bytes(c) if in_degrees else writers.csv_bytes(c)
     finally:
         _show()
+    if c.source.recording.metres is None:
+        smooth, track = folder / f"{stem}_smooth.gpx", writers.gpx_bytes(c)
+    else:
+        smooth, track = folder / f"{stem}_smooth.csv", writers.csv_bytes(c)
     replaced = [each.name for each in (smooth, picture) if each.exists()]
     write_together({smooth: track, picture: png.getvalue()}, options.overwrite, path)
     files = [str(smooth), str(picture)]
@@ -106,6 +102,6 @@ def _run(options):
 
 
 def _show(what=""):
-    """Say on a terminal what is done, in one line; nothing clears it."""
+    """Show on a terminal which stage runs, in one line; without a word the line is cleared."""
     if sys.stderr.isatty():
         print(f"\r\033[K{what and what + ' ...'}", end="", file=sys.stderr, flush=True)

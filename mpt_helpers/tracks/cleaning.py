@@ -1,13 +1,14 @@
 """A recorded track, from numbers to a smoothed line with a band: faults refused, q and r fitted, segments smoothed.
 
-A *segment* is what a filter runs through from its own first fix. The steps are repeated until no other fix is refused,
-four times at most, since a fault spoils q and r, and without q and r no fault can be told:
+A *segment* is an uninterrupted part of a track, which a filter starts from its own first fix. Faults spoil q and r, and
+without q and r no fault is told from noise. So three steps are repeated until the same fixes are refused as before, at
+most four times:
 
-1. `gate`, in sequence, from a first guess of q and r that a tenth of faults does not move;
-2. a second look from both sides: a fix that is far off what all others say of it, those after it included;
+1. `gate`, fix by fix, at first with a guess of q and r that is robust to a tenth of faults;
+2. a second look from both sides: a fix is refused that is far from where the smoother of all others puts it;
 3. maximum-likelihood q and r of the remaining fixes.
 
-Then the band is judged, on the half of the track that a fit of the first half has not seen.
+Then the band is judged on the second half of the track, with q and r fitted to the first half.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from . import gate, geodesy, plot, report, writers
 from .files import write_together
 from .fixes import FEWEST, checked_track, fixes_of, grid_of
 from .line import (
+    HOUR_BETWEEN,
     Line,
     Noise,
     Scale,
@@ -48,23 +50,22 @@ if TYPE_CHECKING:
 
 LEVEL = 0.95
 OWN = 1.96  # standard deviations, of a normal distribution's 95 %
-# From both sides: a fix is refused above this, if both neighbours are less far off; looked at so often at most. At 30,
-# up to 0.2 % of the fixes of clean tracks are refused, at 200 nothing is gained.
+# From both sides a fix is refused whose squared distance is above this and above that of both neighbours. With 30, up
+# to 0.2 % of the fixes of clean tracks are refused; with 200 no fewer.
 FROM_BOTH_SIDES, LOOKS = 60.0, 3
-# Where fixes are so many seconds apart or more, the limit is lower while the motion is smooth: in proportion to the
-# median of so many fixes around, over that of two axes of a right model, but no lower than CALM. Twice as many outliers
-# of 20 to 40 m are caught. On denser tracks all are caught anyway, and fixes that are a few metres off would go too.
-SPARSE, NEIGHBOURS, MEDIAN, CALM = 4.0, 21, 1.39, 30.0
-# The variance r - P_s of that look is known to the rounding of P_s: below this part of r it is taken for this part.
+# With a fix every 4 s or more, the limit is lower while the motion is smooth, down to LEAST_LIMIT: it is proportional
+# to the median squared distance of the 21 fixes around, which is 1.39 for two axes of a right model. That catches twice
+# as many outliers of 20 to 40 m. On denser tracks all are caught anyway, and fixes a few metres off would go too.
+SPARSE, NEIGHBOURS, MEDIAN, LEAST_LIMIT = 4.0, 21, 1.39, 30.0
+# r - P is rounding below this part of r.
 SMALLEST_DIFFERENCE = 1e-8
 TURNS = 4  # of the gate, the look from both sides and the fit
-PAUSE_OF_THE_GATE = 3600.0  # s
-# The band is judged at a horizon that a third of the fixes have another fix at.
+# At the horizon of the band at least this part of the fixes has another fix.
 CHECKED = 1 / 3
 
 
 class Band(NamedTuple):
-    """The worth of predictions on the part of a track that the fit behind them has not seen.
+    """How well predictions hold on the part of a track that their q and r were not fitted to.
 
     Attributes
     ----------
@@ -73,15 +74,15 @@ class Band(NamedTuple):
     half_width : float
         The median half-width in m of the band that follows its own checked errors.
     asked, held, own : float
-        The share of fixes that is asked for, that this band held, and that the fit's own band held.
+        The share of fixes that the band is asked to hold, that it held, and that the filter's own band held.
     checked, independent : int
-        How many predictions were checked, and how many of them do not overlap in time.
+        The number of predictions that were checked, and of those that do not overlap in time.
     ahead : ForecastErrors
         The forecast errors of the whole track.
     widths : ndarray (K, m)
         The half-widths of the band around them.
     unseen : ndarray of bool (K,)
-        Which of them lie in the part that was not seen.
+        Which of them lie in the second half.
 
     """
 
@@ -107,9 +108,9 @@ class Band(NamedTuple):
 class Source:
     """The file that a track is from.
 
-    rows (N,): which fixes of the recording those of the track are; left_out: how many others there are, by reason
-    charts: the charts of the track (`geodesy`); plane (N,): in which one a fix lies; empty and zero for metres
-    said: what was taken for what, in words
+    rows (N,): the row of the recording of each fix of the track; left_out: the number of others, by reason
+    charts: the charts of the track (`geodesy`); plane (N,): the chart of each fix; empty and zero for metres
+    said: how the file was read, in words
     """
 
     path: Path | str
@@ -137,23 +138,23 @@ class Cleaned:
         Smoothed position and velocity of each axis, [east, v_east, north, v_north], and their covariance; NaN where a
         row lies in no segment.
     q, r : float
-        Process noise (m²/s³) and variance of a fix (m²) of all axes, of the fixes that are kept.
+        Process noise (m²/s³) and variance of a fix (m²), the same for all axes.
     log_errors : dict
         Standard errors of their logarithms, infinite for an r that is the rounding of the numbers.
     rounding : bool
-        Whether r is that rounding: the recorder has smoothed the positions, and their noise does not show.
+        Whether r is the rounding of the numbers: the recorder has smoothed the positions, and their noise is not seen.
     band : Band or None
         None for a track too short to judge one on.
     filter : KalmanFilter
-        The filter of all segments on one line of time, `line`.
+        The filter of all segments, one after the other, for the measurements `line.z`.
     line : Line
-        The rows that lie in segments, on one line of time.
+        The rows of all segments, one after the other, an hour or more apart.
     recordings : list
-        The rows where a recording begins: the first one, after a pause, and in another segment of the file.
+        The rows where a recording begins: at the start, after each pause, and at each new segment of the file.
     repeats : ndarray of bool (N,)
         The rows that are no fixes of their own: repeated positions, and all but the newest of one time.
     said : list
-        What was found about the times, in words.
+        Findings about the times, in words.
     source : Source or None
         The file that the track is from.
 
@@ -196,7 +197,7 @@ class Cleaned:
 
     @property
     def unusual(self) -> list[str]:
-        """The unusual things about a recorded track, in words: it may be in other units, or have too few digits."""
+        """What is unusual about the track, in words: it may be in other units, or have too few digits."""
         return report.unusual(self)
 
     def report(self) -> str:
@@ -272,9 +273,10 @@ class Cleaned:
     @property
     def starts(self) -> NDArray[np.intp]:
         """The rows where a segment begins after a jump, not after a pause."""
-        firsts = np.array([np.flatnonzero(self.pieces == k)[0] for k in range(self.stretches)], dtype=np.intp)
+        kept = np.flatnonzero(self.mask)
+        firsts = kept[np.unique(self.pieces[kept], return_index=True)[1]]
         recording = np.searchsorted(self.recordings, firsts, side="right")
-        return firsts[1:][recording[1:] == recording[:-1]]  # of the recording that the segment before is of
+        return firsts[1:][np.diff(recording) == 0]
 
 
 def clean(
@@ -291,29 +293,29 @@ def clean(
 ) -> Cleaned:
     """Return a recorded track without its faults, smoothed and with a band.
 
-    q and r are one for all axes: give heights apart, or not at all. Rows that repeat a position while the mobile moves
-    on, where rows are written faster than fixes, are no fixes; of several fixes at one time the last one counts.
+    All axes have the same q and r, so clean heights separately. Where rows are written faster than fixes, those that
+    repeat a position while the mobile moves are no fixes. Of several fixes at one time the last one counts.
 
     Parameters
     ----------
     t : array_like, (N,)
-        Times in s, or dates, that do not decrease; those of another `segment` may be before the last ones.
+        Times in s, or dates, that do not decrease within a `segment`.
     z : array_like, (N, m)
         Positions in metres on any axes, NaN where one is missing.
     r : array_like, (N,) or (N, m), optional
-        Variances relative to each other, as the squares of a receiver's hdop: their size is fitted.
+        Relative variances, such as the squares of a receiver's hdop: their common factor is fitted.
     seconds : float or timedelta
         The horizon of the band.
     limit : float
-        That of `gated`.
+        The NIS above which a fix is refused, as in `gated`.
     pause : float or timedelta, optional
-        After so long without a fix a recording begins anew: a minute, or ten usual steps where these are longer.
+        After so long without a fix a new recording begins: a minute, or ten usual steps where these are longer.
     segment : array_like, (N,), optional
-        Where it changes a recording begins anew.
+        Where it changes a new recording begins.
     rounding : float, optional
-        The variance that the digits of z have, m²; without it their grid is searched.
+        The variance of the rounding of z, m²; found from the digits where not given.
     show : callable, optional
-        Called with what is done next, in words.
+        Called with each step before it is done, in words.
 
     Returns
     -------
@@ -323,8 +325,8 @@ def clean(
     Raises
     ------
     ValueError
-        For times that decrease, fewer than ten fixes at different times, a track that does not move, or only by what
-        looks like faults, and for other shapes.
+        For times that decrease, fewer than ten fixes at different times, a track that stands still but for faults, and
+        for other shapes.
 
     Examples
     --------
@@ -344,8 +346,8 @@ def clean(
     t, z, relative, another = checked_track(t, z, r, segment)
     rounding = max(map(grid_of, z.T)) ** 2 / 12 if rounding is None else checks.not_negative("rounding", rounding)
     fixes = fixes_of(t, z, another, rounding, pause)
-    # For the gate, which starts anew with each recording, times run on an hour later, however long a pause was.
-    clock = np.cumsum(np.append(0.0, np.where(fixes.begin[1:], PAUSE_OF_THE_GATE, np.diff(t[fixes.rows]))))
+    # The gate starts anew with each recording: an hour stands for any pause, and for a step back in time.
+    clock = np.cumsum(np.append(0.0, np.where(fixes.begin[1:], HOUR_BETWEEN, np.diff(t[fixes.rows]))))
     own = z[fixes.rows]
     weights = None if relative is None else relative[fixes.rows]
     scale = scale_of(clock, own, rounding, fixes.begin)
@@ -397,38 +399,37 @@ def clean(
 
 
 def seen_from_both_sides(line: Line, noise: Noise, scale: Scale, segment: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the segments without the fixes that are far off what all others say of them.
+    """Return the segments without the fixes that are far from where the smoother of all others puts them.
 
     The squared distance of a fix from the smoothed line without it, in units of its variance, is (z - x)² / (r - P),
-    where x and P are those of the line with it. A fault spoils its neighbours too: so only the worst of neighbours
-    goes, and what is left is looked at again.
+    where x and P are those of the line with it. A fault spoils its neighbours too, so only the worst of neighbours goes
+    before the next look.
     """
     segment = segment.copy()
     for _ in range(LOOKS):
         x, P = _smoothed(line, noise, scale)
         r = noise.r if line.relative is None else noise.r * line.relative
-        without = np.maximum(r - P, SMALLEST_DIFFERENCE * r)
-        seen = np.isfinite(line.z)
-        off = np.where(seen, (line.z - x) ** 2 / without, 0).sum(axis=1)
-        fixes = np.flatnonzero(seen.any(axis=1))
-        limits = _limits_of_calm(off[fixes]) if scale.step >= SPARSE else FROM_BOTH_SIDES
-        off = np.concatenate([[0], off[fixes], [0]])  # so that the first and the last have neighbours too
-        worst = (off[1:-1] > limits) & (off[1:-1] >= off[:-2]) & (off[1:-1] >= off[2:])
-        if not worst.any():
+        distances = (line.z - x) ** 2 / np.maximum(r - P, SMALLEST_DIFFERENCE * r)
+        fixes = np.flatnonzero(np.isfinite(line.z).any(axis=1))
+        off = np.nansum(distances[fixes], axis=1)
+        limits = _limits(off) if scale.step >= SPARSE else FROM_BOTH_SIDES
+        before, after = np.append(0, off[:-1]), np.append(off[1:], 0)
+        faults = fixes[(off > limits) & (off >= before) & (off >= after)]
+        if not len(faults):
             break
-        segment[line.rows[fixes[worst]]] = -1
+        segment[line.rows[faults]] = -1
         z = line.z.copy()
-        z[fixes[worst]] = np.nan
+        z[faults] = np.nan
         line = line._replace(z=z)
     kept = segment >= 0
     segment[kept] = np.unique(segment[kept], return_inverse=True)[1]  # a segment may have gone as a whole
     return segment
 
 
-def _limits_of_calm(off):
-    """Return the limit of each fix, (N,), from how far off (N,) the fixes around it are."""
+def _limits(off):
+    """Return the limit of each fix (N,) from the squared distances (N,) of the fixes around it."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS)
-    return np.clip(FROM_BOTH_SIDES * np.median(around, axis=1) / MEDIAN, CALM, FROM_BOTH_SIDES)
+    return np.clip(FROM_BOTH_SIDES * np.median(around, axis=1) / MEDIAN, LEAST_LIMIT, FROM_BOTH_SIDES)
 
 
 def _smoothed(line, noise, scale):
@@ -438,9 +439,9 @@ def _smoothed(line, noise, scale):
 
 
 def band_of(line: Line, noise: Noise, scale: Scale, seconds: float) -> Band | None:
-    """Return the Band of the second half of a line, or None where it has too few predictions.
+    """Return the Band of the second half of a line, with q and r of the first half, or None where it has too few fixes.
 
-    q and r are fitted anew, on the first half; where it stands still there is none.
+    There is none either where the first half stands still.
     """
     half = len(line.rows) // 2
     before = line.part(slice(half))

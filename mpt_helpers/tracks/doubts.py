@@ -1,8 +1,7 @@
-"""Files and tables that are something else than they seem: recognised, and refused with the way to mend them."""
+"""Files and tables that are not what they seem: recognised, and refused with the way to mend them."""
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 
@@ -15,31 +14,33 @@ GPSBABEL = "gpsbabel -t -i {} -f FILE -o gpx -F track.gpx"
 XML = rb"(?i)(\xef\xbb\xbf)?\s*(<[?!][^>]*>\s*)*<"  # what stands before the name of the outermost element
 # How other files begin, what they are, and how a GPX or CSV file is made of them.
 KINDS = (
-    (rb"PK\x03\x04", "a zip archive", "unpack it; a workbook: pandas.read_excel('FILE').to_csv('track.csv')"),
-    (rb"BZh|\xfd7zXZ|\x28\xb5\x2f\xfd|7z\xbc\xaf|Rar!", "a packed file", "unpack it"),
+    (rb"PK\x03\x04|BZh|\xfd7z|7z\xbc|Rar!", "an archive", "unpack it; or pandas.read_excel('FILE').to_csv('new.csv')"),
+    (rb"\xff\xfe|\xfe\xff", "UTF-16", "save it as UTF-8: pandas.read_csv('FILE', encoding='utf-16').to_csv('new.csv')"),
     (rb"(?s)[\x0c\x0e].{7}\.FIT", "a FIT file", f"{GPSBABEL.format('garmin_fit')}, or the package fitdecode"),
     (rb"\s*[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
     (rb"A[A-Z]{3}.*[\r\n]+H", "an IGC file", GPSBABEL.format("igc")),
-    (rb".{60}(C?RINEX) VERS", "a RINEX file", "it holds ranges: make fixes of them first"),
-    (rb"\s*[{[]", "a JSON file", "pandas.read_json('FILE').to_csv('track.csv')"),
+    (rb"\s*[{[]", "a JSON file", "pandas.read_json('FILE').to_csv('new.csv')"),
     (XML + rb"TrainingCenterDatabase", "a TCX file", GPSBABEL.format("gtrnctr")),
     (XML + rb"kml", "a KML file", GPSBABEL.format("kml")),
-    (XML + rb"html", "a web page", "was the download refused?"),
-    (XML + rb"(?![?!]|([\w.-]+:)?gpx)", "another kind of XML", "export it as GPX"),
-    (rb"(?s).*\0", "a binary file, or UTF-16 without its mark", "export it as GPX or CSV"),
+    (XML + rb"(?![?!]|([\w.-]+:)?gpx)", "another kind of XML, or a web page", "export it as GPX"),
+    (rb"(?s).*\0", "a binary file", "export it as GPX or CSV"),
 )
 # How a COLUMN becomes numbers or times whose cells look so.
 WAYS = (
     (r"\d{13,}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms'), 'us' or 'ns'; of digits format='%Y%m%d%H%M%S'"),
-    (r"\d+(\.\d*)?", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
+    (r"\d{5}\.\d+", "days of a spreadsheet? pandas.to_datetime(COLUMN, unit='D', origin='1899-12-30')"),
+    (r"\d+\.\d+", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S.%f'), as texts"),
+    (r"\d+", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
     (r"[+-]?\d+([.,'\s]\d{3})*[.,]?\d*", "pandas.read_csv(FILE, decimal=',', thousands='.'), or the two exchanged"),
     (r"[\d.]+ *[NSEWnsew]", "COLUMN.str[:-1].astype(float) * COLUMN.str[-1].map({'N': 1, 'S': -1, 'E': 1, 'W': -1})"),
     (r".*\d *[°º'd].*", "degrees + minutes / 60 + seconds / 3600, negative south and west"),
     (r"\d{1,2}:\d\d.*", "a date is needed too: pandas.to_datetime(frame['date'] + ' ' + COLUMN)"),
-    (r"(?s).*", "numbers are decimal; of dates, is the day first? pandas.to_datetime(COLUMN, dayfirst=True)"),
+    (r"\d{4}\D.*", "pandas.to_datetime(COLUMN)"),
+    (r"(?s).*", "numbers are decimal; of dates pandas.to_datetime(COLUMN, dayfirst=True), or False"),
 )
-# Fixes of several mobiles lie so much farther from the line between any two neighbours than from that of their own.
-FARTHER, AT_LEAST = 2.5, 10
+# Several mobiles: a column changes its value at least so often, has so many fixes of each value, and these lie so much
+# farther from the line between their neighbours in time than from that between their neighbours of the same value.
+CHANGES, OF_EACH, FARTHER = 10, 5, 2.5
 
 
 def refuse_other_kinds(path: Path, data: bytes) -> None:
@@ -56,49 +57,47 @@ def way_of(column: str, text: str) -> str:
 
 
 def refuse_signs(name: str, others: dict[str, list[str]], column: str, degrees: Array, words: tuple[str, str]) -> None:
-    """Refuse latitudes or longitudes of a column whose sign stands in another column, as NORTH, N or SOUTH, S.
-
-    Another column with both letters is one of directions, as of a bus, where the track stays away from 0° and 180°.
-    """
+    """Refuse latitudes or longitudes of a column whose sign stands in another column, as NORTH, N or SOUTH, S."""
     plus, minus = (word[0] for word in words)
-    near_zero = (np.abs(np.abs(degrees) - 90) > 89).any()
     for other, cells in others.items():
-        cells = [cell.strip().upper() for cell in cells]
-        south = np.array([cell.startswith(minus) for cell in cells], dtype=bool)
-        signs = set(cells) <= {*words, plus, minus, ""} and (near_zero or not any(cell[:1] == plus for cell in cells))
-        if signs and (degrees[south] > 0).any():
-            way = f"frame[{column!r}] *= frame[{other!r}].str.upper().str[0].map({{{plus!r}: 1, {minus!r}: -1}})"
-            raise ValueError(f"{name}: needs signed degrees, got the sign of {column} in column {other!r}: {way}")
+        letters = [cell.strip().upper() for cell in cells]
+        negative = np.array([cell.startswith(minus) for cell in letters], dtype=bool)
+        if set(letters) <= {*words, plus, minus, ""} and (degrees[negative] > 0).any():
+            letter = f"frame[{other!r}].str.strip().str.upper().str[0]"
+            way = f"frame[{column!r}] *= {letter}.map({{{plus!r}: 1, {minus!r}: -1}})"
+            got = f"the sign of {column} in column {other!r}: {way}; or drop that column"
+            raise ValueError(f"{name}: needs signed degrees, got {got}")
 
 
-def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int64], place: Array) -> None:
-    """Refuse a table of several mobiles, told by the values of another column: ships by their MMSI.
+def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int64], position: Array) -> None:
+    """Refuse a table of several mobiles, as ships with an MMSI, and name the column that tells them apart.
 
-    One mobile is nearest to the fixes before and after it, whatever the column says. Of several, the fixes of one value
-    lie on a line between their own neighbours in time, and not on that between any two.
+    A fix of one mobile lies between the fixes before and after it, whatever another column says. With several mobiles
+    it lies between those with its own value of that column only.
     """
-    rows = np.flatnonzero((time != np.iinfo(np.int64).min) & np.isfinite(place).all(axis=1))
+    rows = np.flatnonzero((time != np.iinfo(np.int64).min) & np.isfinite(position).all(axis=1))
     rows = rows[np.argsort(time[rows], kind="stable")]
-    apart = _off_the_line(time[rows], place[rows], np.zeros(len(rows)))
+    time, position, in_turn = time[rows] / 1e6, position[rows], np.arange(len(rows))
     for column, cells in others.items():
         values, value = np.unique([cells[row] for row in rows], return_inverse=True)
-        if not 1 < len(values) <= len(rows) / 3:
+        changes = np.diff(value) != 0
+        if changes.sum() < CHANGES or len(values) * OF_EACH > len(rows):
             continue
-        own, by_value = np.empty(len(rows)), np.argsort(value, kind="stable")
-        own[by_value] = _off_the_line(time[rows][by_value], place[rows][by_value], value[by_value])
-        mixed = np.isfinite(own) & np.isfinite(apart)
-        mixed[1:-1] &= (value[1:-1] != value[:-2]) | (value[1:-1] != value[2:])
-        if mixed.sum() >= AT_LEAST and np.median(apart[mixed]) > FARTHER * np.median(own[mixed]):
-            one = f"frame[frame[{column!r}] == {cells[rows[0]]!r}], in quotes only if it is a text"
+        mixed = np.append(changes, False) | np.append(False, changes)
+        apart = _off_the_line(time, position, in_turn)[mixed]
+        own = _off_the_line(time, position, np.argsort(value, kind="stable"))[mixed]
+        if np.median(apart) > FARTHER * np.median(own):
+            one = f"frame[frame[{column!r}].astype(str) == {str(values[np.argmax(np.bincount(value))])!r}]"
             raise ValueError(
                 f"{name}: needs one mobile, got {len(values)}, by their column {column!r}: take one: {one}"
             )
 
 
-def _off_the_line(time, place, value):
-    """Return how far each fix is from the line between its neighbours (N,), NaN where these have other values."""
-    off, t = np.full(len(time), math.nan), time / 1e6
-    part = (t[1:-1] - t[:-2]) / np.maximum(t[2:] - t[:-2], 1e-6)
-    off[1:-1] = np.linalg.norm(place[1:-1] - place[:-2] - part[:, None] * (place[2:] - place[:-2]), axis=1)
-    off[1:-1][value[2:] != value[:-2]] = math.nan
+def _off_the_line(time, position, order):
+    """Return how far each fix is from the line between its neighbours in an order, (N,); of the ends it is zero."""
+    before, here, after = order[:-2], order[1:-1], order[2:]
+    part = (time[here] - time[before]) / np.maximum(time[after] - time[before], 1e-6)
+    line = position[before] + part[:, None] * (position[after] - position[before])
+    off = np.zeros(len(order))
+    off[here] = np.linalg.norm(position[here] - line, axis=1)
     return off

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and none is replaced unasked."""
+"""Writing files: whole or not at all, and none replaced unless asked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which rows of a recorded track are fixes, where a recording begins, and the grid that the numbers lie on."""
+"""The rows of a recorded track that are fixes, where a recording begins, and the grid of the numbers."""
 
 from __future__ import annotations
 
@@ -13,24 +13,28 @@ from .._checks import Array
 
 FEWEST = 10  # fixes
 LEAST_TOLD = 3  # fixes after the first two of their recordings
-# Without fixes for so long, or for so many usual steps, the motion before says nothing of the motion after.
+# A recording ends where no fix comes for so many seconds, or usual steps if these are longer: the motion before tells
+# nothing of that after.
 PAUSE, PAUSE_IN_STEPS = 60.0, 10
-# So few fixes, and no larger part of all, whose times are so far (s) from all others are faults of time: a receiver
-# that does not know the date yet says 1980, or is off by 1024 weeks.
+# Fewer than ten fixes, and 5 % of all, that lie more than 100 days from all others have wrong times: a receiver that
+# does not know the date yet says 1980, or is off by 1024 weeks.
 STRAY, STRAY_SHARE, FAR_IN_TIME = 10, 0.05, 100 * 86400.0
-# A position is repeated where it changes by less than HUNDREDTH of a usual step, as in its last digit. Rows are written
-# faster than fixes where so large a part of the positions is repeated while the mobile moves at half its usual speed or
-# more, and steps are longer than so many steps of the numbers' grid. (Recorded tracks: 0 to 2 %.)
+# A position is repeated where it changes by at most HUNDREDTH of a usual step, as in its last digit. Rows are written
+# faster than fixes if a tenth or more of the positions are repeated while the mobile moves at half its usual speed or
+# faster (recorded tracks: 0 to 2 %), and usual steps are at least three times the grid of the numbers.
 REPEATED, STEPS_OF_GRID, NEARLY_ALL = 0.1, 3.0, 0.95
-# A step is one of a grid if it is a multiple of it, but for this part of it. Of two numbers that lie on no grid the
-# difference is at most HUNDREDTH of a usual step, if it is to be their rounding.
+# A step lies on a grid if it is a multiple of it to within ON_GRID of the grid. Numbers on no grid are rounded by no
+# more than HUNDREDTH of a usual step.
 ON_GRID, HUNDREDTH = 0.05, 0.01
 
 
 class Fixes(NamedTuple):
-    """The rows (K,) that are fixes, which of them begin another recording (K,), and what was found, in words.
+    """The fixes of a track.
 
-    same_as (N,) is the row of the fix that each row of the track repeats, or the row itself.
+    rows (K,): their rows in the track
+    begin (K,): whether a recording begins with it
+    same_as (N,): for each row of the track the row of the fix that it repeats, or its own
+    said: what was found, in words
     """
 
     rows: NDArray[np.intp]
@@ -40,7 +44,7 @@ class Fixes(NamedTuple):
 
 
 def checked_track(t, z, r, segment):
-    """Return times (N,), positions (N, m), relative variances (N, m) or None, and where another segment begins."""
+    """Return times (N,), positions (N, m), relative variances (N, m) or None, and where a segment begins (N,)."""
     need = "positions (N, m) in metres, NaN where one is missing"
     z = checks.real_numbers("z", z, need).astype(float)
     if z.ndim != 2 or 0 in z.shape or np.shape(t) != (len(z),):
@@ -50,10 +54,9 @@ def checked_track(t, z, r, segment):
     if segment.shape != (len(z),):
         checks.refuse("segment", f"a number or a name for each of {len(z)} rows", f"shape {segment.shape}")
     another = np.append(False, segment[1:] != segment[:-1])
-    # Segments may be out of order, but times within them may not.
-    order = np.argsort(t, kind="stable") if another.any() else np.arange(len(z))
+    order = np.argsort(t, kind="stable")  # segments may be out of order, but times within them may not
     times = np.empty(len(z))
-    times[order] = checks.times("t", np.asarray(t)[order] if another.any() else t)
+    times[order] = checks.times("t", np.asarray(t)[order])
     back = (np.diff(times) < 0) & ~another[1:]
     if back.any():
         checks.refuse("t", "times that do not decrease within a segment", f"less in row {np.argmax(back) + 1}")
@@ -77,7 +80,7 @@ def _relative(r, z):
 
 
 def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pause: float | None) -> Fixes:
-    """Return the Fixes of a track; `another` (N,) says where a segment begins, rounding is the variance of digits."""
+    """Return the Fixes of a track; a segment begins at the rows `another` (N,), rounding is a variance."""
     seen = np.isfinite(z).any(axis=1)
     early = _at_one_time(t, z, another, np.flatnonzero(seen))
     again = _repeated(t, z, another, rounding, np.flatnonzero(seen & ~early))
@@ -111,9 +114,9 @@ def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pa
 
 
 def _at_one_time(t, z, another, rows):
-    """Return which rows of the track (N,) have the time of the next one of `rows`, which has all that they have.
+    """Return the mask (N,) of the rows, of some `rows`, that have the time of the next one and no axis that it lacks.
 
-    A receiver that catches up writes all its fixes with the time of the newest: so the last of them counts.
+    A receiver that catches up gives all its fixes the time of the newest, so the last of them counts.
     """
     early = np.zeros(len(t), dtype=bool)
     has_all = (np.isfinite(z[rows[1:]]) | np.isnan(z[rows[:-1]])).all(axis=1)
@@ -122,10 +125,10 @@ def _at_one_time(t, z, another, rows):
 
 
 def _repeated(t, z, another, rounding, rows):
-    """Return which rows of the track (N,) repeat the position before them where rows are written faster than fixes.
+    """Return the mask (N,) of the rows, of some `rows`, that repeat a position because rows come faster than fixes.
 
-    A mobile at rest repeats its position too: so repeats count only if they are usual while it moves, and in a longer
-    rest than such a repeat one row for each of its length is kept. Only `rows` count.
+    A mobile at rest repeats its position too. So there are none unless repeats are usual while it moves, and of a rest
+    one row is kept for each time that the longest of those repeats takes.
     """
     again = np.zeros(len(t), dtype=bool)
     steps = np.linalg.norm(np.diff(z[rows], axis=0), axis=1)
@@ -149,7 +152,7 @@ def _repeated(t, z, another, rounding, rows):
 
 
 def _begins(t, another, pause):
-    """Return which fixes, at times t, begin another recording: the first, in another segment, and after a pause (s)."""
+    """Return the mask of the fixes, at times t, that begin a recording: the first, of a segment, and after a pause."""
     steps = np.diff(t)
     if pause is None:
         inside = steps[steps > 0]
@@ -158,7 +161,7 @@ def _begins(t, another, pause):
 
 
 def _strays(t, begin):
-    """Return which fixes have a time that cannot be: few of them, and months from all others."""
+    """Return the mask of the fixes with a wrong time: few, and months from all others."""
     number = np.cumsum(begin) - 1
     few = (np.bincount(number) < min(STRAY, STRAY_SHARE * len(t)))[number]
     if few.all() or not few.any():
@@ -170,21 +173,21 @@ def _strays(t, begin):
 
 
 def grid_of(values: Array, grids: tuple[float, ...] = ()) -> float:
-    """Return the grid that numbers of few digits lie on: the coarsest of some that three quarters of their steps fit.
+    """Return the grid that numbers lie on: the coarsest of `grids` on which three quarters of their steps lie.
 
-    The steps count, and not the values: a track that was moved has left the grid as a whole, and a fault for two steps.
-    Of numbers that lie on none it is the shortest step, as far as that can be one of their digits.
+    Steps are compared, not values: a track that was moved is off the grid as a whole, and a fault spoils only two
+    steps. For numbers on none of the grids it is the shortest step, but at most HUNDREDTH of a usual one.
     """
     steps = _steps(values)
     for grid in sorted(grids, reverse=True):
-        long = steps[steps > ON_GRID * grid]  # shorter ones are none, but for the last digit
+        long = steps[steps > ON_GRID * grid]  # shorter ones are the rounding of none
         if len(long) > 0.1 * len(steps) and _on_grid(long, grid) > 0.75:
             return grid
     return float(min(steps.min(), HUNDREDTH * np.median(steps))) if len(steps) else 0.0
 
 
 def _coarse_grid(z):
-    """Return the step that nearly all changes of one of the axes of positions (N, m) are multiples of, or zero."""
+    """Return the coarsest grid on which nearly all steps of an axis of positions (N, m) lie, or zero."""
     found = 0.0
     for steps in map(_steps, z.T):
         steps = steps[steps > 1e-3 * steps.max(initial=0.0)]
@@ -195,11 +198,11 @@ def _coarse_grid(z):
 
 
 def _steps(values):
-    """Return the sizes of the changes between numbers, NaN and none left out."""
+    """Return the sizes of the steps between numbers, without NaN and zeros."""
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     return steps[steps > 0]
 
 
 def _on_grid(steps, grid):
-    """Return the share of steps that are multiples of a grid."""
+    """Return the share of steps that lie on a grid."""
     return np.mean(np.abs(steps / grid - np.round(steps / grid)) < ON_GRID)

@@ -1,13 +1,13 @@
-"""Faults among the fixes of a recorded track: one pass of a Kalman filter in sequence, which makes a mask.
+"""Outliers and jumps of a recorded track: one pass of a Kalman filter, fix by fix, which labels every fix.
 
-A receiver errs in two ways that no filter expects. Single fixes, or a few in a row, lie far off; and the whole track
-jumps, as when the signal comes back, and goes on from elsewhere. The gate tells one from the other:
+A receiver fails in two ways that no filter models. Single fixes, or a few in a row, are far off; or the whole track
+jumps, for example when the signal returns, and goes on from there. The gate tells one from the other:
 
-1. A fix is refused if its NIS is above a limit. The filter goes on as if the fix were missing.
-2. Refused fixes that follow one another and agree *with each other* begin a new segment, from the first of them.
-3. Of these segments the cheapest chain is kept. To drop a segment costs as many as it has fixes, a jump between two
-   that are kept costs ten. Where the way between two segments is no faster than the track usually is, there is no
-   jump: the mobile has turned, and both are one segment.
+1. A fix whose NIS is above a limit is refused. The filter goes on as if it were missing.
+2. Consecutive refused fixes that agree *with each other* begin a new segment, from the first of them.
+3. The cheapest chain of segments is kept. Dropping a segment costs one for each of its fixes, a jump between two that
+   are kept costs ten. Where the track's usual speed leads from one segment to the next there is no jump: the mobile has
+   turned, and both are one segment.
 
 The limit is far above what noise explains: a chi-square limit of 99.9 % would refuse a fifth of the good fixes of real
 tracks, whose motion is alternately smooth and highly dynamic. Refused fixes become NaN, which filters treat as missing.
@@ -18,43 +18,43 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks as checks
 from .. import metrics
-from ..equations import corrected_covariance, gain, neutralised
+from .._checks import Array
+from ..equations import corrected_covariance, predicted_covariance
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
-# Where no fault was found, or not for so many fixes, the filter runs over many rows at once, in place of one after the
-# other: over all of the recording, or over so many times the fixes since the last fault.
-CALM, GROWTH = 200, 5
-# Two segments are joined, without a jump, where the way between them is at most so many times as fast as the fastest
-# twentieth of all steps: between consecutive fixes of a clean track none was.
+# After a fault so many fixes are taken one by one. Then, as before the first fault, the filter runs over many rows at
+# once: as many as there were fixes since the last fault.
+ONE_BY_ONE = 200
+# A speed is unusual above FASTER times that which 95 % of the steps do not exceed. Steps of clean tracks are not.
 FASTER, OF_STEPS = 2.0, 0.95
-# A fix that the filter expects belongs to a new start nevertheless, if that expects it so much better, in units of -2
-# log of a probability density. At 0 good fixes are lost to new starts, at 20 the gate misses shifts on sparse tracks.
+# A fix that the segment expects still goes to a new start whose -2 log density of it is lower by more than this. At 0
+# good fixes are lost to new starts, at 20 the gate misses shifts on sparse tracks.
 RARE = 5.0
-# What a jump costs, in fixes: a segment of fewer fixes between two jumps is an outlier.
+# The cost of a jump, in fixes: a segment of fewer fixes between two jumps is an outlier.
 JUMP = 10
-# A segment is charged a jump for each of its steps that are too fast, but for no more than these: one of more fixes
-# than that costs, as a train ride within a walk, is never dropped for its speed.
+# Each unusually fast step within a segment costs a jump, but no more than these count: a long one, such as a train ride
+# during a walk, is never dropped for its speed.
 MOST_TOO_FAST = 2
-# A receiver without signal repeats its position, or writes another one, and jumps when the signal is back: so many
-# fixes that stray by less than this part of the jump, and of the way from the fix before them to the one after them.
+# A receiver without signal repeats its position, or writes a wrong one, and jumps when the signal is back: at least
+# STUCK fixes within HARDLY times the length of that jump, and of the line from the fix before them to that after them.
 STUCK, HARDLY = 3, 0.1
-# The mobile came to that position at this part of the speed at which it would have gone on, or more, and went on at
-# this part of the speed at which it came, or more: one that rests for long would crawl.
+# The mobile came to that position at no less than this part of the speed of that line, and that speed is no less than
+# this part of the speed at which it came: a mobile that rests there is slower.
 ARRIVED, WENT_ON = 0.5, 0.25
-# A way that is so many times as fast as a track usually is leads to a wrong position, and is no jump of a receiver.
+# A step of so many times the usual speed leads to a wrong position, and is no jump of a receiver.
 IMPOSSIBLE = 1000.0
-# A segment is tried after the ones that ended at most so many before it. More in a row are never dropped.
+# The number of parts before each one that the chain may come from. More in a row are never dropped.
 LOOK_BACK = 30
 # Two fixes at one time count as so many seconds apart.
-NO_TIME = 1e-9
+LEAST_STEP = 1e-9
 
 
 def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 3) -> NDArray[np.intp]:
@@ -112,106 +112,113 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
     need = "a squared distance in variances, above 1, as 100"
     limit = checks.number("limit", limit, need, lambda value: value > 1)
     patience = checks.count("patience", patience)
-    _warn_of_a_far_start(_Rows(kf, z), limit, patience)
     return segments_of(kf, z, [], limit, patience)
 
 
 def segments_of(kf, z, begins, limit, patience):
     """Return the segment of each fix of z (N, m) as `gated` does.
 
-    The filter starts anew at each row of `begins`, where a recording begins, and from x0 and P0 at row 0 unless that is
-    one of them. No segment goes on into another recording, and the way between two recordings is no jump.
+    A recording begins at each row of `begins`: there the filter starts anew, no segment goes on, and nothing is a jump.
+    At row 0 it starts from x0 and P0 unless a recording begins there.
     """
-    found = _in_sequence(_Rows(kf, z), begins, limit, patience)
+    found = _in_sequence(_Track(kf, z), begins, limit, patience)
+    if len(begins) == 0 and np.isfinite(z).any() and not found[0]:
+        nis = metrics.nis(kf, z)
+        off = math.sqrt(nis[np.isfinite(nis)][0])
+        where = "say where the track begins: x0 at the first fix, and a P0 that holds its position and velocity"
+        checks.warn(f"gated: the first fixes are {off:.0f} standard deviations from x0: {where}")
+    found = [rows for rows in found if rows]
     number = np.full(len(z), -1)
     if found:
         recording = np.searchsorted(begins, np.arange(len(z)), side="right")
-        way = _Way(found, z / np.sqrt(np.diag(kf.model.R)), kf.times_of(len(z)), recording)
-        for k, rows in enumerate(_cheapest_chain(_without_stuck_ones(_without_excursions(found, way), way), way)):
+        moves = _Moves(found, z / np.sqrt(np.diag(kf.model.R)), kf.times_of(len(z)), recording)
+        found = _without_stuck_ones(_without_excursions(found, moves), moves)
+        for k, rows in enumerate(_cheapest_chain(found, moves)):
             number[rows] = k
     return number
 
 
-def _warn_of_a_far_start(track, limit, patience):
-    """Warn where x0 and P0 expect none of the first fixes: good ones are refused then until some of them agree."""
-    state, off = track.first(), []
-    for k in range(len(track.z)):
-        if track.fixes[k]:
-            off.append(track.with_fix(state, k)[1])
-        if len(off) == patience:
-            break
-        state = track.without_fix(state, k)
-    if min(off, default=0.0) > limit:
-        where = "say where the track begins: x0 at the first fix, and a P0 that holds its position and velocity"
-        checks.warn(f"gated: the first fixes are {math.sqrt(min(off)):.0f} standard deviations from x0: {where}")
+class _Row(NamedTuple):
+    """The step before a row, F and Q, and its measurement z = H x + noise of unit variance: H (m, n), z (m,).
 
-
-class _Rows:
-    """The rows of a track z (N, m), and what a Kalman filter makes of them. A state is x (n,) and P (n, n).
-
-    Where it is one before row k, it may be led on with the fix or without.
+    A missing measurement has a row of zeros in H, and a zero in z.
     """
 
-    def __init__(self, kf, z):
-        kf.epochs_of(z[..., None])  # refuses times and variances that are not those of z
-        self.model, self.z, self.seen = kf.model, z, np.isfinite(z)
-        self.fixes = self.seen.any(axis=1)
-        self.t = None if kf.t is None else kf.t.ravel()
-        self.r = None if kf.r is None else kf.r.reshape(z.shape)
-        if kf.t is not None:
-            self.dt = np.diff(self.t, prepend=self.t[0] - self.model.dt)
-            self.F, self.Q = self.model.over(self.dt)
+    F: Array
+    Q: Array
+    H: Array
+    z: Array
 
-    def first(self):
-        """Return the state before the first row."""
-        return self.model.x0, self.model.P0
+
+class _Track:
+    """The rows of a track z (N, m) for a Kalman filter. A state is x (n,) and P (n, n)."""
+
+    def __init__(self, kf, z):
+        model, self.seen = kf.model, np.isfinite(z)
+        self.model, self.z, self.t, self.r = model, z, kf.t, kf.r
+        self.fixes = self.seen.any(axis=1)
+        R = kf.epochs_of(z[..., None]).noise(model.R)[..., 0]
+        root = np.linalg.cholesky(np.where(self.seen[:, :, None] & self.seen[:, None], R, np.eye(model.m)))
+        H = np.linalg.solve(root, self.seen[..., None] * model.H)
+        unit_z = np.linalg.solve(root, np.where(self.seen, z, 0.0)[..., None])[..., 0]
+        F, Q = [model.F] * len(z), [model.Q] * len(z)
+        if self.t is not None:
+            self.dt = np.diff(self.t.ravel(), prepend=self.t.flat[0] - model.dt)
+            F, Q = model.over(self.dt)
+        self.rows = list(map(_Row, F, Q, H, unit_z))
+        self.unit = np.eye(model.m)
 
     def start(self, k):
         """Return the state after a first fix, of row k: x0 and P0 moved there."""
-        model, seen = self.model, self.seen[k]
-        x, P = model.F @ model.x0, model.F @ model.P0 @ model.F.T + model.Q
-        H = seen[:, None] * model.H
-        moved = np.linalg.pinv(H) @ np.where(seen, self.z[k] - H @ x, 0.0)
-        return self._corrected(x + moved, P, k)[0]
+        row = self.rows[k]._replace(F=self.model.F, Q=self.model.Q)
+        x, P = row.F @ self.model.x0, predicted_covariance(row, self.model.P0)
+        return self._corrected(row, x + np.linalg.pinv(row.H) @ (row.z - row.H @ x), P)[0]
 
     def without_fix(self, state, k):
         """Return the state after row k if nothing is measured there."""
         x, P = state
-        F, Q = (self.model.F, self.model.Q) if self.t is None else (self.F[k], self.Q[k])
-        return F @ x, F @ P @ F.T + Q
+        return self.rows[k].F @ x, predicted_covariance(self.rows[k], P)
 
     def with_fix(self, state, k):
-        """Return the state after row k, the NIS of its fix, and -2 log of its density, but for 2 pi."""
-        return self._corrected(*self.without_fix(state, k), k)
+        """Return the state after row k, the NIS of its fix, and the covariance of its innovation at unit noise."""
+        return self._corrected(self.rows[k], *self.without_fix(state, k))
 
-    def _corrected(self, x, P, k):
-        seen = self.seen[k]
-        R = self.model.R if self.r is None else np.diag(np.where(seen, self.r[k], 1.0))
-        H, R = neutralised(self.model.H, R, seen)
-        innovation = np.where(seen, self.z[k] - H @ x, 0.0)
-        S = H @ P @ H.T + R
-        sign, log_det = np.linalg.slogdet(S)
-        if not (sign > 0 and math.isfinite(log_det)):
+    def _corrected(self, row, x, P):
+        PH = P @ row.H.T
+        S = row.H @ PH + self.unit
+        inverse = np.linalg.inv(S)
+        K, innovation = PH @ inverse, row.z - row.H @ x
+        nis = float(innovation @ inverse @ innovation)
+        if not 0 <= nis < math.inf:
             checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
-        K = gain(P, H, R)
-        nis = float(innovation @ np.linalg.solve(S, innovation))
-        return (x + K @ innovation, corrected_covariance(P, K, H, R)), nis, nis + float(log_det)
+        return (x + K @ innovation, corrected_covariance(P, K, row.H, self.unit)), nis, S
 
-    def part(self, state, k, stop):
+    def rows_without_fault(self, state, k, stop, limit):
+        """Return how many rows from k on, before row `stop`, stand before the first one with a fault."""
+        kf, z = self._part(state, k, stop)
+        faults = np.flatnonzero(metrics.nis(kf, z) > limit)
+        return int(faults[0]) if len(faults) else len(z)
+
+    def after_rows(self, state, k, stop):
+        """Return the state after the rows from k to `stop`, with all their fixes."""
+        kf, z = self._part(state, k, stop)
+        x, P = kf.estimates(z)
+        return x[-1], P[-1]
+
+    def _part(self, state, k, stop):
         """Return the filter that goes on from a state before row k, and the rows k to `stop`, which it is for."""
         model = replace(self.model, x0=state[0], P0=state[1])
-        if self.t is not None:
-            model = replace(model, F=None, Q=None, dt=max(self.dt[k], NO_TIME))  # that of the first step
         t, r = (None if each is None else each[k:stop] for each in (self.t, self.r))
+        if t is not None:
+            model = replace(model, F=None, Q=None, dt=max(self.dt[k], LEAST_STEP))  # that of the first step
         return KalmanFilter(model, t, r), self.z[k:stop]
 
 
-class _Candidate(NamedTuple):
-    """A new start: refused fixes that agree, the state after them, and the deviance of the last of them."""
+class _Start(NamedTuple):
+    """A new start: the rows of refused fixes that agree, and the state after them."""
 
-    state: Any
     rows: list[int]
-    deviance: float = -math.inf
+    state: tuple[Array, Array]
 
 
 def _in_sequence(track, begins, limit, patience):
@@ -219,167 +226,167 @@ def _in_sequence(track, begins, limit, patience):
     found = []
     for begin, stop in pairwise(sorted({0, *begins, len(track.z)})):
         if begin not in begins:
-            found += _of_recording(track, track.first(), [], begin, stop, limit, patience)
+            origin = _Start([], (track.model.x0, track.model.P0))
+            found += _of_recording(track, origin, begin, stop, limit, patience)
             continue
         whole = begin + np.flatnonzero(track.seen[begin:stop].all(axis=1))  # only these tell where all axes begin
         if len(whole):
             first = int(whole[0])
-            found += _of_recording(track, track.start(first), [first], first + 1, stop, limit, patience)
-    return [rows for rows in found if rows]
+            start = _Start([first], track.start(first))
+            found += _of_recording(track, start, first + 1, stop, limit, patience)
+    return found
 
 
-def _of_recording(track, state, rows, k, stop, limit, patience):
-    """Return the rows of each segment from row k to `stop`; the first one has some rows already, and their state."""
-    found, candidates = [], []
+def _of_recording(track, start, k, stop, limit, patience):
+    """Return the rows of each segment from row k to `stop`; the first one begins with those of a start."""
+    (rows, state), found, starts = start, [], []
     calm = stop - k  # fixes since the last fault; before the first one as many as there are rows
     if not rows:  # x0 and P0 may be so vague that one row after the other would lose the digits of P
-        calm = max(calm, CALM)
+        calm = max(calm, ONE_BY_ONE)
     while k < stop:
-        if not candidates and calm >= CALM:
-            kf, z = track.part(state, k, min(k + GROWTH * calm, stop))
-            over = np.flatnonzero(metrics.nis(kf, z) > limit)
-            count = int(over[0]) if len(over) else len(z)
-            if 0 < count < stop - k:
-                kf, z = track.part(state, k, k + count)
-                x, P = kf.estimates(z)
-                state = x[-1], P[-1]
+        if calm >= ONE_BY_ONE and not starts:
+            at_most = min(k + calm, stop)
+            count = track.rows_without_fault(state, k, at_most, limit)
             rows += (k + np.flatnonzero(track.fixes[k : k + count])).tolist()
+            if 0 < count < stop - k:
+                state = track.after_rows(state, k, k + count)
             k += count
-            calm = 0 if len(over) else calm + count
+            calm = calm + count if k == at_most else 0
             continue
         if not track.fixes[k]:
             state = track.without_fix(state, k)
-            candidates = [each._replace(state=track.without_fix(each.state, k)) for each in candidates]
+            starts = [_Start(each.rows, track.without_fix(each.state, k)) for each in starts]
             k += 1
             continue
-        taken, nis, deviance = track.with_fix(state, k)
-        agreed = []
-        for each in candidates:
-            own, own_nis, own_deviance = track.with_fix(each.state, k)
+        after, nis, S = track.with_fix(state, k)
+        agreed, expected = [], nis <= limit
+        for each in starts:
+            own, own_nis, own_S = track.with_fix(each.state, k)
             if own_nis <= limit:
-                agreed.append(_Candidate(own, [*each.rows, k], own_deviance))
-        if nis <= limit and all(deviance <= each.deviance + RARE for each in agreed):
-            state, candidates = taken, []
+                agreed.append(_Start([*each.rows, k], own))
+                expected = expected and _deviance(nis, S) <= _deviance(own_nis, own_S) + RARE
+        if expected:
+            state, starts = after, []
             rows.append(k)
             calm += 1
         else:
-            state, candidates = track.without_fix(state, k), [*agreed, _Candidate(track.start(k), [k])]
+            state, starts = track.without_fix(state, k), [*agreed, _Start([k], track.start(k))]
             calm = 0
-            oldest = candidates[0]
-            if len(oldest.rows) == patience:
+            if len(starts[0].rows) == patience:
                 found.append(rows)
-                state, rows, candidates = oldest.state, oldest.rows, []
+                (rows, state), starts = starts[0], []
         k += 1
     return [*found, rows]
 
 
-class _Way:
-    """The way between fixes, z (N, m) in units of their noise: its length, and whether it is too fast.
+def _deviance(nis, S):
+    """Return -2 log of the probability density of an innovation, but for a constant."""
+    return nis + float(np.linalg.slogdet(S)[1])
 
-    That is measured by the steps within the segments found. The way to a fix of another recording never is.
+
+class _Moves:
+    """Moves between fixes z (N, m), in units of their noise, and whether they are too fast.
+
+    That is measured by the steps within the segments found. Between two recordings no move is too fast.
     """
 
     def __init__(self, found, z, times, recording):
         self.z, self.times, self.recording = z, times, recording
         a = np.concatenate([rows[:-1] for rows in found]).astype(int)
         b = np.concatenate([rows[1:] for rows in found]).astype(int)
-        later = times[b] > times[a]
-        speeds = self.speed(a, b)[later]
-        self.fast = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
+        speeds = self.speed(a, b)[times[b] > times[a]]
+        self.usual = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
 
     def distance(self, a, b):
         """Return the distance between fixes a and b, along the axes that both have measured."""
         return np.sqrt(np.nansum((self.z[b] - self.z[a]) ** 2, axis=-1))
 
     def speed(self, a, b):
-        """Return the speed of the way from fixes a to b."""
-        return self.distance(a, b) / np.maximum(self.times[b] - self.times[a], NO_TIME)
+        """Return the speed that leads from fixes a to later ones b."""
+        return self.distance(a, b) / np.maximum(self.times[b] - self.times[a], LEAST_STEP)
 
     def too_fast(self, a, b, at_most=FASTER):
-        """Tell which ways, from fixes a to b, are more than `at_most` times as fast as the track usually is."""
-        return (self.recording[a] == self.recording[b]) & (self.speed(a, b) > at_most * self.fast)
+        """Tell which moves from fixes a to b take more than `at_most` times the usual speed."""
+        return (self.recording[a] == self.recording[b]) & (self.speed(a, b) > at_most * self.usual)
 
 
-def _without_excursions(found, way):
+def _without_excursions(found, moves):
     """Return the segments but those that stand in a wrong position, as 0° N 0° E, from where the track returns."""
-    if way.fast == 0:  # a track that mostly stands still, but for the steps of a coarse grid
+    if moves.usual == 0:  # a track that mostly stands still, but for the steps of a coarse grid
         return found
     rows, left = np.concatenate(found), []
     for own, following in zip(found, [*found[1:], None], strict=True):
-        before = left[-1][-1] if left and way.recording[left[-1][-1]] == way.recording[own[0]] else None
-        after = following[0] if following and way.recording[following[0]] == way.recording[own[0]] else None
-        if not _is_excursion(own, before, after, rows, way):
+        steps = [(left[-1][-1], own[0])] if left else []
+        steps += [(own[-1], following[0])] if following else []
+        steps = [(a, b) for a, b in steps if moves.recording[a] == moves.recording[b]]
+        if not steps or not _is_excursion(own, steps, rows, moves):
             left.append(own)
     return left
 
 
-def _is_excursion(own, before, after, rows, way):
-    """Tell whether a segment stands in a wrong position; before and after are the fixes beside it, or None.
+def _is_excursion(own, steps, rows, moves):
+    """Tell whether a segment stands in a wrong position, from the steps that lead to it and away from it.
 
     The mobile goes there and back too fast, from and to where it could have gone without. At an end of a recording,
-    which has no way back, it must go there impossibly fast. Of the two positions that with more fixes is right.
+    where there is one step only, it must be impossibly fast. Of the two positions that with more fixes is right.
     """
-    ways = [(before, own[0])] if before is not None else []
-    ways += [(own[-1], after)] if after is not None else []
-    both = len(ways) == 2
-    if not ways or not all(way.too_fast(a, b, FASTER if both else IMPOSSIBLE) for a, b in ways):
+    both = len(steps) == 2
+    if not all(moves.too_fast(a, b, FASTER if both else IMPOSSIBLE) for a, b in steps):
         return False
-    if both and way.too_fast(before, after):
+    if both and moves.too_fast(steps[0][0], steps[1][1]):
         return False
-    near = HARDLY * min(way.distance(a, b) for a, b in ways)
-    here, there = own[0], after if before is None else before
-    stays = way.distance(own, here).max() <= near
-    return stays and (way.distance(rows, here) <= near).sum() < (way.distance(rows, there) <= near).sum()
+    near = HARDLY * min(moves.distance(a, b) for a, b in steps)
+    stays = moves.distance(own, own[0]).max() <= near
+    elsewhere = steps[0][0] if steps[0][1] == own[0] else steps[0][1]
+    here, there = ((moves.distance(rows, row) <= near).sum() for row in (own[0], elsewhere))
+    return stays and here < there
 
 
-def _without_stuck_ones(found, way):
+def _without_stuck_ones(found, moves):
     """Return the rows of the segments without those where a receiver without signal has stood still.
 
-    That is before a step that is too fast, if it would be none from where the fixes began to stay in one position, and
-    if the mobile came there at such a speed: one that rested there has not gone on, and the step is a jump. An example,
-    in the middle of a track that moves 1 m a second:
+    They stand before a step that is too fast, if it would not be from where they began, and if the mobile came there at
+    such a speed: one that rested there has not gone on, and the step is a jump. An example, in the middle of a track
+    that moves 1 m a second:
 
         time (s)          0   1   2   3   4   5   6   7   8
         true position     0   1   2   3   4   5   6   7   8
         recorded          0   1   2   3   3   3   3   7   8
                              before  tail ...    k   k + 1
 
-    The step of 4 m from k is too fast. The fixes from `tail` to k lie within a tenth of it. From the fix before them
-    the way to k + 1 is 5 m in 5 s, which is usual, and the mobile came at 1 m/s: the four fixes of 3 m are refused.
+    The step of 4 m from k is too fast. The fixes from `tail` to k lie within a tenth of it. The line from the fix
+    before them to k + 1 is 5 m in 5 s, which is usual, and the mobile came at 1 m/s: the four fixes of 3 m are refused.
     """
     rows = np.concatenate(found)
     stuck = np.zeros(len(rows), dtype=bool)
-    for k in np.flatnonzero(way.too_fast(rows[:-1], rows[1:])):
-        near = HARDLY * way.distance(rows[k], rows[k + 1])
+    for k in np.flatnonzero(moves.too_fast(rows[:-1], rows[1:])):
+        near = HARDLY * moves.distance(rows[k], rows[k + 1])
         tail = k
-        while tail > 0 and not stuck[tail - 1] and way.distance(rows[tail - 1], rows[k]) <= near:
+        while tail > 0 and not stuck[tail - 1] and moves.distance(rows[tail - 1], rows[k]) <= near:
             tail -= 1
         if tail == 0:
             continue
-        arrived = way.speed(rows[max(tail - 1 - STUCK, 0)], rows[tail - 1])
+        arrived = moves.speed(rows[max(tail - 1 - STUCK, 0)], rows[tail - 1])
         # Fixes that still move, at half the speed at which the mobile came or faster, are good.
-        while tail < k and way.speed(rows[tail], rows[tail + 1]) > arrived / 2:
+        while tail < k and moves.speed(rows[tail], rows[tail + 1]) > arrived / 2:
             tail += 1
-        if k + 1 - tail < STUCK:
-            continue
         before, after = rows[tail - 1], rows[k + 1]
-        # Where they have moved, the fixes before and after them are in one wrong position.
-        moved = way.distance(rows[tail:k], rows[k]).max() > HARDLY * way.distance(before, after)
-        if moved or way.too_fast(before, after):
+        if k + 1 - tail < STUCK or moves.too_fast(before, after):
             continue
-        speed = way.speed(before, after)
-        if ARRIVED * speed <= arrived <= speed / WENT_ON:
-            stuck[tail : k + 1] = True
+        # If they move further than that, the fixes before and after them are in one wrong position.
+        stands = moves.distance(rows[tail:k], rows[k]).max() <= HARDLY * moves.distance(before, after)
+        speed = moves.speed(before, after)
+        stuck[tail : k + 1] = stands and ARRIVED * speed <= arrived <= speed / WENT_ON
     refused = set(rows[stuck].tolist())
     left = ([row for row in each if row not in refused] for each in found)
     return [each for each in left if each]
 
 
-def _cheapest_chain(found, way):
+def _cheapest_chain(found, moves):
     """Return the rows of the segments that are kept, those without a jump between them as one, by rule 3.
 
     A segment is dropped by parts: what stands between refused fixes, and its first and its last fix, which may be
-    faults that agreed with the others by chance. The cheapest way to keep part j, after part i or as the first one, is
+    faults that agreed with the others by chance. The cheapest chain up to part j, after part i or with j first, costs
 
         cost[j] = to_keep[j] + min over i of (cost[i] + fixes of the parts between i and j + JUMP if there is one)
         cost[j] = to_keep[j] + fixes of all parts before j
@@ -392,12 +399,12 @@ def _cheapest_chain(found, way):
     dropped = np.cumsum([0, *map(len, parts)]).tolist()  # [j]: the fixes of all parts before j
 
     def jump(i, j):
-        """Tell whether the way from the end of a part to the start of one of another segment is too fast.
+        """Tell whether the move from the end of a part to the start of one of another segment is too fast.
 
         Where parts are dropped between them it must be a usual speed, so that parts are not dropped just to lower it.
         """
         at_most = 1.0 if j > i + 1 else FASTER
-        return segment[i] != segment[j] and bool(way.too_fast(parts[i][-1], parts[j][0], at_most))
+        return segment[i] != segment[j] and bool(moves.too_fast(parts[i][-1], parts[j][0], at_most))
 
     cost, before = [], []  # before[j]: the part that is kept before j, or None
     for j, rows in enumerate(parts):
@@ -405,7 +412,7 @@ def _cheapest_chain(found, way):
         for i in range(max(j - LOOK_BACK, 0), j):
             ways.append((cost[i] + dropped[j] - dropped[i + 1] + JUMP * jump(i, j), j - i, i))
         least, _, i = min(ways, key=lambda each: each[:2])  # of equal costs the nearest
-        to_keep = JUMP * min(int(way.too_fast(rows[:-1], rows[1:]).sum()), MOST_TOO_FAST)
+        to_keep = JUMP * min(int(moves.too_fast(rows[:-1], rows[1:]).sum()), MOST_TOO_FAST)
         cost.append(least + to_keep)
         before.append(i)
     last = range(len(parts))[-LOOK_BACK:]
@@ -416,7 +423,7 @@ def _cheapest_chain(found, way):
         j = before[j]
     joined = [list(parts[kept[0]])]
     for i, j in pairwise(kept):
-        if jump(i, j) or way.recording[parts[i][-1]] != way.recording[parts[j][0]]:
+        if jump(i, j) or moves.recording[parts[i][-1]] != moves.recording[parts[j][0]]:
             joined.append([])
         joined[-1] += parts[j]
     return joined

@@ -1,7 +1,7 @@
-"""Degrees in metres and back, on the ellipsoid of WGS 84.
+"""Degrees to metres and back, on the ellipsoid of WGS 84.
 
-A track lies in a `Plane` that touches the Earth at an origin. One that is too long for that, as of a flight, lies in a
-`Belt` along a great circle, which bends with the Earth.
+`to_plane` and `from_plane` are those of the plane that touches the Earth at an origin. A recorded track lies on a
+`Chart`, which reaches farther, as for a flight.
 """
 
 from __future__ import annotations
@@ -11,15 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import Array
+from .._checks import Array, refuse
 
 SEMI_MAJOR = 6378137.0  # m
 FLATTENING = 1 / 298.257223563
 ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
 # Rounds of two iterations that converge by a factor of 300 and of 20 or more each, some 1000 km from the origin.
 ROUNDS_OF_LATITUDE, ROUNDS_OF_HEIGHT = 5, 12
-# Further than this (m) from the origin of a plane lengths are over 0.3 % too short.
-ONE_PLANE, ALL_BUT_FAULTS = 500e3, 0.95
+# Segments that are no farther (m) from the middle of all share a chart, where metres are true to 0.1 %. A chart has no
+# metres on the far side of the Earth: nearly all fixes of a segment must be no farther from its middle.
+ONE_CHART, FARTHEST, NEARLY_ALL = 500e3, 15_000e3, 0.95
 
 
 def earth_centred(lat: ArrayLike, lon: ArrayLike, height: ArrayLike) -> Array:
@@ -73,101 +74,61 @@ def from_plane(z: Array, origin: tuple[float, float, float]) -> tuple[Array, Arr
 
 
 @dataclass(frozen=True)
-class Plane:
-    """The plane that touches the Earth at an origin: latitude, longitude (°) and height (m)."""
+class Chart:
+    """A map of the Earth around a middle, by latitude and longitude (°): the azimuthal equidistant projection.
 
-    origin: tuple[float, float, float]
-
-    def metres(self, lat: Array, lon: Array) -> Array:
-        """Return metres east and north (N, 2); a fix beyond the horizon, a fault, is put as far away as it is."""
-        z = to_plane(lat, lon, self.origin)
-        chord = np.linalg.norm(earth_centred(lat, lon, self.origin[2]) - earth_centred(*self.origin)[:, None], axis=0)
-        far = chord > 4 * ONE_PLANE
-        z[far] *= (chord[far] / np.maximum(np.linalg.norm(z[far], axis=1), 1.0))[:, None]
-        return z
-
-    def degrees(self, z: Array) -> tuple[Array, Array]:
-        """Return latitudes and longitudes of positions (N, 2)."""
-        return from_plane(z, self.origin)
-
-    def speed(self, z: Array, v: Array) -> Array:
-        """Return the speed (N,) of velocities v (N, 2) at positions z."""
-        return np.hypot(*v.T)
-
-
-@dataclass(frozen=True, eq=False)
-class Belt:
-    """A Mercator's chart along the great circle that a long track follows: angles are true, and it ends nowhere.
-
-    The rows of `axes` (3, 3) are directions in space: to the middle of the track, from there along the circle, and to
-    the circle's pole. Metres are true along the circle, to the 0.5 % of the Earth's flattening, and c = 1 / cos of the
-    angle from it too long beside it; `azimuth` is that of the circle, so that axes point east and north in the middle.
+    Metres are true in the middle, and towards it everywhere. Across that direction they are too long by c / sin c at an
+    angle c from the middle: by 0.1 % at 500 km, and by 9 % at the ends of a flight of 9,000 km.
     """
 
-    axes: Array
-    azimuth: float
-
-    @classmethod
-    def along(cls, lat: Array, lon: Array, middle: int) -> Belt:
-        """Return the Belt of positions (N,), of which one is their middle."""
-        normals = axes_at(lat, lon)[2]
-        pole = np.linalg.eigh(normals @ normals.T)[1][:, 0]
-        start = normals[:, middle] - pole * (pole @ normals[:, middle])
-        start /= np.linalg.norm(start)
-        along = np.cross(pole, start)
-        east, north, _ = axes_at(lat[middle], lon[middle])
-        return cls(np.array([start, along, pole]), float(np.arctan2(along @ east, along @ north)))
+    lat: float
+    lon: float
 
     def metres(self, lat: Array, lon: Array) -> Array:
-        """Return metres (N, 2), east and north in the middle; the way around the Earth goes on counting."""
-        x, y, up = self.axes @ axes_at(lat, lon)[2]
-        along = np.unwrap(np.arctan2(y, x))
-        beside = np.arctanh(np.clip(up, -1 + 1e-12, 1 - 1e-12))
-        return SEMI_MAJOR * np.column_stack([along, beside]) @ self._turn
+        """Return metres east and north of the middle (N, 2)."""
+        east, north, up = axes_at(self.lat, self.lon) @ axes_at(lat, lon)[2]
+        angle = np.arctan2(np.hypot(east, north), up)
+        return np.column_stack([east, north]) / np.sinc(angle / np.pi)[:, None] * self._radii
 
     def degrees(self, z: Array) -> tuple[Array, Array]:
-        """Return latitudes and longitudes of positions (N, 2)."""
-        along, beside = (z @ self._turn.T).T / SEMI_MAJOR
-        flat = 1 / np.cosh(beside)
-        x, y, z = self.axes.T @ np.array([flat * np.cos(along), flat * np.sin(along), np.tanh(beside)])
+        """Return latitudes and longitudes of positions (N, 2): the inverse of `metres`."""
+        east, north = (z / self._radii).T
+        angle = np.hypot(east, north)
+        across = np.sinc(angle / np.pi)
+        x, y, z = axes_at(self.lat, self.lon).T @ np.array([across * east, across * north, np.cos(angle)])
         return np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
 
-    def speed(self, z: Array, v: Array) -> Array:
-        """Return the speed (N,) of velocities v (N, 2) at positions z: the way that one second makes on the Earth."""
-        here, there = (earth_centred(*self.degrees(each), 0.0) for each in (z, z + v))
-        return np.linalg.norm(there - here, axis=0)
-
     @property
-    def _turn(self):
-        """The matrix from metres along and beside the circle to metres east and north."""
-        sine, cosine = np.sin(self.azimuth), np.cos(self.azimuth)
-        return np.array([[sine, cosine], [-cosine, sine]])
+    def _radii(self):
+        """The Earth's radii of curvature in the middle, towards the east and towards the north."""
+        w = 1 - ECCENTRICITY2 * np.sin(np.radians(self.lat)) ** 2
+        return SEMI_MAJOR / np.sqrt(w) * np.array([1.0, (1 - ECCENTRICITY2) / w])
 
 
-def charts_of(lat: Array, lon: Array, segment: Array) -> tuple[list[Plane | Belt], Array, Array]:
+def charts_of(lat: Array, lon: Array, segment: Array) -> tuple[list[Chart], Array, Array]:
     """Return the charts of a track, in which of them each fix lies, and positions (N, 2) in metres.
 
-    The middle of a chart is the fix nearest to the median, which no outlier moves. All segments share one if they are
-    near each other.
+    The middle of a chart is the fix nearest to the median, which no outlier moves. All segments share one chart if they
+    are near each other.
     """
     where = earth_centred(lat, lon, 0.0)
 
     def middle_of(rows):
         own = where[:, rows]
-        return int(rows[np.argmin(np.linalg.norm(own - np.median(own, axis=1)[:, None], axis=0))])
+        return rows[np.argmin(np.linalg.norm(own - np.median(own, axis=1)[:, None], axis=0))]
 
     numbers, chart = np.unique(segment, return_inverse=True)
-    middles = [middle_of(np.flatnonzero(segment == number)) for number in numbers]
+    middles = [middle_of(np.flatnonzero(chart == k)) for k in range(len(numbers))]
     whole = middle_of(np.arange(len(lat)))
-    if np.linalg.norm(where[:, middles] - where[:, [whole]], axis=0).max() < ONE_PLANE:
+    if np.linalg.norm(where[:, middles] - where[:, [whole]], axis=0).max() < ONE_CHART:
         middles, chart = [whole], np.zeros(len(lat), dtype=np.intp)
-    charts, z = [], np.empty((len(lat), 2))
-    for k, middle in enumerate(middles):
-        own = np.flatnonzero(chart == k)
-        away = np.linalg.norm(where[:, own] - where[:, [middle]], axis=0)
-        if np.quantile(away, ALL_BUT_FAULTS) < ONE_PLANE:
-            charts.append(Plane((float(lat[middle]), float(lon[middle]), 0.0)))
-        else:
-            charts.append(Belt.along(lat[own], lon[own], int(np.flatnonzero(own == middle)[0])))
-        z[own] = charts[-1].metres(lat[own], lon[own])
+    charts = [Chart(float(lat[middle]), float(lon[middle])) for middle in middles]
+    z = np.empty((len(lat), 2))
+    for k, each in enumerate(charts):
+        own = chart == k
+        z[own] = each.metres(lat[own], lon[own])
+        away = np.quantile(np.linalg.norm(z[own], axis=1), NEARLY_ALL)
+        if away > FARTHEST:
+            need = f"segments that stay within {FARTHEST / 1000:,.0f} km of their middle"
+            refuse("track", need, f"{away / 1000:,.0f} km")
     return charts, chart, z

@@ -1,4 +1,4 @@
-"""All segments of a track on one line of time, as one track for a filter, with its noise."""
+"""All segments of a track, one after the other, as one track for a filter, and the q and r of that filter."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from ..kalman import KalmanFilter
 from ..model import constant_velocity, stack
 from ..search import AROUND, along_a_line
 
-# Segments are this long apart at least: so long that nothing of one is known in the next. In T seconds without a fix
-# the variance of a velocity grows by q T: it has to grow by the square of so many usual speeds. But that of the
-# position, q T³ / 3, stays below so many times r, which doubles hold.
+# Segments are put an hour or more apart, so that one tells nothing of the next. In T seconds without a fix the variance
+# of a velocity grows by q T, which must reach the square of FORGOTTEN usual speeds. But that of a position, q T³ / 3,
+# must stay below HELD times r, so that doubles hold it.
 HOUR_BETWEEN, FORGOTTEN, HELD = 3600.0, 8, 1e20
-# q and r are those of at most so many fixes: more, in parts spread over the track, tell them to 1 % already.
+# q and r are fitted to at most so many fixes, in parts spread over the track: they determine both to 1 %.
 MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
-# r / q, in units of the usual step cubed (s³), is searched between these: first all over, later near the last one.
+# Limits of log r / q, with r / q in units of the usual step cubed (s³), the points of a search all over, and how close
+# a search comes.
 RATIOS = math.log(1e-8), math.log(1e6)
 ALL_OVER = math.log(100) * np.arange(-3.5, 4)
 RATIO_FOUND = 0.02
-# A first guess takes the squares that a tenth of all exceed: 2.71 of a normal distribution's variance.
+# Robust sizes: the value that a tenth exceeds. Of the squares of normal numbers it is 2.71 variances.
 TENTH, OF_TENTH = 0.9, 2.7055
 
 
 class Noise(NamedTuple):
-    """q (m²/s³) and r (m²) of all axes, and whether r is the least that is possible: the rounding of the numbers."""
+    """q (m²/s³) and r (m²), the same for all axes, and whether r is the least possible, the rounding of the numbers."""
 
     q: float
     r: float
@@ -38,8 +39,10 @@ class Noise(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """The size of a track's numbers: its usual step (s), the speed that a tenth of the steps exceed (m/s), and the
-    least variance that a fix can have (m²), that of the rounding of the numbers.
+    """The size of a track's numbers.
+
+    step: the median time between fixes (s); speed: the speed that a tenth of the steps exceed (m/s)
+    rounding: the variance of the rounding of the numbers (m²), the least that a fix can have
     """
 
     step: float
@@ -48,7 +51,7 @@ class Scale(NamedTuple):
 
 
 def scale_of(t: Array, z: Array, rounding: float, begin: NDArray[np.bool_] | None = None) -> Scale:
-    """Return the Scale of a track, faults and all; steps to another recording do not count."""
+    """Return the Scale of a track with its faults; `begin` (N,) are the rows where a recording begins."""
     rows, recording = _whole_fixes(z, begin)
     seconds, moved = np.diff(t[rows]), np.linalg.norm(np.diff(z[rows], axis=0), axis=1)
     inside = (seconds > 0) & (np.diff(recording) == 0)
@@ -60,10 +63,10 @@ def scale_of(t: Array, z: Array, rounding: float, begin: NDArray[np.bool_] | Non
 
 
 def first_guess(t: Array, z: Array, scale: Scale, begin: NDArray[np.bool_] | None = None) -> Noise:
-    """Return q and r that give the changes of velocity between fixes the size that a tenth of them exceeds.
+    """Return a guess of q and r from the changes of velocity between fixes, robust to a tenth of faults.
 
-    Over two steps of h seconds the velocity changes by a variance of 2 q h / 3 + 6 r / h². Steps of one fix and of four
-    tell both; a tenth of faults changes neither by much.
+    Between two steps of h seconds the velocity of the fixes changes with variance 2 q h / 3 + 6 r / h². Steps from fix
+    to fix and over four of them give two equations.
     """
     rows, recording = _whole_fixes(z, begin)
     equations, sizes = [], []
@@ -89,15 +92,15 @@ def _whole_fixes(z, begin):
 
 
 class Line(NamedTuple):
-    """The K rows of a track that lie in segments, on one line of time, which a filter takes for one track of m axes.
+    """The K rows of all segments of a track, one after the other, which a filter takes for one track.
 
-    rows (K,): which rows of the track they are
-    t (K,): their times, an hour or more from one segment to the next
-    z (K, m): the positions, NaN where refused, each segment beginning where the one before it ended
-    moved (K, m): how far they were moved for that
-    first (K,): the first two fixes of each segment: they only tell where it begins, and its velocity
-    number (K,): the segment that each row lies in, 0, 1, ...
-    relative (K, m): the variances of the fixes, relative to each other, or None where all are alike
+    rows (K,): their rows in the track
+    t (K,): their times, with an hour or more from one segment to the next
+    z (K, m): the positions, NaN where refused, moved so that each segment begins where the one before it ended
+    moved (K, m): how far they were moved
+    first (K,): whether it is one of the first two fixes of a segment, which only tell its position and velocity
+    number (K,): the segment, 0, 1, ...
+    relative (K, m): the relative variances of the fixes, or None where all are alike
     """
 
     rows: NDArray[np.intp]
@@ -109,11 +112,11 @@ class Line(NamedTuple):
     relative: Array | None
 
     def part(self, rows: NDArray[np.intp] | slice) -> Line:
-        """Return some of the rows."""
+        """Return the Line of some of its rows."""
         return Line(*(None if each is None else each[rows] for each in self))
 
     def stands_still(self, scale: Scale) -> bool:
-        """Tell whether all fixes are one, but for their rounding: no q and r can be fitted to such a line."""
+        """Tell whether all fixes are the same but for their rounding, so that no q and r can be fitted to them."""
         there = self.z[np.isfinite(self.z).any(axis=1)]
         width = np.nanmax(there, axis=0) - np.nanmin(there, axis=0)
         return bool((width < math.sqrt(scale.rounding)).all())
@@ -128,10 +131,9 @@ def on_one_line(
     noise: Noise,
     scale: Scale,
 ) -> Line:
-    """Return the Line of a track: the rows from the first to the last fix of each segment.
+    """Return the Line of a track: the rows from the first to the last fix of each segment (N,).
 
-    They are so long apart that the velocity at the start of one is not known from the one before it. A row that repeats
-    a fix, `same_as` (N,), lies in its segment (N,).
+    A row that repeats a fix lies in the segment of that, the row `same_as` (N,).
     """
     held = float(np.cbrt(3 * HELD * noise.r / noise.q))
     apart = max(HOUR_BETWEEN, min((FORGOTTEN * scale.speed) ** 2 / noise.q, held))
@@ -156,13 +158,13 @@ def on_one_line(
 
 
 def _ends(z):
-    """Return the first and the last known position (m,) along each axis of fixes (K, m), 0 where there is none."""
+    """Return the first and the last position (m,) that is known of each axis of fixes (K, m), 0 where none is."""
     known = [column[np.isfinite(column)] for column in z.T]
     return np.array([each[[0, -1]] if len(each) else [0.0, 0.0] for each in known]).T
 
 
 def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
-    """Return the filter of a track of some axes, which starts from its first fix, known to some steps."""
+    """Return the filter of a track, whose start is known to ten steps and two usual speeds."""
     sigma = 10 * (math.sqrt(noise.r) + scale.speed * scale.step)
     P0 = np.diag([sigma**2, (2 * scale.speed) ** 2])
     axis = constant_velocity(dt=scale.step, q=noise.q, r=noise.r, P0=P0)
@@ -170,9 +172,9 @@ def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes
 
 
 def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> KalmanFilter:
-    """Return the filter of one axis of a line, from the variances of a hundred usual steps and of ten usual speeds.
+    """Return the filter of one axis, whose start is known to a hundred usual steps and ten usual speeds.
 
-    Each axis of z (K, 1, m) is a track for it.
+    It takes each axis of z (K, 1, m) for a track.
     """
     P0 = np.diag([(100 * scale.speed * scale.step) ** 2, (10 * scale.speed) ** 2])
     axis = constant_velocity(dt=scale.step, q=q, r=r, P0=P0)
@@ -180,16 +182,16 @@ def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> Kalma
 
 
 def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:
-    """Return -log L of the log of q and r, of the fixes of a line given the first two of each segment."""
+    """Return -log L of the fixes of a line given the first two of each segment, as a function of log q and log r."""
     make = lambda q, r: from_an_unknown_start(line, q, r, scale)  # noqa: E731
     return fitting.NegativeLogLikelihood(make, ["q", "r"], line.z[:, None], ~line.first)
 
 
 def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
-    """Return maximum-likelihood q and r of the fixes of a line, searched along r / q, near a guess or all over.
+    """Return maximum-likelihood q and r of the fixes of a line, by a search along r / q near a guess or all over.
 
-    A first guess may be near a lesser maximum: a recording with many short gaps has several.
-    Where r comes out below the rounding of the numbers it is set to that.
+    All over is for a guess that may lie near a lesser maximum: a recording with many short gaps has several. An r below
+    the rounding of the numbers is set to that.
     """
     likelihood = likelihood_of(_sample(line), scale)
     low, high = (each + math.log(scale.step**3) for each in RATIOS)
@@ -200,20 +202,20 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
 
     at, ratio = np.log([guess.q, guess.r]), np.array([-0.5, 0.5])
     found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0) if near else at
-    if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # it was looked for in the wrong place
+    if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # the guess was not near
         middle = at[0] + np.array([0.0, (low + high) / 2])
         found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
     q, r = np.exp(found)
     if r > scale.rounding:
         return Noise(float(q), float(r), False)
-    for _ in range(3):  # r is known, and the best scale for r / q changes q, and so r / q
+    for _ in range(3):  # with r fixed: the best scale for this r / q changes q, and so r / q
         q *= math.exp(likelihood.with_best_scale(np.log([q, scale.rounding]))[0])
-        q = max(q, scale.rounding / math.exp(high))  # of fixes that rest nothing tells q
+        q = max(q, scale.rounding / math.exp(high))  # fixes at rest tell nothing of q
     return Noise(float(q), scale.rounding, True)
 
 
 def log_errors(line: Line, noise: Noise, scale: Scale) -> dict[str, float]:
-    """Return standard errors of log q and log r, as `fit` does; that of an r that is the rounding is infinite."""
+    """Return the standard errors of log q and log r, as `fit` does; infinite for an r that is the rounding."""
     known = np.arange(1 if noise.rounding else 2)
     blocks = fitting.blocks_of(from_an_unknown_start(line, *noise[:2], scale), line.z[:, :1])
     blocks = blocks._replace(of_rows=np.repeat(blocks.of_rows, line.z.shape[1], axis=1))  # one for all axes of a fix
@@ -222,7 +224,7 @@ def log_errors(line: Line, noise: Noise, scale: Scale) -> dict[str, float]:
 
 
 def _sample(line):
-    """Return a line, or parts spread over it where it has many fixes, each of which begins as a segment does."""
+    """Return a line, or of a long one parts spread over it, whose first two fixes count as those of a segment."""
     if len(line.rows) <= MOST_FITTED:
         return line
     starts = np.linspace(0, len(line.rows) - FITTED_AT_A_TIME, MOST_FITTED // FITTED_AT_A_TIME).astype(int)

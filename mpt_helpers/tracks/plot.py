@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .report import KM_H, numbers_of_the_way
-from .writers import segment_of_rows
+from .writers import degrees_of, segment_of_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
-LONG = 3 * 3600.0  # s, from where on the picture counts hours
-MOSTLY_PAUSES = 20.0  # a picture that is so many times as long as its rides shows nothing of them
+LONG = 3 * 3600.0  # s: longer tracks are drawn over hours
+MOSTLY_PAUSES = 20.0  # a recording that is so many times as long as its rides is drawn without its pauses
 # Panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
-LONGEST_LINE = 5_000  # points that are drawn of a curve
-NUMBERS = 5  # steps of an axis at most: six numbers of five digits fit
+LONGEST_LINE = 5_000  # points of a curve, about; more are thinned out
+NUMBERS = 5  # steps along an axis at most: six numbers of five digits fit
 
 
 def figure(c: Cleaned) -> Figure:
@@ -44,12 +44,10 @@ def figure(c: Cleaned) -> Figure:
 
 
 def _on_one_map(c, z):
-    """Return positions (N, 2) in km in one plane; a single axis points east."""
+    """Return positions (N, 2) in km on one chart; a single axis points east."""
     z = np.column_stack([z, np.zeros(len(z))])[:, :2]
-    charts = [] if c.source is None else c.source.charts
-    for k, chart in enumerate(charts[1:], start=1):
-        own = (c.source.plane == k) & np.isfinite(z[:, 0])
-        z[own] = charts[0].metres(*chart.degrees(z[own]))
+    if c.source is not None and c.source.charts:
+        z = c.source.charts[0].metres(*degrees_of(c, z))
     return z / 1000
 
 
@@ -111,7 +109,7 @@ def _draw_speed(ax, c, line, refused, band):
 
 
 def _time_of_the_picture(c):
-    """Return the seconds (N,) since the start, and their name; pauses that leave no room for the rides are left out."""
+    """Return the seconds (N,) since the start, and their name; without pauses if these leave no room for the rides."""
     t = c.t[c.line.rows]
     ridden = np.where(np.diff(c.line.number) == 0, np.diff(c.line.t), 0.0)
     time = np.full(len(c.t), np.nan)

@@ -6,6 +6,7 @@ The words need no knowledge of filters; a specialist's numbers stand in brackets
 from __future__ import annotations
 
 import math
+from datetime import timedelta
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -13,29 +14,28 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from . import geodesy
+from .geodesy import earth_centred
 from .readers import UNIX, moment_of
 from .writers import degrees_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
-DOUBTFUL = 0.05  # of the rows, whose speed is not told from that: a glider that is parked for a minute is no such track
+DOUBTFUL = 0.05  # of the rows: if the speed of more is not told from MOVING, the time in motion is not known
 REST, REST_STEP = 60.0, 2.0  # s: a rest lasts a minute, which is looked at in steps
 KM_H = 3.6
 COLUMNS = 100  # of a terminal
-TOGETHER = "\u00a0"  # a blank at which no line is broken
-A_FEW, VAGUE = 0.3, math.log(10)  # errors of a logarithm: below the first one they are a percentage
-LISTED = 5  # times of faults
+TOGETHER = "\u00a0"  # a blank at which a line is not broken
+A_FEW, UNKNOWN = 0.3, math.log(10)  # errors of a logarithm: told in per cent, as a factor, or not at all
+LISTED = 5  # times of faults at most
 OF_THE_BAND = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
-# A usual recording is neither so fast nor so slow: a fighter's speed, a snail's. Between fixes of RARELY or more a
-# tenth of a second may lie, in milliseconds. A larger share of fixes than MANY is hardly one of faults.
-VERY_FAST, VERY_SLOW = 400.0, 0.02  # m/s
-RARELY = 100.0  # s
-MANY = 0.1
+# Usual recordings lie between the speeds of a snail and of a fighter. Fixes RARELY seconds apart and so slow are usual
+# ones whose times are in milliseconds.
+VERY_FAST, VERY_SLOW, SLOW_AND_RARE, RARELY = 400.0, 0.02, 0.4, 100.0  # m/s, m/s, m/s, s
+MANY = 0.1  # of the fixes: a larger share is hardly one of faults
 
 
 def text(c: Cleaned) -> str:
-    """Return the report of a Cleaned; what is to be asked stands before the numbers that it makes doubtful."""
+    """Return the report of a Cleaned; questions stand before the numbers that they make doubtful."""
     lines = [_heading(c), *(f"note: {each}" for each in _notes(c))]
     lines += [*_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
     filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
@@ -63,52 +63,35 @@ def summary(c: Cleaned) -> dict[str, Any]:
 
 
 def _notes(c):
-    """Return what was taken for what, and what is unusual, in words."""
+    """Return the notes of the reader and of `clean`, and questions about what is unusual."""
     return [*([] if c.source is None else c.source.said), *c.said, *c.unusual]
 
 
 def unusual(c: Cleaned) -> list[str]:
-    """Return what is unusual for a recorded track, as questions: it may be in other units, or have too few digits.
-
-    Times in milliseconds that are taken for seconds make a quarter of an hour of each second, and a snail of a car: a
-    track that hardly moves is asked about, and one with rare fixes that would be no faster than a usual one. Degrees in
-    radians make a track in the Atlantic of any other.
-    """
+    """Return questions about what is unusual for a recorded track: it may be in other units, or have too few digits."""
     found = []
     fixes = np.isfinite(c.z).all(axis=1) & c.mask
     seconds, moved = np.diff(c.t[fixes]), np.linalg.norm(np.diff(c.z[fixes], axis=0), axis=1)
     later = seconds > 0
-    in_degrees = c.source is not None and bool(c.source.charts)
     if later.any():
-        found += _of_speeds(moved[later] / seconds[later], float(np.median(seconds[later])), in_degrees)
-    if in_degrees:
+        step, speed = np.median(seconds[later]), np.quantile(moved[later] / seconds[later], 0.99)
+        seen = ""
+        if speed > VERY_FAST:
+            seen = f"one step in a hundred is faster than {speed:.0f} m/s"
+        elif speed < VERY_SLOW or (step >= RARELY and speed < SLOW_AND_RARE):
+            seen = f"99 of 100 steps are slower than {speed:.1g} m/s, with a fix every {step:g} s"
+        if seen:
+            units = "are the times in seconds, not milliseconds, and the positions in metres, or a file's in degrees?"
+            found.append(f"ATTENTION: {seen}: {units}")
+    if c.source is not None and c.source.charts:
         recording, rows = c.source.recording, c.source.rows[fixes]
-        if (np.abs(recording.lat[rows]) < math.pi / 2).all() and (np.abs(recording.lon[rows]) < math.pi).all():
-            found.append(
-                "ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians? numpy.degrees(lat)"
-            )
+        if max(np.abs(recording.lat[rows]).max() * 2, np.abs(recording.lon[rows]).max()) < math.pi:
+            found.append("ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians?")
     share = _share_refused(c)
     if share > MANY:
-        many = f"{share:.0%} of the fixes are refused. So many are hardly faults"
-        found.append(f"ATTENTION: {many}: are digits missing, or is the noise large?")
+        asked = "So many are hardly faults: are digits missing, or is the noise large?"
+        found.append(f"ATTENTION: {share:.0%} of the fixes are refused. {asked}")
     return found
-
-
-def _of_speeds(speeds, step, in_degrees):
-    """Ask about units where the speed (m/s) that 99 of 100 steps have at most is unusual for a usual step (s)."""
-    speed = float(np.quantile(speeds, 0.99))
-    rarely = f", with a fix every {step:g} s" if step >= RARELY else ""
-    if speed > VERY_FAST:
-        units = "degrees" if in_degrees else "metres, not millimetres"
-        seen = f"one step in a hundred is faster than {speed:.0f} m/s"
-        return [f"ATTENTION: {seen}: are the times in seconds, and the positions in {units}?"]
-    if speed == 0:
-        return ["ATTENTION: 99 of 100 fixes stand where the one before them stood: are digits missing?"]
-    if speed < VERY_SLOW or (rarely and speed < VERY_FAST / 1000):
-        units = "" if in_degrees else ", and the positions in metres, not degrees or kilometres"
-        seen = f"99 of 100 steps are slower than {speed:.1g} m/s{rarely}"
-        return [f"ATTENTION: {seen}: are the times in seconds, not milliseconds{units}?"]
-    return []
 
 
 def _share_refused(c):
@@ -116,11 +99,7 @@ def _share_refused(c):
 
 
 def _clock(seconds):
-    minutes, seconds = divmod(round(seconds), 60)
-    days, hours = divmod(minutes // 60, 24)
-    if days < 2:
-        return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
-    return f"{days:,} days {hours}:{minutes % 60:02d}:{seconds:02d}"
+    return str(timedelta(seconds=round(seconds)))
 
 
 def counted(left_out: dict[str, int]) -> str:
@@ -163,7 +142,7 @@ def _faults(c):
 
 
 def _moments(c, rows):
-    """Say when the first few of some rows were recorded."""
+    """Return when the first few of some rows were recorded, in words."""
     t = c.t[c.line.rows]
     seconds = c.t[rows][(c.t[rows] >= t.min()) & (c.t[rows] <= t.max())] - t.min()  # without faults of time
     if not len(seconds):
@@ -196,7 +175,7 @@ def _symbol(name, value, unit):
 def _known(log_error):
     if log_error < A_FEW:
         return f"known to {log_error:.0%}"
-    return f"known to a factor of {math.exp(log_error):.1f}" if log_error < VAGUE else "hardly known"
+    return f"known to a factor of {math.exp(log_error):.1f}" if log_error < UNKNOWN else "hardly known"
 
 
 def _prediction(c):
@@ -213,26 +192,23 @@ def _prediction(c):
 
 
 def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
-    """Return km, seconds in motion or None, the median speed in motion, the fastest but 0.1 %, and their error (km/h).
+    """Return the length (km), the seconds in motion or None, the median speed in motion, the top speed and their error.
 
-    Of a track with charts the way is that on the Earth; of a rest it is the straight line from its start to its end. In
-    motion is a row that is faster than MOVING and does not lie in a minute at rest (`_at_rest`). How long that was is
-    not known where many speeds are within their error of MOVING.
+    The top speed is the 99.9 % quantile; speeds are in km/h. Lengths and speeds are those on the Earth where the track
+    is in degrees, and a rest counts as the straight line from its start to its end. A row is in motion if it is faster
+    than MOVING and not in a minute at rest. If too many speeds cannot be told from MOVING, the time in motion is None.
     """
     rows = c.line.rows
-    position, velocity = c.x[rows][:, :4:2], c.x[rows][:, 1:4:2]
-    speed, on_earth = np.linalg.norm(velocity, axis=1), position.T
+    position, later = c.x[:, :4:2], c.x[:, :4:2] + c.x[:, 1:4:2]  # a second later
+    here, there = position.T[:, rows], later.T[:, rows]
     if c.source is not None and c.source.charts:
-        for k, chart in enumerate(c.source.charts):
-            own = c.source.plane[rows] == k
-            speed[own] = chart.speed(position[own], velocity[own])
-        lat, lon = degrees_of(c)
-        on_earth = geodesy.earth_centred(lat[rows], lon[rows], 0.0)
-    rest = _at_rest(c.line, position, speed)
+        here, there = (earth_centred(*degrees_of(c, each), 0.0)[:, rows] for each in (position, later))
+    speed = np.linalg.norm(there - here, axis=0)
+    rest = _at_rest(c.line, position[rows], speed)
     same = np.diff(c.line.number) == 0
     kept = np.ones(len(rows), dtype=bool)
     kept[1:-1] = ~(rest[1:-1] & rest[:-2] & rest[2:] & same[:-1] & same[1:])
-    steps = np.linalg.norm(np.diff(on_earth[:, kept], axis=1), axis=0)
+    steps = np.linalg.norm(np.diff(here[:, kept], axis=1), axis=0)
     seconds = np.diff(c.t[rows])
     moving = (speed > MOVING) & ~rest
     error = math.sqrt(float(np.median(c.P[rows, 1, 1])))
@@ -250,8 +226,8 @@ def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
 def _at_rest(line, position, speed):
     """Tell which rows of a line lie in a minute at rest.
 
-    The error of a receiver that stands wanders, at the speed of a slow walk. But it leads nowhere: such a minute stays
-    within the way that MOVING makes in it, and half of its speeds are below twice MOVING.
+    The fixes of a receiver at rest drift at the speed of a slow walk, but stay in one place: within such a minute they
+    keep within the distance that MOVING covers in it, and half of their speeds are below twice MOVING.
     """
     rest = np.zeros(len(position), dtype=bool)
     size = int(REST / REST_STEP) + 1
@@ -263,8 +239,8 @@ def _at_rest(line, position, speed):
             continue
         windows = [sliding_window_view(np.interp(grid, t, each), size) for each in (*position[own].T, speed[own])]
         extent = np.linalg.norm([np.ptp(each, axis=1) for each in windows[:-1]], axis=0)
-        calm = (extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING)
-        among = np.convolve(calm, np.ones(size))[: len(grid)] > 0.5  # the steps of the grid that a calm minute holds
+        still = (extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING)
+        among = np.convolve(still, np.ones(size))[: len(grid)] > 0.5  # grid points inside such a minute
         rest[own] = among[np.minimum(np.searchsorted(grid, t), len(grid) - 1)]
     return rest
 
@@ -281,7 +257,7 @@ def _way(c):
 
 
 def _digits(value):
-    """Return a number with two digits that count, without an exponent where it is readable without."""
+    """Return a number with two significant digits, without an exponent if it stays readable."""
     if value == 0 or not 1e-4 <= abs(value) < 1e6:
         return f"{value:.1e}"
     return f"{value:.{max(0, 1 - math.floor(math.log10(abs(value))))}f}"

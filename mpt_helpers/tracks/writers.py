@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 import re
@@ -28,13 +29,12 @@ def segment_of_rows(c: Cleaned) -> np.ndarray:
     return number
 
 
-def degrees_of(c: Cleaned) -> tuple[np.ndarray, np.ndarray]:
-    """Return latitudes and longitudes (N,) of the smoothed track, NaN outside of segments."""
-    lat, lon = np.full(len(c.t), np.nan), np.full(len(c.t), np.nan)
-    inside = np.isfinite(c.x[:, 0])
+def degrees_of(c: Cleaned, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return latitudes and longitudes (N,) of positions (N, 2), one for each row of the track, on the row's chart."""
+    lat, lon = np.empty(len(z)), np.empty(len(z))
     for k, chart in enumerate(c.source.charts):
-        own = inside & (c.source.plane == k)
-        lat[own], lon[own] = chart.degrees(c.x[own, :4:2])
+        own = c.source.plane == k
+        lat[own], lon[own] = chart.degrees(z[own])
     recorded = c.source.recording.lon[c.source.rows]
     return lat, lon + 360 * np.round((recorded - lon) / 360)  # as the file counts them
 
@@ -43,12 +43,12 @@ def gpx_bytes(c: Cleaned) -> bytes:
     """Return the smoothed track as the bytes of a GPX file."""
     if c.source is None or c.source.recording.metres is not None:
         raise ValueError("gpx: needs a track in degrees, from a file; this one has metres only")
-    lat, lon = degrees_of(c)
-    new_segments = set(c.starts.tolist())
+    lat, lon = degrees_of(c, c.x[:, :4:2])
     data = c.source.recording.data
     count = sum(found["tag"] is not None for found in FIX.finditer(data))
-    if count != len(c.source.recording.time):  # of a file that is cut nothing else is kept
-        return _plain_gpx(c, lat, lon, new_segments)
+    if count != len(c.source.recording.time):  # a table, or a GPX file that is cut, of which nothing else is kept
+        return _plain_gpx(c, lat, lon)
+    starts = set(c.starts.tolist())
     fixes, row_of = itertools.count(), {int(fix): row for row, fix in enumerate(c.source.rows)}
 
     def smoothed(found):
@@ -57,7 +57,7 @@ def gpx_bytes(c: Cleaned) -> bytes:
         row = row_of.get(next(fixes))
         if row is None or math.isnan(lat[row]):
             return b""
-        between = b"</%strkseg><%strkseg>" % (found["prefix"], found["prefix"]) if row in new_segments else b""
+        between = b"</%strkseg><%strkseg>" % (found["prefix"], found["prefix"]) if row in starts else b""
         return between + _with_number(_with_number(found["tag"], b"lat", lat[row]), b"lon", lon[row]) + found["rest"]
 
     return _signed(FIX.sub(smoothed, data))
@@ -75,33 +75,32 @@ def _signed(data):
     return data[:at] + said + data[at:]
 
 
-def _plain_gpx(c, lat, lon, new_segments):
-    recording = c.source.recording
+def _plain_gpx(c, lat, lon):
+    """Return the rows that lie in segments as a GPX file of their own, a segment of the file for each."""
+    recording, number = c.source.recording, segment_of_rows(c)
     lines = ['<?xml version="1.0" encoding="UTF-8"?>']
-    lines.append('<gpx version="1.1" creator="mpt_helpers" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>')
-    for row in np.flatnonzero(np.isfinite(lat)).tolist():
-        if row in new_segments:
-            lines.append("</trkseg><trkseg>")
-        fix = c.source.rows[row]
-        height = recording.height[fix]
-        ele = f"<ele>{height:.2f}</ele>" if math.isfinite(height) else ""
-        time = moment_of(recording.time[fix]).isoformat().replace("+00:00", "Z")
-        lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
-    lines.append("</trkseg></trk></gpx>\n")
+    lines.append('<gpx version="1.1" creator="mpt_helpers" xmlns="http://www.topografix.com/GPX/1/1"><trk>')
+    for k in range(c.stretches):
+        lines.append("<trkseg>")
+        for row in np.flatnonzero(number == k).tolist():
+            fix = c.source.rows[row]
+            height = recording.height[fix]
+            ele = f"<ele>{height:.2f}</ele>" if math.isfinite(height) else ""
+            time = moment_of(recording.time[fix]).isoformat().replace("+00:00", "Z")
+            lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
+        lines.append("</trkseg>")
+    lines.append("</trk></gpx>\n")
     return _signed("\n".join(lines).encode())
 
 
 def csv_bytes(c: Cleaned) -> bytes:
     """Return the smoothed track of a file in metres as a table, with a line of names."""
-    recording = c.source.recording
-    lines = ["# smoothed by mpt_helpers", "time,x,y,v_x,v_y,refused"]
-    number = segment_of_rows(c)
-    for row in np.flatnonzero(number >= 0).tolist():
-        seconds = recording.time[c.source.rows[row]] / 1e6
-        x = c.x[row]
-        refused = int(c.pieces[row] < 0)
-        lines.append(f"{seconds:.6f},{x[0]:.4f},{x[2]:.4f},{x[1]:.4f},{x[3]:.4f},{refused}")
-    return "\n".join([*lines, ""]).encode()
+    rows = np.flatnonzero(segment_of_rows(c) >= 0)
+    seconds = c.source.recording.time[c.source.rows[rows]] / 1e6
+    table = np.column_stack([seconds, c.x[rows][:, [0, 2, 1, 3]], c.pieces[rows] < 0])
+    file, head = io.StringIO(), "# smoothed by mpt_helpers\ntime,x,y,v_x,v_y,refused"
+    np.savetxt(file, table, ["%.6f", *["%.4f"] * 4, "%d"], delimiter=",", header=head, comments="")
+    return file.getvalue().encode()
 
 
 def frame_of(c: Cleaned) -> Any:
@@ -117,7 +116,7 @@ def frame_of(c: Cleaned) -> Any:
         index = c.source.rows if recording.index is None else recording.index[c.source.rows]
     columns = {"time": time}
     if recording is not None and recording.metres is None:
-        columns["lat"], columns["lon"] = degrees_of(c)
+        columns["lat"], columns["lon"] = degrees_of(c, c.x[:, :4:2])
     axes = "xyz"[: c.z.shape[1]]
     columns |= {axis: c.x[:, 2 * k] for k, axis in enumerate(axes)}
     columns |= {f"v_{axis}": c.x[:, 2 * k + 1] for k, axis in enumerate(axes)}

@@ -128,10 +128,9 @@ def judged(cases, kalman, sigma, tau):
 def carried(cases, fits, kalman):
     """Return a row for each origin of the constants: the spread of `ratios` over all heights.
 
-    The constants are fitted to the other half of the day, or to the same kind of range at each other station. The last
-    row has means over four hours, by the formula.
+    The constants are fitted to the other half of the day, or to the same kind of range at each other station.
     """
-    halves, stations, hours = [], [], []
+    halves, stations = [], []
     for name, case in cases.items():
         parts = np.array_split(case.errors[:, UP], 2)
         for part, other, fitted in zip(parts, parts[::-1], fits[name].halves[::-1, 0], strict=True):
@@ -140,12 +139,10 @@ def carried(cases, fits, kalman):
         if cases[name].kind == cases[other].kind:
             z, step, fitted = cases[name].errors[:, UP], cases[name].step, constants_of(fits[other])
             stations.append(ratios(kalman, z, step, np.nanvar(cases[other].errors[:, UP]), fitted))
-            hours.append(mean_over_stated(z, fitted, step, n=round(4 * 3600 / step)))
-    rows = [["another half day", *(spread(each, TENTH) for each in zip(*halves, strict=True))]]
-    if stations:  # a reader's own may be the only one
-        rows.append(["another station", *(spread(each, TENTH) for each in zip(*stations, strict=True))])
-        rows.append(["another station, over four hours", "", spread(hours, TENTH), "", ""])
-    return rows
+    origins = {"another half day": halves, "another station": stations}  # a reader's own may be the only station
+    return [
+        [name, *(spread(each, TENTH) for each in zip(*found, strict=True))] for name, found in origins.items() if found
+    ]
 
 
 # What smoothing and corrections do

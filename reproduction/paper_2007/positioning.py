@@ -112,8 +112,9 @@ def linearised(satellites, X):
 def position_steps(satellites, ranges, start, steps):
     """Return the iterates of the rough position (2007 Eq. 7), (steps + 1, 4); the first one is the start.
 
-    satellites is (m, 3), ranges their pseudoranges (m,), start the known [x y z D'], all in metres. Raises ValueError
-    for fewer than four satellites, ranges that cannot be, and a degenerate geometry.
+    satellites is (m, 3), ranges their pseudoranges, the same (m,) for all steps or others (steps, m) for each, start
+    the known [x y z D'], all in metres. Raises ValueError for fewer than four satellites, ranges that cannot be, and a
+    degenerate geometry.
 
     >>> X = np.array([*place(56.95, 24.1), 5e3])
     >>> satellites = sky(X[:3], t=0.0)
@@ -121,10 +122,10 @@ def position_steps(satellites, ranges, start, steps):
     >>> print(*(f"{gap:.0e}" for gap in np.linalg.norm(path - X, axis=1)))
     3e+05 2e+03 5e-02
     """
-    satellites, ranges, sigma = _checked_epoch(satellites, ranges, variance=1.0)
+    satellites, ranges, sigma = _checked_epoch(satellites, ranges, np.ones(len(satellites)), dimensions=(1, 2))
     path = [checks.array("start", start, (4,))]
-    for _ in range(steps):
-        path.append(path[-1] + _correction(satellites, ranges, sigma, path[-1]))
+    for each in np.broadcast_to(ranges, (steps, len(satellites))):
+        path.append(path[-1] + _correction(satellites, each, sigma, path[-1]))
     return np.array(path)
 
 
@@ -248,16 +249,16 @@ def _fix(satellites, ranges, sigma, X, used):
     return Fix(X, np.linalg.inv(H.T @ H), residuals, used, chi_square, probability)
 
 
-def _checked_epoch(satellites, ranges, variance):
-    """Return the arrays of satellites (m, 3), ranges (m,) and standard deviations (m,) of one epoch, or raise."""
+def _checked_epoch(satellites, ranges, variance, dimensions=(1,)):
+    """Return the arrays of satellites (m, 3), ranges (..., m) and standard deviations (m,) of one epoch, or raise."""
     satellites, ranges = _filled(satellites), _filled(ranges)
     if satellites.ndim != 2 or satellites.shape[1] != 3 or len(satellites) < 4:
         raise ValueError(f"satellites: needs an (m, 3) array of at least 4, got shape {satellites.shape}")
-    if ranges.shape != (len(satellites),):
+    if ranges.ndim not in dimensions or ranges.shape[-1] != len(satellites):
         raise ValueError(f"ranges: needs one for each of {len(satellites)} satellites, got shape {ranges.shape}")
     _require_plausible("satellites", "positions", np.linalg.norm(satellites, axis=1))
     _require_plausible("ranges", "pseudoranges", ranges)
-    return satellites, ranges, _checked_sigma(variance, np.full(ranges.shape, True))
+    return satellites, ranges, _checked_sigma(variance, np.full(len(satellites), True))
 
 
 def _filled(values):

@@ -58,7 +58,11 @@ def draw_braking():
             backwards = misses(model, 2.0, lasting, stops=False)
             ax.plot(backwards, "--", color=acceleration, marker=".", label="the same, if it may drive backwards")
         ax.axhline(0, color="0.4", lw=1.0)
-        plots.finish(ax, "second of the brake", f"2 m/s², {name}")
+        if np.isfinite(lasting):
+            ax.axvline(lasting, color="0.6", ls=":", lw=1.0)
+            ax.annotate("let go", (lasting, 0.96), (4, 0), xycoords=("data", "axes fraction"),
+                        textcoords="offset points", va="top", color="0.4")  # fmt: skip
+        plots.finish(ax, "seconds since the touch", f"2 m/s², {name}")
         ax.get_legend().remove()
     first = axes["to a standstill"]
     first.set_ylabel(f"predicted {SECONDS:g} s ahead,\nbeyond the true position (m)")

@@ -16,9 +16,9 @@ UNKNOWN = 1e4 * np.eye(2)  # the covariance of a start of which nothing is known
 def typical_errors(steps=25, after=8):
     """Return the rms position error of a car that nothing pushes, (steps,) of two filters, exact and without a seed.
 
-    The first is frozen at once and guesses that the car rests at zero, as the paper's. The second lets its gain vary
-    for the first steps, from a start of which nothing is known: it is given as the limit of ever wider starts, so that
-    the guess no longer matters.
+    The first is frozen at once and guesses that the car rests at zero, as the paper's. The second works
+    through the lesson's list: its gain varies from a start of which nothing is known and has its limit at step `after`
+    and from there on. It is given as the limit of ever wider starts, so that the guess no longer matters.
 
     >>> at_once, later = typical_errors()
     >>> print(at_once[:3].round(1), later[[0, 24]].round(2))
@@ -26,11 +26,11 @@ def typical_errors(steps=25, after=8):
     """
     model = constant_velocity(1.0, Q, R)
     settled = SteadyStateFilter.from_kalman(model).B
-    varying = KalmanFilter(replace(model, P0=UNKNOWN)).coefficients(after).B
+    varying = KalmanFilter(replace(model, P0=UNKNOWN)).coefficients(after - 1).B
     at_rest = np.array([0.0, -SPEED]), np.zeros((2, 2))
     return [
         rms_errors(model, gains, *at_rest)
-        for gains in ([settled] * steps, [*varying, *[varying[-1]] * (steps - after)])
+        for gains in ([settled] * steps, [*varying, *[settled] * (steps - after + 1)])
     ]
 
 
@@ -86,6 +86,6 @@ def draw_start(steps=25):
     ax.annotate("begun on two", (3, two[2]), (-28, 8), textcoords="offset points", color=frozen.get_color())
     ax.set_ylabel("typical error at 20 m/s (m)")
     plots.label_line(frozen, f"frozen at once: up to {at_once.max():.0f} m off", at=3, xytext=(10, 4))
-    plots.finish(ax, "measurements so far", f"Let the gain vary first, or start {at_once.max():.0f} m off")
+    plots.finish(ax, "measurements so far", f"Let the gain vary first, or be up to {at_once.max():.0f} m off")
     ax.get_legend().remove()
     return fig

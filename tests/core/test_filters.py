@@ -178,26 +178,6 @@ def test_fir_treats_missed_epochs_like_the_steady_state_filter(model, z):
     np.testing.assert_array_equal(short[10], model.F @ short[9])
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        *FILTERS,
-        *SOLVED,
-        lambda model: mpt.FIRFilter.from_steady_state(mpt.SteadyStateFilter.from_kalman(model)),
-        joint,
-        lambda model: mpt.Separate(mpt.KalmanFilter(model)),
-    ],
-    ids=["KF", "LF", "SSKF", "SSLF", "FIR", "join", "separate"],
-)
-def test_many_tracks_are_each_track_alone(make, model):
-    _, z = mpt.simulate(model, 40, np.random.default_rng(3), tracks=6)
-    z[4, :, :2] = z[5, :, 1:4] = z[0, :, 5] = z[39] = np.nan
-    together = make(model).filter(z)
-    assert together.shape == (40, model.n, 6)
-    for i in range(6):
-        np.testing.assert_allclose(together[..., i], make(model).filter(z[..., i]), **SAME)
-
-
 def test_kalman_gains_are_those_of_filterpy(model, monkeypatch):
     import filterpy.kalman
 

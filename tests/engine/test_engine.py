@@ -534,15 +534,6 @@ def test_separate_filters_with_times_step_by_dt():
         both.step(np.zeros(5), P, z[0], dt=1.0)
 
 
-@pytest.mark.parametrize("given", [{"dt": 2.0}, {"r": [0.5]}], ids=["dt", "r"])
-@pytest.mark.parametrize("name", ["LF", "SSKF", "join"])
-def test_a_step_of_other_conditions_is_refused_by_name_where_the_gain_does_not_know_them(name, given):
-    each = filters_of(start(mpt.constant_velocity))[name]
-    words = f"{next(iter(given))}: needs a filter whose `next_step` takes it, such as KalmanFilter, got a "
-    with pytest.raises(TypeError, match=words):
-        each.step(each.model.x0, each.P0, [1.0], **given)
-
-
 def test_a_model_keeps_its_times_where_F_and_Q_still_fit():
     model = plane()
     assert replace(model, x0=np.zeros(4), R=np.eye(2)).dt == 0.7

@@ -113,7 +113,7 @@ def test_the_example_by_hand():
 
 
 def test_the_pretended_pieces_of_the_picture_end_too_low():
-    says("Each pretended piece starts at 0, climbs, and ends too low. The runner lifts each end")
+    says("Each pretended piece starts at 0, climbs, and ends too low. The runner lifts each end,")
     *_, hollow, filled = lesson.draw_relay().axes[1].lines
     assert (hollow.get_ydata() < filled.get_ydata()[1:] - 1).all()
     assert (hollow.get_ydata() > 1).all()

@@ -112,7 +112,7 @@ def test_the_numbers_of_the_scene_and_of_the_repair():
     assert round(1.5 / late) == 9
     says(f"The right one settles at {right:.3f} m.")
     delay = right / 1.5 / np.sqrt(2)
-    says(f"with σ = {right:.2f} m the mark tells the delay to {delay:.2f} s (its σ)")
+    says(f"with σ = {right:.2f} m it tells the delay to {delay:.2f} s (its σ)")
 
 
 def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
@@ -129,7 +129,7 @@ def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
 
 def test_the_wrong_sigma_is_the_error_of_a_second_ago():
     """Within one part in a hundred, by simulation of the position before and the estimate now."""
-    says("with pushes this gentle, it is the error of the position a second ago, which one measurement more has seen")
+    says("with pushes this gentle, it is about the position a second ago, which one more measurement has seen")
     true, measured = lesson.walk(60, tracks=4000)
     x = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE})).filter(measured[:, None])
     about_before = np.sqrt(np.mean((x[40:, 0] - true[39:-1]) ** 2))
@@ -239,12 +239,12 @@ def test_successive_surprises_of_the_late_filter_are_hardly_correlated():
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE}))
     new = mpt.metrics.innovations(kf, measured[:, None]).values[60:, 0]
     correlation = np.mean(new[1:] * new[:-1]) / np.mean(new**2)
-    says(f"Nor are successive surprises correlated on such a walk: that test finds −{-correlation:.2f}.")
+    says(f"correlated to speak of: by −{-correlation:.2f}, where a minute scatters by {1 / np.sqrt(60):.2f}.")
 
 
 def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
     minute, hours = ([float(each) for each in re.findall(r"\d\.\d\d", line)] for line in printed_by("nis").splitlines())
-    says("The minute alarms nobody. Three hours show that something is a little off, but not what.")
+    says("The minute alarms nobody. Three hours of such pushes show that something is a little off, but not what.")
     assert all(abs(nis - 1) < 2 * minute[2] for nis in minute[:2])
     assert hours[0] < 1 - 3 * hours[2]
     assert abs(hours[1] - 1) < 2 * hours[2]
@@ -297,7 +297,7 @@ def after_ramp(F, H, Q, r, sensor, dt=1.0, v=1.5, rows=1000):
 def test_what_a_ramp_tells_is_what_the_formula_says():
     """For many steps, entries a and b, sensors, speeds, Q and r."""
     says("and the position is off by (h - b)\\,v.")
-    says("it ends at \\hat v = v\\,\\Delta t/a, and with b = h = 0 it is all that is wrong.")
+    says("it ends at \\hat v = v\\,\\Delta t/a, and with b = h = 0 the position is still right.")
     rng = np.random.default_rng(3)
     for _ in range(25):
         dt, v, q, r = 10 ** rng.uniform([-1, -1, -2, -1], [1, 1.5, 1, 1])
@@ -395,7 +395,7 @@ def test_a_mark_that_is_passed_twice_tells_the_delay():
 
 def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     """There the paper's H is right: the settled filter errs by what it states, and NIS is that of the late filter."""
-    says("The same rows from a sensor that really shows the next position raise them too, and there nothing is late.")
+    says("If the sensor really showed the next position, the same numbers would raise the same alarms")
     push = 1.0
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))
@@ -430,7 +430,7 @@ def test_an_old_position_takes_a_negative_h_in_the_mean_only():
 
 def test_uneven_steps_give_the_late_filter_away():
     """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
-    says("With Δt anything between 0.7 and 1.3 s lag and look-ahead no longer cancel, and NIS is 1.6 on the calm walk.")
+    says("With Δt anything between 0.7 and 1.3 s NIS is 1.6 on the calm walk.")
     rng = np.random.default_rng(11)
     tracks, rows = 2000, 100
     steps = rng.uniform(0.7, 1.3, rows)
@@ -474,6 +474,13 @@ def test_after_a_turn_a_filter_looks_late_until_it_has_settled():
 def test_an_h_that_fits_the_sensor_passes_the_ramp(taught, h):
     np.testing.assert_allclose(taught["ramp"](np.array([[1.0, h]]), h), 0, atol=1e-6)
     assert abs(taught["ramp"](np.array([[1.0, h + 0.1]]), h)[0]) > 0.1
+
+
+def test_a_report_is_mended_by_the_delay_times_its_speed(taught):
+    says("To each report add the delay times the speed.")
+    for delay in (0.4, 1.0, 2.7):
+        position, speed = taught["ramp"](NOW, -delay)
+        assert position + delay * (1.5 + speed) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_wrong_step_in_f_shows_in_the_speed(taught):

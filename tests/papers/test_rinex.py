@@ -2,11 +2,12 @@
 
 import csv
 import gzip
+import io
 import re
 import runpy
 import sys
 import warnings
-from contextlib import chdir
+from contextlib import chdir, redirect_stdout
 from types import SimpleNamespace
 
 import numpy as np
@@ -52,49 +53,55 @@ def table_of(path, step, missing=(), short=None):
     return path
 
 
-def run_from_own_table(monkeypatch, capsys, path):
+def run_from_own_table(path):
     """Run the page from "begin here" on with another table; return its names and what it prints."""
-    monkeypatch.chdir(ROOT)
     codes = [text for kind, text in BLOCKS if kind == "python"]
     (first,) = (k for k, code in enumerate(codes) if "begin here" in code)
     names, shipped = {}, '"notebooks/data/esbc_2020_177.csv.gz"'
-    with warnings.catch_warnings():
+    with chdir(ROOT), redirect_stdout(io.StringIO()) as printed, warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # half a day does not determine tau, and the page asks for a day
         for code in codes[first:]:
             exec(code.replace(shipped, repr(str(path))), names)
-    return names, capsys.readouterr().out
+    return names, printed.getvalue()
 
 
-def test_the_page_runs_on_a_table_of_ones_own_with_missing_epochs(monkeypatch, capsys, tmp_path):
-    missing, short = [0, *range(20, 36), 150], {50: 3, 51: 5}  # five: nothing to spare, so that no fix is trusted
-    path = table_of(tmp_path / "t.csv.gz", 30, [*missing, 599], short)
-    names, printed = run_from_own_table(monkeypatch, capsys, path)
-    rows = np.array([*missing[1:], *short]) - 1  # the table begins with the first epoch that is there
+MISSING, SHORT = [0, *range(20, 36), 150], {50: 3, 51: 5}  # five: nothing to spare, so that no fix is trusted
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """The page's run on half a day of 30 s steps with missing epochs: its names and what it prints."""
+    return run_from_own_table(table_of(tmp_path_factory.mktemp("own") / "t.csv.gz", 30, [*MISSING, 599], SHORT))
+
+
+def test_the_page_runs_on_a_table_of_ones_own_with_missing_epochs(own):
+    names, printed = own
+    rows = np.array([*MISSING[1:], *SHORT]) - 1  # the table begins with the first epoch that is there
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(names["local"][:, 0])), np.sort(rows))
     assert "after 120 min, east north up: [" in printed
     assert "nan" not in printed
     assert np.isfinite(names["x"]).all()
-    assert len(names["t"]) == 599 - len(missing) - len(short)
+    assert len(names["t"]) == 599 - len(MISSING) - len(SHORT)
 
 
-def test_the_page_runs_on_a_table_of_another_step(monkeypatch, capsys, tmp_path):
+def test_the_page_runs_on_a_table_of_another_step(own, tmp_path):
     """At 1 Hz the filter took 30 s steps without a word, and "two hours" stood for four minutes."""
-    slow, fast = (table_of(tmp_path / f"{step}.csv.gz", step) for step in (30, 1))
-    names, printed = run_from_own_table(monkeypatch, capsys, fast)
+    fast = table_of(tmp_path / "fast.csv.gz", 1, [*MISSING, 599], SHORT)
+    names, printed = run_from_own_table(fast)
     assert "240 rows, 4 min" in printed
     assert printed.count("after 4 min") == 2
     assert names["model"].dt == names["axis"].dt == names["day"].step == 1
     assert names["honest"].model.F[2, 2] == pytest.approx(np.exp(-1 / names["found"].tau[0]))
     assert names["rows"] == 240
-    others, printed = run_from_own_table(monkeypatch, capsys, slow)
+    others, printed = own
     assert printed.count("after 120 min") == 2
     np.testing.assert_allclose(others["Q"][:3, :3], 30 * names["Q"][:3, :3])  # a step of 30 s wanders as 30 of a second
     np.testing.assert_allclose(others["found"].tau, 30 * names["found"].tau, rtol=1e-3)
 
 
-def test_the_page_s_faults_are_seen_at_belem(monkeypatch, capsys):
+def test_the_page_s_faults_are_seen_at_belem():
     """They stood on satellites that were not in view there: nothing was left out, and nothing moved."""
-    names, printed = run_from_own_table(monkeypatch, capsys, ROOT / "notebooks" / "data" / recorded.TABLES["Belem"])
+    names, printed = run_from_own_table(ROOT / "notebooks" / "data" / recorded.TABLES["Belem"])
     one, two, half = re.findall(r"100 m short: \[(.*)\], left out \[(.*)\], fix.trusted = (.*), moved", printed)
     assert one[0] == one[1]
     assert two[0] == two[1]

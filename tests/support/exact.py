@@ -23,7 +23,7 @@ DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
 STARTUP = "startup.py"  # in this folder: what a kernel runs before its first cell
 # Each processor takes whole files, since the tests of a file share a kernel, or what takes seconds to make. First the
 # longest ones, that no processor has to wait for another at the end. The tests of some are spread one by one.
-LONGEST = ("test_guide.py", "test_track_command.py", "what_averaging_leaves.ipynb", "test_paths.py", ".ipynb")
+LONGEST = ("test_guide.py", "2007_mms_kalman.ipynb", "test_track_command.py", "what_averaging_leaves.ipynb", ".ipynb")
 SPREAD = (
     "test_engine.py",
     "test_hard_numbers.py",

@@ -72,8 +72,8 @@ def test_the_example_of_a_receiver_that_stood_still():
     """The fixes of 30 m, at 30 to 33 s, in the middle of a track that moves 1 m a second."""
     z, times = np.arange(80.0)[:, None], np.arange(80.0)
     z[30:34] = 30.0
-    way = gate._Way([list(range(80))], z, times, np.zeros(80, dtype=int))
-    (left,) = gate._without_stuck_ones([list(range(80))], way)
+    moves = gate._Moves([list(range(80))], z, times, np.zeros(80, dtype=int))
+    (left,) = gate._without_stuck_ones([list(range(80))], moves)
     assert left == [*range(30), *range(34, 80)]
 
 
@@ -137,8 +137,8 @@ def test_each_step_has_the_nis_of_the_engine_for_any_model_times_variances_corre
     if kind < 3:
         z[rng.random(z.shape) < 0.2] = np.nan
     refused = rng.random(N) < 0.2
-    steps = gate._Rows(kf, z)
-    state, found = steps.first(), np.full(N, np.nan)
+    steps = gate._Track(kf, z)
+    state, found = (kf.model.x0, kf.model.P0), np.full(N, np.nan)
     for k in range(N):
         if steps.fixes[k] and not refused[k]:
             state, found[k], _ = steps.with_fix(state, k)
@@ -173,9 +173,9 @@ def test_many_rows_at_once_are_judged_as_one_after_the_other(seed, monkeypatch):
     z[rng.choice(400, 6, replace=False)] += 900 * z.std()
     z[150:] -= 700 * z.std()
     z[rng.random(z.shape) < 0.05] = np.nan
-    at_once = gate._in_sequence(gate._Rows(kf, z), [90, 300], 100.0, 3)
-    monkeypatch.setattr(gate, "CALM", 1000)
-    assert at_once == gate._in_sequence(gate._Rows(kf, z), [90, 300], 100.0, 3)
+    at_once = gate._in_sequence(gate._Track(kf, z), [90, 300], 100.0, 3)
+    monkeypatch.setattr(gate, "ONE_BY_ONE", 1000)
+    assert at_once == gate._in_sequence(gate._Track(kf, z), [90, 300], 100.0, 3)
     assert sum(map(len, at_once)) < 397
 
 
@@ -226,7 +226,7 @@ def test_nothing_to_see_is_no_piece():
 # Recorded tracks. The numbers of the rule were chosen on rides, a paraglider and walks. The watch of a runner and the
 # logger of a glider were not looked at for any of them, a phone on a hike for two, ARRIVED and WENT_ON. The run and
 # the ride in a town, both of phones, were run when all rules were there, and nothing was changed after. The sailing
-# boat, and the hike with a fix every 11 s, had been run before `grid_of` and the limits of calm were made.
+# boat, and the hike with a fix every 11 s, had been run before `grid_of` and the limits of smooth motion were made.
 HELD_BACK = {
     "run_fenix2_1hz": slice(None),
     "hike_gpxo_2s": slice(2500),
@@ -303,9 +303,9 @@ AT_MOST = {
 }
 
 
-# Each fault on a track of another kind; `make slow` runs all on all.
+# Each fault on a short recording; `make slow` runs all on all.
 FEW = [
-    ("run_fenix2_1hz", stuck),
+    ("hike_gpxo_2s", stuck),
     ("hike_gpxo_2s", shift),
     ("phone_ride_stoplight_1s", bursts),
     ("hike_korita_11s", singles),
@@ -360,9 +360,9 @@ def test_on_sparse_tracks_half_of_the_outliers_of_20_to_40_metres_are_caught_and
 
 @pytest.mark.parametrize("count", [1, 2, 9, 40])
 def test_limits_follow_the_fixes_around(count):
-    assert (cleaning._limits_of_calm(np.full(count, 100.0)) == cleaning.FROM_BOTH_SIDES).all()
-    assert (cleaning._limits_of_calm(np.full(count, 0.1)) == cleaning.CALM).all()
-    np.testing.assert_allclose(cleaning._limits_of_calm(np.full(count, 1.0)), 60 / 1.39)
+    assert (cleaning._limits(np.full(count, 100.0)) == cleaning.FROM_BOTH_SIDES).all()
+    assert (cleaning._limits(np.full(count, 0.1)) == cleaning.LEAST_LIMIT).all()
+    np.testing.assert_allclose(cleaning._limits(np.full(count, 1.0)), 60 / 1.39)
 
 
 def test_a_start_far_from_the_first_fixes_is_told(track):
