@@ -6,9 +6,9 @@ To see how the filters work, read in this order:
 - `model`: x(k+1) = F x(k) + w(k), z(k) = H x(k) + v(k), the papers' models, and F and Q of a step of any length;
 - `kalman`, `lainiotis`: A_k, B_k and P of both filters in `next_step`; `steady`: their limits as constants, and the FIR
   form;
-- `combined`: the mean of two filters, and one filter for each axis; `predictor`: states some steps ahead;
-- `riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` finds the parameters of a model by
-  `search`, `monte_carlo` runs many runs;
+- `combined`: the mean of two filters, and one filter for each axis; `predictor`: predictions some steps ahead;
+- `riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` estimates the parameters of a model by
+  means of `search`, `monte_carlo` repeats experiments;
 - `_base`: what every filter offers; `_engine`: how a filter runs over tracks, in `columns` (one epoch), `run`, `shared`
   (tracks without gaps), `pieces` (a long track) and `smoother` (the way back).
 

@@ -1,7 +1,6 @@
-"""Checks of what a user hands in, at the door; all code behind it trusts what it gets.
+"""Checks of user input where it enters; all code behind relies on them.
 
-A check stands here where without it a wrong number would come out silently, or where the error would not name the
-argument.
+There is a check where bad input would silently give a wrong number, or where the error would not name the argument.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ Seconds = float | timedelta | np.timedelta64  # a length of time; a number is on
 
 # A covariance at unit variances has entries of order one: asymmetry or negative eigenvalues below this are rounding.
 ROUNDING = 1e-12
-# The same of a covariance that a solver has made, for a model at the edge of double precision.
+# The same tolerance for covariances computed by a solver, for models at the limits of double precision.
 SOLVED = 1e-6
 LATEST_TIME = 1e11  # s, 3,000 years: larger numbers are Unix milli-, micro- or nanoseconds
 
@@ -35,7 +34,7 @@ def refuse(name: str, need: str, got: object, error: type[Exception] = ValueErro
 
 
 def warn(text: str) -> None:
-    """Warn a user in the line of theirs that called into this package, however deep the call has come."""
+    """Warn at the user's line that called into this package, however deep inside it the warning arises."""
     frame, level = sys._getframe(1), 2
     while frame is not None and (frame.f_globals.get("__package__") or "").partition(".")[0] == __package__:
         frame, level = frame.f_back, level + 1
@@ -49,7 +48,7 @@ def instance(name: str, value: object, kind: type) -> None:
 
 
 def number(name: str, value: object, need: str, accept: Callable[[float], bool]) -> float:
-    """Return a finite real number that `accept` takes, as `need` says in words.
+    """Return a finite real number that satisfies `accept`; `need` says in words what that is.
 
     >>> number("dt", 0, "a positive number", lambda value: value > 0)
     Traceback (most recent call last):
@@ -78,7 +77,7 @@ def not_negative(name: str, value: object) -> float:
 
 
 def level(value: object) -> float:
-    """Return the share that a band is to hold, between 0 and 1."""
+    """Return the coverage that a band is to have, between 0 and 1."""
     return number("level", value, "a number in (0, 1)", lambda value: 0 < value < 1)
 
 
@@ -122,7 +121,7 @@ def array(name: str, value: object, shape: tuple[int, ...], finite: bool = True)
 
 
 def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
-    """Return `value` as an array if it holds real numbers: dates, texts and masks would turn into numbers silently."""
+    """Return `value` as an array of real numbers. numpy would silently turn dates, strings and masks into numbers."""
     if isinstance(value, np.ma.MaskedArray):
         refuse(name, need, "a masked array (its filled(np.nan) has NaN where one is missing)", TypeError)
     try:
@@ -163,7 +162,7 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
     if variance.min() < -(rounding**2) * max(variance.max(), 0):
         refuse(name, need, f"a variance of {variance.min():.6g}")
     sigma = np.sqrt(np.maximum(variance, 0))
-    # Beside a variance of zero there is no covariance but rounding: up to `rounding` of the largest one possible.
+    # Covariances with a component of zero variance can only be rounding: up to `rounding` of the largest possible.
     unit = np.where(sigma > 0, sigma, np.sqrt(rounding) * sigma.max() or np.finfo(float).tiny)
     with np.errstate(over="ignore"):
         scaled = np.clip(matrix / unit[:, None] / unit, -1e9, 1e9)
@@ -178,7 +177,7 @@ def covariance(name: str, value: object, size: int, definite: bool = False, roun
 def measurements(z: Any, m: int, name: str = "z") -> Array:
     """Return measurements, NaN where one is missing, as floats (N, m) or (N, m, M); (N,) of one sensor is (N, 1).
 
-    Infinity is not looked for here: `no_infinity` does that where a result is not finite.
+    Infinite values pass: `no_infinity` looks for them once a result is not finite.
     """
     need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
     values = real_numbers(name, z, need)
@@ -191,7 +190,7 @@ def measurements(z: Any, m: int, name: str = "z") -> Array:
 
 
 def variances(name: str, value: object, m: int) -> Array:
-    """Return variances (N, m) or (N, m, M) as a read-only float array; the numbers are not looked at."""
+    """Return variances (N, m) or (N, m, M) as a read-only float array, without a look at the numbers."""
     values = measurements(value, m, name).copy(order="C")
     values.flags.writeable = False
     return values
@@ -221,7 +220,7 @@ def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
 
 
 def used_variances(name: str, values: np.ndarray, of: str = "measurement that is there") -> None:
-    """Refuse variances of which one is not positive and finite; `of` says what has one."""
+    """Refuse variances that are not all positive and finite; `of` says what they belong to."""
     if not ((values > 0) & (values < np.inf)).all():
         refuse(name, f"a positive variance of every {of}", "another")
 

@@ -1,4 +1,4 @@
-"""The common base of models, motions and filters: values that nobody can write to."""
+"""The base class of models and filters: immutable, compared by value."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 
 class Immutable:
-    """A dataclass of numbers, arrays and others of its kind that nobody can write to.
+    """A frozen dataclass whose fields are numbers, arrays and other immutable values.
 
-    Two are equal, and have the same hash, when they are of one class and all that they hold is equal; NaN equals NaN.
-    Copies and pickles go through the constructor: numpy does not keep the read-only flag.
+    Instances of one class are equal, with equal hashes, if all their fields are equal; NaN equals NaN. Copies and
+    pickles go through the constructor, since numpy does not keep the read-only flag.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -22,7 +22,7 @@ class Immutable:
         return all(map(same, self._held(), other._held()))
 
     def __hash__(self) -> int:
-        # Of an array its numbers; + 0.0 makes 0 of -0, which is equal to it.
+        # Arrays by their bytes; adding 0.0 turns -0.0 into 0.0, which is equal to it.
         held = [(each + 0.0).tobytes() if isinstance(each, np.ndarray) else each for each in self._held()]
         return hash((type(self), *held))
 
@@ -34,7 +34,7 @@ class Immutable:
 
 
 def same(a: object, b: object) -> bool:
-    """Tell whether two fields are equal: arrays where all their numbers are.
+    """Tell whether two fields are equal; arrays are if all their entries are.
 
     >>> same(np.array([1.0, np.nan]), np.array([1.0, np.nan])), same(1.0, None)
     (True, False)

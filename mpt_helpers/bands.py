@@ -1,24 +1,24 @@
-"""Bands around predictions that hold as often as they say, because they follow their own checked errors.
+"""Prediction bands that have their stated coverage because they adapt to their own past errors.
 
-`ahead` predicts each fix some seconds before. `following` makes a band around these predictions that learns from the
-ones that have come due, and from nothing later. `LiveBand` gives that band fix by fix.
+`ahead` predicts each fix some seconds before. `following` makes a band around these predictions, and learns only from
+those that were due by then. `LiveBand` gives the same band fix by fix.
 
 The *horizon* is the time from a prediction to its fix, `seconds`, or h steps. The half-width of the band is f c sigma
 on each axis:
 
     sigma   what the filter states: the root of H P(k+h/k) Hᵀ + R
-    c       one for all axes: sqrt(0.2 + 0.8 a), where a is the recent average of NIS / m. It is one where the model is
-            right. A fifth stays, so that the band does not vanish while a mobile rests.
+    c       one for all axes: sqrt(0.2 + 0.8 a), where a is the recent average of NIS / m, which is 1 if the model is
+            right. The 0.2 keeps the band from vanishing while a mobile is at rest.
     f       follows the misses of its axis: for a band of 95 %, log f rises by 0.95 gamma after a miss and falls by
             0.05 gamma after a hit. A fix that repeats the one it was predicted at counts as neither.
 
-Both remember the fixes of one horizon, and at least five: a new NIS has the weight 1 / memory, and gamma is 0.5 /
-memory. For a the memory is the number of fixes in the last horizon, for f that from the prediction to its check.
+The memory of both is one horizon, in fixes, but at least five: a new NIS has the weight 1 / memory, and gamma is 0.5 /
+memory. For a, the fixes of the last horizon are counted; for f, those from the prediction to its check.
 
 The rule for f is quantile tracking, the proportional part of conformal PID control (Angelopoulos, Candes and Tibshirani
 2023). With a constant gamma, the share of misses among T predictions differs from 5 % by at most the range of log f
-over gamma T, whatever the mobile does and whatever sigma is. So a right share proves little: a good band is narrow
-where it can be, which its `interval_score` shows, and its `coverage` in states that are known beforehand.
+over gamma T, whatever the mobile does and whatever sigma is. So a correct share proves little. A good band is also
+narrow where it can be: compare its `interval_score`, and its `coverage` in states that are known beforehand.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ __all__ = [
 SHORTEST_MEMORY = 5  # fixes
 # The part of a prediction's variance that the recent innovations scale.
 SCALED = 0.8
-# A larger NIS / m counts as this: one jump does not widen the band for a whole memory.
+# NIS / m is clipped at this value, so that one jump does not widen the band for a whole memory.
 CAP = 50.0
 # A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
 LATEST = 1.5
@@ -59,7 +59,7 @@ LATEST = 1.5
 TIME_ROUNDING = 1e-6
 # The share of 30 independent predictions has a standard deviation of 4 %: with fewer, `coverage` warns.
 FEW = 30
-# If so many fixes from the first on are too late for a check, the horizon is shorter than the steps.
+# If this many fixes from the first on come too late for a check, the horizon is shorter than the steps.
 UNCHECKED = 30
 FITTING = "a horizon with fixes 1 to 1.5 times as much later than others"
 
@@ -74,13 +74,13 @@ class ForecastErrors(NamedTuple):
     errors, sigma : ndarray (K, m)
         Measured minus predicted, NaN where nothing was measured, and its standard deviation as the filter states it.
     recent : ndarray (K,)
-        c, the size of the recent innovations over the stated one, when the prediction was made.
+        c, the recent size of the innovations relative to the stated one, when the prediction was made.
     row, due_row, fixes : ndarray of int (K,)
-        Rows of z of both, and how many fixes later the checking one is.
+        Rows of z of both, and the number of fixes from one to the other.
     track : ndarray of int (K,)
         The track.
     rests : ndarray of bool (K,)
-        Whether the checking fix repeats the one it was predicted at.
+        Whether the checking fix repeats the fix at which it was predicted.
     left_out : int
         How many fixes had no other one 1 to 1.5 horizons later: before a gap, and at the end.
     seconds : float
@@ -435,10 +435,10 @@ def _count_independent(a, where):
 
 
 class LiveBand:
-    """The band of `following`, fix by fix, beside the `step` of a filter.
+    """The band of `following`, fix by fix, for a filter that runs by `step`.
 
-    It is for a measurement exactly `seconds` after a fix, with the variances of that fix. On uneven steps the band of
-    `following` is wider, as its prediction is for the fix that checks it.
+    It holds for a measurement exactly `seconds` after a fix, with the variances of that fix. On uneven steps the band
+    of `following` is wider, as it holds for the later fix that checks the prediction.
 
     Parameters
     ----------
@@ -529,7 +529,7 @@ class LiveBand:
         return Expected(expected, scale * np.sqrt(np.diag(S)))
 
     def _check(self, t, z, R):
-        """Let f learn from the predictions that have come due at the fix z."""
+        """Update f with the predictions that are due at the fix z."""
         too_late = False
         while self.pending and t - self.pending[0][0] >= self.seconds * (1 - TIME_ROUNDING):
             made, z_made, x, P, scale = self.pending.popleft()
@@ -545,7 +545,7 @@ class LiveBand:
             checks.refuse("seconds", FITTING, f"{self.seconds:g}, and none of {UNCHECKED} fixes came so soon")
 
     def _learn(self, t, z, R):
-        """Let the average of the recent innovations learn from the fix z."""
+        """Update the average of the recent innovations with the fix z."""
         while self.times and self.times[0] < t - self.seconds * (1 + TIME_ROUNDING):
             self.times.popleft()
         last, x, P = self.last

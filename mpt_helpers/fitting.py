@@ -1,4 +1,4 @@
-"""Maximum-likelihood parameters of a model, with their errors and with warnings of what looks wrong.
+"""Maximum-likelihood parameters of a model, with their standard errors and with warnings of a doubtful fit.
 
 A *point* is the vector of the natural logarithms of the parameters; `search` finds the one of the largest log L.
 """
@@ -25,25 +25,25 @@ from .kalman import KalmanFilter
 from .model import LinearModel
 from .search import FLAT, NOTHING, along_a_line, by_newton, differences, lowest
 
-# The search along a ratio leaves out so many rows for each state: after them the start is forgotten.
+# The search along a ratio leaves out this many rows for each state: after them the start is forgotten.
 ROWS_OF_A_START = 5
 # Measurements that never change would make all variances zero.
 LEAST_SCALE = 1e-9
-# So many blocks, of so many seconds where a track is long enough. On recorded tracks scores over 10 s are far from
-# independent, over 300 s nearly.
+# Number of blocks, and their length where a track is long enough. On recorded tracks, scores over 10 s are far from
+# independent, those over 300 s nearly independent.
 FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
-# A parameter is known although a flat direction moves it, if it is by less than this part of the direction's length: so
-# much comes from the end of the search.
+# A parameter counts as known if its component in each flat direction is below this: as much may remain where the search
+# ends.
 APART = 1e-2
-# A parameter so many times its guess, or less than that part of it, may be of other units: kilometres for metres make
-# 1e-6 of q and r, milliseconds for seconds 1e-9 of q, degrees 1e-10 of both.
+# A parameter that differs by this factor from its guess may be in other units: kilometres instead of metres change q
+# and r by 1e-6, milliseconds instead of seconds change q by 1e-9, degrees change both by 1e-10.
 OTHER_UNITS = 1e5
-# A parameter known to no better than this factor is not known.
+# A parameter with a larger error of its logarithm is not known.
 VAGUE = math.log(10)
-# Standard deviations from x0 to what the measurements say of it: from the first on a fit is refused, from the second on
-# it warns, since it explains the distance by a wrong q and r.
+# Standard deviations between x0 and the start that the measurements suggest. Beyond the first a fit is refused. Beyond
+# the second it warns, since it explains the distance by a wrong q and r.
 ANOTHER_POSITION, FAR = 1e3, 10.0
-# Q is rescaled until the band changes by less than this, in logarithms of its variance, and so many times at most.
+# Q is rescaled until the logarithm of the band's variance changes by less than this, and at most this many times.
 CLOSE, MOST_RESCALINGS = 1e-2, 50
 
 
@@ -81,10 +81,10 @@ class Fit(NamedTuple):
 
 
 def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float) -> Fit:
-    """Return the positive parameters that make measurements z most probable, jointly for all tracks.
+    """Return the maximum-likelihood values of positive parameters, jointly for all tracks.
 
-    `log_errors` also hold where the model is wrong (White 1982), as every recorded track moves by more than one q: the
-    curvature of log L alone states errors five to twenty times too small there. Each track is cut into blocks of some
+    `log_errors` also hold where the model is wrong (White 1982), as it is for recorded tracks, whose q varies: there
+    the curvature of log L alone gives errors five to twenty times too small. Each track is cut into blocks of some
     300 s, 6 to 20 of them in all, and the errors follow from how much the scores of the blocks differ. With fewer than
     12 fixes they are those of the curvature.
 
@@ -112,8 +112,8 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     Warns
     -----
     UserWarning
-        Of a parameter that z does not tell, or that is 1e5 times its guess, of first measurements far from the start of
-        the model, and of what `metrics.suspicious` finds.
+        Of a parameter that z does not determine, or that is 1e5 times its guess, of first measurements far from the
+        start of the model, and of what `metrics.suspicious` finds.
 
     Examples
     --------
@@ -164,7 +164,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
 class NegativeLogLikelihood:
     """-log L of measurements z as a function of a point, the natural logarithms of the parameters of `make`.
 
-    counts (N,) are the rows whose innovations count, None where all do. Values are kept: a search comes back to them.
+    counts (N,) marks the rows whose innovations count, None if all do. Values are kept, since a search returns to them.
     """
 
     make: Callable[..., LinearModel | Filter]
@@ -254,7 +254,7 @@ def _covariances_scale(likelihood, point):
 
 
 class Blocks(NamedTuple):
-    """Parts of tracks whose scores are taken as independent: the block of each row (N, M), how many, and a name."""
+    """Parts of tracks with scores taken as independent: the block of each row (N, M), their number, and a name."""
 
     of_rows: np.ndarray
     count: int
@@ -329,7 +329,7 @@ def _variances(H, J):
 
 
 def _doubts(found, z, guess, bounded):
-    """Yield a sentence for each thing that a fit does not know, or that looks wrong."""
+    """Yield a sentence for each parameter that is not known, and for whatever looks wrong."""
     for (name, error), has_a_limit in zip(found.log_errors.items(), bounded, strict=True):
         if not has_a_limit:
             yield f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known"
@@ -350,7 +350,7 @@ def _doubts(found, z, guess, bounded):
 
 
 def _distance_of_the_start(estimator, z):
-    """Return how far x0 is from the start that a track wants, in standard deviations; the largest of all tracks.
+    """Return how far x0 is from the best start of a track, in standard deviations; the largest of all tracks.
 
     The innovations are linear in the start: e = e_0 - G d for x0 + d. With P0 = 0 and at unit covariance, least squares
     gives d and its covariance V, and what is left of e its scale c: a fit to a far start makes S too large, but all of
@@ -379,7 +379,7 @@ def _distance_of_the_start(estimator, z):
 def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:
     """Return the filter with Q times a factor under which its own band holds a share `level` of the measurements.
 
-    The likelihood judges by the next fix; some seconds ahead a fitted filter's own band is often too narrow. Here the
+    The likelihood looks one fix ahead; some seconds ahead a fitted filter's own band is often too narrow. Here the
     quantile of |error| / sigma of `metrics.ahead`, all axes together, becomes that of the normal distribution.
 
     Parameters

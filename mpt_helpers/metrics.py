@@ -37,7 +37,7 @@ __all__ = [
     "suspicious",
 ]
 
-# Bounds of `suspicious`, from ten recorded tracks. The median NIS was 0.04 to 120 times that of a true model, and below
+# Bounds of `suspicious`, from ten recorded tracks. The median NIS was 0.04 to 120 times its expected value, and below
 # 1e-4 times with degrees, kilometres or milliseconds in place of metres and seconds.
 FAR_TOO_SMALL, FAR_TOO_LARGE = 2e-4, 1e4
 # The largest NIS was below 1.3e3 times the median, and above 7e4 times with one fix 10,000 km away.
@@ -108,7 +108,7 @@ class Innovations(NamedTuple):
     values : ndarray (N, m) or (N, m, M)
         z(k) - H x(k/k-1), NaN where z has NaN.
     S : ndarray (N, m, m) or (N, m, m, M)
-        H P(k/k-1) Hᵀ + R, of a measurement that is there or missing.
+        H P(k/k-1) Hᵀ + R, whether or not the measurement is missing.
 
     """
 
@@ -232,7 +232,7 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
 
 
 def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
-    """Return warnings, by kind, of what looks wrong with measurements or with the filter for them.
+    """Return warnings, by kind, where measurements look wrong, or the filter looks wrong for them.
 
     - "units": the median NIS of a measured number is less than 2e-4 or more than 1e4 times what it should be;
     - "far off": the NIS of one number is more than 1e4 times the median one;
@@ -333,7 +333,7 @@ def nees(errors: ArrayLike, P: ArrayLike) -> Array:
     N, n, M = errors.shape
     if P.shape not in ((n, n), (N, n, n), (N, n, n, M)):
         checks.refuse("P", f"a covariance of each error, whose shape is {errors.shape}", f"shape {P.shape}")
-    P = P.reshape(-1, n, n, M if P.ndim == 4 else 1)  # one for all epochs, or tracks, is given once
+    P = P.reshape(-1, n, n, M if P.ndim == 4 else 1)  # a size of 1 stands for all epochs, or all tracks
     sigma = np.sqrt(np.abs(np.einsum("kii...->ki...", P)))
     if (np.abs(P - P.swapaxes(1, 2)) > checks.SOLVED * sigma[:, :, None] * sigma[:, None]).any():
         checks.refuse("P", "positive definite matrices", "one that is not symmetric")
@@ -389,7 +389,7 @@ class ErrorMoments(NamedTuple):
 
 
 def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: int = 0) -> ErrorMoments:
-    """Return the mean and the covariance of the error that a steady-state filter really makes.
+    """Return the mean and the covariance of the actual error of a steady-state filter.
 
     The measurements are those of another model, `truth`, with another x0, P0, Q or R. The error is
 

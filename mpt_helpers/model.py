@@ -1,4 +1,4 @@
-"""Linear models of how a mobile moves and what is measured of it, and tracks drawn from these models."""
+"""Linear models of motion and measurement, and tracks simulated from them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .equations import square_root
 
 # dt in s -> F and Q of a step of that length.
 Transition = Callable[[float], tuple[Array, Array]]
-# By how much two half steps of a transition may miss one whole step, relative to its size: six digits should be left
-# of a Q that subtracts large numbers.
+# Largest relative difference between two half steps of a transition and one whole step: a Q computed as a difference
+# of large numbers should keep six digits.
 MISSED = 1e-6
-# Rounding leaves 1e-16 of the largest entry of F where a zero should be: smaller entries than this part of it count as
-# this large. (Not of Q: over short steps an entry may rightly be 1e-18 of the largest.)
+# Entries of F below this fraction of the largest one are judged as if they had this size, since rounding leaves 1e-16
+# in place of a zero. (Not those of Q: over short steps an entry may rightly be 1e-18 of the largest.)
 LEAST_OF_F = 1e-9
 TINY = np.finfo(float).tiny
 
@@ -42,7 +42,7 @@ class LinearModel(Immutable):
     F, H : array_like (n, n), (m, n)
         Transition over one step, left out where a `transition` is given, and measurement matrix.
     Q, R : array_like (n, n), (m, m)
-        Covariances of what a step adds to the state, the papers' G Q Gᵀ, left out like F, and of the measurement noise.
+        Covariances of the process noise of one step (the papers' G Q Gᵀ, left out like F) and of the measurement noise.
     x0, P0 : array_like (n,), (n, n), optional
         Mean and covariance of x(0), zero where not given, as in the papers.
     dt : float or timedelta, optional
@@ -198,7 +198,7 @@ def _of_the_transition(F, Q, dt, transition, made_by):
 
 
 def _checked(transition, dt):
-    """Return F and Q of one step of dt, or raise what is wrong with a transition."""
+    """Return F and Q of one step of dt after checking the transition."""
     need = "a function of dt that returns F and Q as arrays"
     if not callable(transition):
         checks.refuse("transition", need, f"{transition!r:.60}", TypeError)
@@ -217,7 +217,7 @@ def _checked(transition, dt):
 
 
 def _steps(transition, dt):
-    """Return F and Q of a step, or of many: a transition that takes one dt only is asked once for each length."""
+    """Return F and Q of one or many steps; a transition that takes a single dt is called once for each length."""
     if np.ndim(dt) == 0 or getattr(transition, "takes_arrays", False):
         return transition(dt)
     lengths, which = np.unique(dt, return_inverse=True)
@@ -227,7 +227,7 @@ def _steps(transition, dt):
 
 
 def missed_by_halves(transition: Transition, dt: float) -> tuple[float, float]:
-    """Return by how much two steps of dt / 2 miss one of dt, in F and in Q, relative to the size of each entry."""
+    """Return how far two steps of dt / 2 are from one of dt, in F and in Q, relative to the size of each entry."""
     with np.errstate(over="ignore", invalid="ignore"):
         (half, noise), (F, Q) = transition(dt / 2), transition(dt)
         F_twice, Q_twice = half @ half, half @ noise @ half.T + noise
@@ -238,7 +238,7 @@ def missed_by_halves(transition: Transition, dt: float) -> tuple[float, float]:
 
 
 def _relative(missed, size):
-    """Return the largest part that is missed, infinite where a number is not finite."""
+    """Return the largest relative difference, infinite where a number is not finite."""
     return float(np.nan_to_num(np.abs(missed) / np.maximum(size, TINY), nan=np.inf, posinf=np.inf).max())
 
 
@@ -506,7 +506,7 @@ def stack(*models: LinearModel) -> LinearModel:
 
 
 def _axes_of(transition):
-    """Return the transitions of the axes that a model was stacked of."""
+    """Return the transitions of the single axes of a transition."""
     return transition.transitions if isinstance(transition, SideBySide) else (transition,)
 
 
@@ -538,7 +538,7 @@ def exact_motion(model: LinearModel, x0: ArrayLike) -> LinearModel:
 
 
 def mean_track(model: LinearModel, N: int) -> Array:
-    """Return the track that a model takes without noise: x(1) ... x(N) = F x0 ... Fᴺ x0.
+    """Return the noise-free track of a model: x(1) ... x(N) = F x0 ... Fᴺ x0.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Monte Carlo studies: many runs from one seed, the same numbers whatever the number of workers."""
+"""Monte Carlo studies: many runs from one seed, with results that do not depend on the number of workers."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _run_block(experiment, stream):
 
 @contextmanager
 def _mapper(workers):
-    """Give a callable like `map`. On the way out, by an error too, the threads drop the blocks that have not begun."""
+    """Yield a callable like `map`. On exit, also after an error, blocks that have not begun are cancelled."""
     if callable(workers):
         yield workers
     elif checks.count("workers", workers) == 1:
@@ -105,4 +105,4 @@ def _mapper(workers):
         try:
             yield executor.map
         finally:
-            executor.shutdown(cancel_futures=True)  # those too that an interrupt has kept out of the map
+            executor.shutdown(cancel_futures=True)  # also those that `map` had not yet handed out when interrupted

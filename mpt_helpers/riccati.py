@@ -1,8 +1,8 @@
 """Steady-state covariances, from the Riccati equations of the Kalman filter (REKF) and of the Lainiotis filter (RELF).
 
-`rekf` refines scipy's solution, `relf` doubles the number of steps: neither knows of the other, so that their agreement
-is a real check. Each checks its solution against its own equation. A model without a steady state is refused by the
-rank test of Popov, Belevitch and Hautus (PBH).
+`rekf` refines scipy's solution, and `relf` uses the doubling algorithm. The two are independent, so that their
+agreement is a real check. Each checks its solution against its own equation. Models without a steady state are detected
+by the rank test of Popov, Belevitch and Hautus (PBH).
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from .model import LinearModel
 
 __all__ = ["rekf", "relf"]
 
-# A mode nearer than this to being undetectable or unstabilizable, relative to the matrix, counts as such: the rounding
-# of an eigenvalue of F.
+# A mode closer than this to being undetectable or unstabilizable, relative to the matrix, counts as such: it is the
+# rounding error of an eigenvalue of F.
 MODE_ROUNDING = 1e-12
-# Rounding splits a double eigenvalue by 1e-8 of it, a triple one by 6e-6. Computed eigenvalues that are nearer than
-# this may be one: their mean, as accurate as a simple eigenvalue, is tried too.
+# Rounding splits a double eigenvalue by 1e-8 of it, a triple one by 6e-6. Computed eigenvalues closer than this may be
+# one multiple eigenvalue: their mean, as accurate as a simple eigenvalue, is tested too.
 ONE_EIGENVALUE = 1e-4
 # Rounding moves a double eigenvalue on the unit circle by up to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
-# By how much a solution P may miss its equation, relative to the standard deviations: six digits hold.
+# Largest residual of a solution P in its equation, relative to the standard deviations: six digits hold.
 RESIDUAL = 1e-6
-# The rounding of a variance may not be more than this part of it: less than one digit would hold.
+# Largest rounding error of a variance relative to it: with more, less than one digit would hold.
 RESOLVED = 0.1
 # Each round doubles the number of steps: 2^64 are more than any filter needs to converge.
 ROUNDS = 64
@@ -129,8 +129,8 @@ def _steady_state(model, solve):
 
 
 def _solve_rekf(model):
-    # scipy needs states and measurements of unit variance: it is silently wrong where R is very small or very large. A
-    # filter that converges slowly costs it digits, so its solution is refined.
+    # scipy needs states and measurements of unit variance: it is silently wrong where R is very small or very large. It
+    # loses digits where the filter converges slowly, so its solution is refined.
     unit = _units(model)
     F = model.F * unit / unit[:, None]
     Q = model.Q / unit[:, None] / unit
@@ -141,14 +141,14 @@ def _solve_rekf(model):
     P = P + change
     sigma = np.sqrt(np.maximum(np.diag(P), 1))  # no less than 1, the noise of n steps in these units
     solved = (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all()
-    # A state that nothing drives is known exactly in the end. Its standard deviation is rounded by eps in these units.
+    # A state that no noise drives is known exactly in the end; its standard deviation is rounded by eps in these units.
     known = np.diag(P) <= np.finfo(float).eps ** 2
     P = np.where(known[:, None] | known, 0.0, (P + P.T) / 2)
     return P * unit[:, None] * unit, solved
 
 
 def require_resolved(model: LinearModel, P: Array) -> None:
-    """Raise a ValueError where P (n×n), a steady-state estimation error covariance, has no digit left in doubles.
+    """Raise a ValueError if doubles hold no digit of P (n×n), a steady-state estimation error covariance.
 
     A step of the Kalman filter must leave P nearly as it is, and the rounding of that step must be small beside P. In
     (I - K H) P_p (I - K H)ᵀ two things are rounded, with sigma² the variances of P_p and eps the machine precision:
@@ -172,9 +172,9 @@ def require_resolved(model: LinearModel, P: Array) -> None:
 
 
 def _newton_step(P, F, H, Q):
-    """Return what Newton's method adds to P, a solution of the REKF with R = I: the sum of Aⁱ D Aᵀⁱ over i.
+    """Return the Newton correction of P, a solution of the REKF with R = I: the sum of Aⁱ D Aᵀⁱ over i.
 
-    D is what P misses in the equation. After j rounds, `total` has 2^j terms and `A` is the power 2^j.
+    D is the residual of P in the equation. After j rounds `total` has 2^j terms, and `A` is the power 2^j.
     """
     identity = np.eye(len(H))
     K = gain(P, H, identity)
@@ -192,7 +192,7 @@ def _solve_relf(model):
         A = lainiotis_transition(P, F_i, O_i)
         longer = P + A @ P @ F_i.T
         longer = (longer + longer.T) / 2
-        if np.array_equal(longer, P):  # no entry moves: one of a small variance may be the last to settle
+        if np.array_equal(longer, P):  # all entries have settled, those of small variances last
             break
         O_i = O_i + F_i.T @ O_i @ np.linalg.solve(np.eye(model.n) + P @ O_i, F_i)
         P, F_i = longer, A @ F_i
@@ -216,9 +216,9 @@ def _units(model):
 
 
 def _margins(model):
-    """Yield, for each mode of F on or outside the unit circle, how far it is from violating a condition, and which.
+    """Yield, for each mode of F on or outside the unit circle, its distance from violating a condition, and which one.
 
-    It is the PBH rank test.
+    This is the PBH rank test.
     """
     unit = _units(model)
     F = model.F * unit / unit[:, None]
@@ -226,7 +226,7 @@ def _margins(model):
     G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
     means = [modes[np.abs(modes - mode) <= ONE_EIGENVALUE * abs(mode)].mean() for mode in modes]
-    for mode in [*means, *modes]:  # eigenvalues near each other may be one or several: both are tried
+    for mode in [*means, *modes]:  # eigenvalues close to each other may be one or several: both are tested
         if abs(mode) >= ON_CIRCLE:
             at = f"at the mode {mode.real if np.isreal(mode) else mode:.6g} of F"
             shifted = mode * np.eye(model.n) - F

@@ -9,17 +9,16 @@ import math
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-# How near to the lowest point a line is searched; Newton's method goes on from there.
+# Tolerance of the search along a line; Newton's method continues from there.
 NEAR_ENOUGH = 0.1
-# A log L that falls by less than this says nothing against a parameter: so much it falls at one standard error.
+# A difference of log L below this is not significant: log L falls by as much at one standard error.
 NOTHING = 0.5
-# A direction in which log L curves by less than this part of its largest curvature is flat, by the second differences'
-# rounding.
+# A direction whose curvature is below this fraction of the largest one is flat: it is the rounding error of the second
+# differences.
 FLAT = 1e-6
 
-# A search along a line looks at these places first, factors of 1e-24 to 1e24, then at those around the best one, and
-# then between the neighbours of that: an r that the fixes tell by a little can be a factor of 100 away from where it
-# makes no difference.
+# A search along a line begins with factors of 1e-24 to 1e24, continues with factors around the best of them, and then
+# between its neighbours: an r that the fixes hardly determine can be a factor of 100 away from where it has no effect.
 LINE = math.log(1e4) * np.arange(-6, 7)
 AROUND = math.log(10) * np.arange(-2, 3)
 
@@ -42,7 +41,7 @@ def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH, nothin
     for places in (reach, AROUND):
         places = s + places
         values = np.array([value(each) for each in places])
-        alike = values <= values.min() + nothing  # several where r makes no difference, say: the nearest is best
+        alike = values <= values.min() + nothing  # several where r has no effect, for example: the nearest is best
         s = float(places[np.argmin(np.where(alike, np.abs(places - s), np.inf))])
     bounds = [each if math.isfinite(value(each)) else s for each in (s + AROUND[1], s + AROUND[-2])]
     found = float(minimize_scalar(value, bounds=bounds, method="bounded", options={"xatol": close}).x)
@@ -50,15 +49,15 @@ def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH, nothin
     return origin + s * direction + known[round(s, 9)][0]
 
 
-# Each round of `lowest` but the last leads to a lower point; one or two are usual.
+# Each round of `lowest` but the last finds a lower point; one or two are usual.
 MOST_ROUNDS = 10
 
 
 def lowest(function, point):
     """Return the lowest point (d,) that is found: along each parameter in turn, then by Newton's method.
 
-    While there is a lower point far along a parameter, it begins again: with a q far too small r explains the motion,
-    and only then a larger q is better.
+    It starts again while there is a lower point far along a parameter: if q is far too small, r explains the motion,
+    and only after that is a larger q better.
     """
     units = np.eye(len(point))
     for _ in range(MOST_ROUNDS):
@@ -70,13 +69,13 @@ def lowest(function, point):
     return point
 
 
-# Newton's steps are at most a factor of e long. They end at a step of NEAR, a hundredth of the error of a parameter
-# that a thousand measurements tell to some percent.
+# Newton's steps are at most a factor of e long. They end below NEAR, a hundredth of the standard error of a parameter
+# that a thousand measurements determine to a few percent.
 LONGEST_STEP, MOST_STEPS, MOST_HALVINGS, NEAR = 1.0, 30, 8, 1e-4
 
 
 def by_newton(function, point):
-    """Return the lowest point (d,) that Newton's steps lead to."""
+    """Return the lowest point (d,) that Newton's method finds."""
     for _ in range(MOST_STEPS):
         value, gradient, H = differences(function, point)
         step = step_downhill(gradient, H)
@@ -95,9 +94,9 @@ def by_newton(function, point):
 def step_downhill(gradient, H):
     """Return the step (d,) to where the gradient (d,) vanishes, by the second derivatives H (d, d).
 
-    It goes downwards where H curves the other way, not along a flat direction, and not too far.
+    It leads downhill where the curvature is negative, leaves flat directions alone, and is limited in length.
     """
-    if not (np.isfinite(H).all() and np.isfinite(gradient).all()):  # beside a point that has no likelihood
+    if not (np.isfinite(H).all() and np.isfinite(gradient).all()):  # next to a point that has no likelihood
         return np.zeros(len(H))
     curvatures, directions = np.linalg.eigh(H)
     sizes = np.abs(curvatures)
