@@ -55,7 +55,7 @@ def draw_stack(pieces=4, L=5):
 def draw_relay(pieces=4, L=10):
     """Return a figure of a track in pieces: from pretended starts, with a runner, and from his starts."""
     true, _ = walk(pieces * L)
-    measured = true + np.sqrt(COARSE.R[0, 0]) * np.random.default_rng(2).standard_normal(len(true))
+    measured = true + np.sqrt(COARSE.R[0, 0]) * np.random.default_rng(4).standard_normal(len(true))
     pretended = mpt.KalmanFilter(COARSE).filter(measured.reshape(pieces, L).T[:, None])[:, 0]  # from 0 exactly
     whole = mpt.KalmanFilter(replace(COARSE, P0=UNKNOWN)).filter(measured[:, None])[:, 0]
     starts = L * np.arange(pieces)
