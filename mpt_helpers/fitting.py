@@ -39,7 +39,7 @@ APART = 1e-2
 # and r by 1e-6, milliseconds instead of seconds change q by 1e-9, degrees change both by 1e-10.
 OTHER_UNITS = 1e5
 # A parameter with a larger error of its logarithm is not known.
-VAGUE = math.log(10)
+UNKNOWN = math.log(10)
 # Standard deviations between x0 and the start that the measurements suggest. Beyond the first a fit is refused. Beyond
 # the second it warns, since it explains the distance by a wrong q and r.
 ANOTHER_POSITION, FAR = 1e3, 10.0
@@ -333,7 +333,7 @@ def _doubts(found, z, guess, bounded):
     for (name, error), has_a_limit in zip(found.log_errors.items(), bounded, strict=True):
         if not has_a_limit:
             yield f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known"
-        elif error > VAGUE:
+        elif error > UNKNOWN:
             yield f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters"
     if (distance := _distance_of_the_start(found.filter, z)) > FAR:
         away = f"{distance:.0f} standard deviations from what x0 and P0 expect"
@@ -344,7 +344,7 @@ def _doubts(found, z, guess, bounded):
         return
     for name, error in found.log_errors.items():
         times = found.values[name] / guess[name]
-        if error < VAGUE and not 1 / OTHER_UNITS < times < OTHER_UNITS:
+        if error < UNKNOWN and not 1 / OTHER_UNITS < times < OTHER_UNITS:
             units = "are z and t in the units of the guess (metres and seconds, not degrees, kilometres, milliseconds)?"
             yield f"{name}: {found.values[name]:.3g} is {times:.0e} times its guess: {units}"
 

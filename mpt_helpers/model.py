@@ -244,7 +244,7 @@ def _relative(missed, size):
 
 def _matrices(rows):
     """Return matrices (..., a, b) from a list of a rows with b entries each, which are numbers or arrays (...)."""
-    if not any(np.ndim(entry) for row in rows for entry in row):  # one step, a third of the time of `LiveBand.step`
+    if not any(np.ndim(entry) for row in rows for entry in row):  # one step: broadcasting would take four times as long
         return np.array(rows, float)
     entries = np.broadcast_arrays(*[np.asarray(entry, float) for row in rows for entry in row])
     return np.moveaxis(np.array(entries).reshape(len(rows), len(rows[0]), *entries[0].shape), (0, 1), (-2, -1))

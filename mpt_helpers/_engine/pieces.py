@@ -45,7 +45,10 @@ def through(advance, rows, x0, P0, x, P, vague=False):
     faster and costs no digits. Returns whether doubles held the covariances.
     """
     if vague:
-        k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
+        try:
+            k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
+        except np.linalg.LinAlgError:  # rounding has taken every digit of a P of the start
+            return False
         rows, x, P = _of_each(rows, lambda array: array[k:]), x[k:], P if P is None else P[k:]
     N, _, c, W = x.shape
     K = rows_per_piece(N, c * W)

@@ -393,3 +393,15 @@ def test_good_fixes_on_the_way_to_where_a_receiver_stands_still_are_kept(speed, 
     z = np.column_stack([speed * t, 0.2 * speed * t]) + 0.02 * rng.standard_normal((600, 2))
     z[300 : 300 + lost] = z[300]
     np.testing.assert_array_equal(mpt.tracks.clean(t, z).refused, np.arange(300, 300 + lost))
+
+
+def test_a_start_too_vague_for_doubles_is_refused_by_name():
+    """One that left the engine as numpy's own "Singular matrix"; most others pass, or fail in the gate."""
+    rng = np.random.default_rng(400)
+    axis = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0)
+    _, z = mpt.simulate(mpt.stack(axis, axis), 120, rng)
+    z[rng.random(120) < 0.05] += 1e3 * rng.standard_normal(2)
+    z[rng.random((120, 2)) < 0.2] = np.nan
+    vague = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0, P0=1e24 * np.eye(2))
+    with pytest.raises(ValueError, match="doubles"):
+        mpt.gated(mpt.KalmanFilter(mpt.stack(vague, vague)), z)
