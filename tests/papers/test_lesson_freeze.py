@@ -129,12 +129,12 @@ def test_the_picture():
     says(
         "For twelve steps the frozen filter is worse than the bare measurement, except at step 8, where its mean error"
     )
-    says("The other one only improves.")
+    says("The dashed blue line, whose gain varies first, only improves.")
     at_once, later = lesson.typical_errors(40)
     one = np.sqrt(lesson.R)
     assert np.flatnonzero(at_once > one).max() + 1 == 12
     assert np.flatnonzero(at_once[:12] < one).tolist() == [7]
-    says("Then the filter begins as good as one measurement, and only improves.")
+    says("Then its position begins as good as one measurement, and only improves.")
     assert later[0] == pytest.approx(one, rel=1e-3)
     assert (np.diff(later) < 1e-4).all()  # a tenth of a millimetre: the start was 10⁴ I and not unknown
     says("From step 15 on the two agree to 1 %.")
@@ -207,7 +207,7 @@ def test_the_error_of_a_prediction_holds_once_the_list_has_ended(taught):
 
 def test_a_miss_costs_a_frozen_gain_little_and_ten_much(taught):
     """The table's errors are those of simulated cars; ours after ten, of the package's own filters."""
-    says("after ten in a row its error five seconds ahead is up to 2.2 times that of a filter which computes its gain")
+    says("one costs 1 %, but after ten its error five seconds ahead is up to 2.2 times that of a filter which computes")
     ratio = taught["largest_ratio"](10, 2, 0.01)
     assert round(ratio, 1) == 2.2
     model = VELOCITY

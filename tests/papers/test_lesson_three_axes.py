@@ -118,7 +118,7 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
     best, frozen = lesson.after_silence(30, steps=15)
     says(f"knows the height to {best[0]:.2f} m at once")
     says(f"In the first second its σ is {frozen[0]:.2f} m, and it takes ten seconds until it is nearly as good as")
-    says("in the next second its σ is 7 % larger than it need be")
+    says("after the next measurement its σ is 7 % above that of a gain computed anew")
     assert np.divide(*lesson.after_silence(1, steps=1)[::-1]).item() == pytest.approx(1.07, abs=0.006)
     ratio = frozen / best
     assert ratio[8] > 1.2
@@ -134,12 +134,14 @@ def test_axes_that_are_linked():
     says("The 52 % are for east and north, beside a height whose σ of measurement is ten times as large, with")
     says("with correlations of 0.9 between the errors and −0.45 between the changes")
     assert lesson.losses_apart([1, 1, 10], errors=0.9, changes=-0.45)[:2, 0].round().tolist() == [52, 52]
-    says("So a correlation of 0.5 costs 2 %")
+    says("So for equal axes a correlation of 0.5 costs 2 % in each coordinate")
     for link in ("errors", "changes"):
         assert round(lesson.losses_apart([1, 1, 1], **{link: 0.5})[0, 0]) == 2
-    says("with one half between the errors, they state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
+    says("With one half between the errors, they state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says("With 0.9 where 0.3 is true, it states 4.4 m after the silence and is wrong by 10.9 m, more than axes kept")
+    says(
+        "With 0.9 where 0.3 is true, it states a σ of 4.4 m after the silence where 10.9 m is true, more than axes kept"
+    )
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
@@ -208,7 +210,7 @@ def test_the_frozen_step_is_that_of_the_package(settled, stacked):
 
 
 def test_errors_that_last_are_not_stated():
-    says("If 0.99 of each error stays for the next second, this filter states 0.23 m and is wrong by 0.33 m, no less")
+    says("If 0.99 of each error stays for the next second, this filter states a σ of 0.23 m where 0.33 m is true, no")
     last = lesson.sigma_if_errors_last(0.99, steps=5000)
     assert round(last, 2) == 0.33
     assert last > np.sqrt(0.1)
