@@ -94,7 +94,7 @@ def hatch():
 
 
 # Numbers that no cell prints: computed in tests below.
-COMPUTED = "0.045 0.1 0.2 0.25 0.4 0.8 0.84 0.86 0.94 1.0 1.2 1.4 1.42 1.44 1.5 1.6 2.2 2.46 3.3"
+COMPUTED = "0.045 0.1 0.2 0.25 0.4 0.8 0.84 0.86 0.94 1.0 1.2 1.4 1.42 1.44 1.5 1.6 2.2 2.46 3.3 3.4"
 
 
 def test_numbers_with_decimals_are_printed_by_cells_or_computed_in_a_test():
@@ -127,7 +127,7 @@ def test_the_question_of_the_first_line_is_answered(cases):
     says(f"state {np.hypot(stated, 1.2):.1f} m: a metre by a formula")
     says(f"$\\sqrt{{{stated:.1f}^2 + 1.2^2}}$ = {np.hypot(stated, 1.2):.1f} m")
     from_file = mpt.metrics.rms(means + cases[WALL].offset[UP])
-    says(f"From the height in NYA1's file the 28 means were {from_file:.1f} m off")
+    says(f"Against the height in NYA1's file the 28 means had an rms error of {from_file:.1f} m")
 
 
 def test_the_bars_of_the_figure_are_means_that_follow_the_line(cases):
@@ -136,7 +136,7 @@ def test_the_bars_of_the_figure_are_means_that_follow_the_line(cases):
     up = cases[WALL].errors[: 100 * len(bars), UP].reshape(-1, 100)
     np.testing.assert_allclose(np.array(bars), up.mean(axis=1)[:, None] + np.zeros(2))
     assert np.corrcoef(up.mean(axis=1), wave.reshape(-1, 100).mean(axis=1))[0, 1] > 0.95
-    says("They follow the line, though not closely, since some noise is left; and most miss the band.")
+    says("They follow the line, though not closely, since neither is quite free of noise; and most miss the band.")
     assert np.sum(np.abs(up.mean(axis=1)) > 0.25) > 6
 
 
@@ -163,7 +163,8 @@ def test_the_formula_is_computed_by_hand():
     assert np.sqrt(1 - np.exp(-2)) == pytest.approx(0.93, abs=0.005)
     two_hours = lesson.stated_at_rest(4.0, *PAIR, 7200.0, 240)
     says(f"$\\sqrt{{1.44/2 + 4/240}}$ = {two_hours:.2f} m")
-    says(f"$\\sqrt{{0.86^2 + 1.2^2}}$ = {np.hypot(two_hours, 1.2):.1f} m")
+    says(f"$\\sqrt{{0.86^2 + 1.2^2}}$ = {np.hypot(two_hours, 1.2):.1f} m, with one $\\sqrt{{0.86^2 + 3.3^2}}$ =")
+    says(f" = {np.hypot(two_hours, 3.3):.1f} m. If that is too much")
 
 
 def test_the_mean_leaves_seven_percent_more_than_the_best_average():
@@ -336,7 +337,7 @@ def test_what_the_tables_say_is_said(cases, fits):
         if cases[name].kind == cases[other].kind
     ]
     assert 1 / 5 < min(hours) < 1 / 4 < 4 < max(hours) < 5
-    says("Expect to be wrong by a factor of three, over four hours of five.")
+    says("What you state may be wrong by a factor of three, and for means of four hours by a factor of five.")
     worst = dict.fromkeys((0, PAIR[0]), 0.0)
     for name, case in cases.items():
         parts = np.array_split(case.errors[:, UP], 2)
@@ -344,7 +345,7 @@ def test_what_the_tables_say_is_said(cases, fits):
             for least in worst:
                 found = lesson.mean_over_stated(part, (r, max(sigma, least), tau), case.step)
                 worst[least] = max(worst[least], found)
-    says("Take no σ below 1.2 m: tried on the other half of each day, the error was then")
+    says("If the fit says less than 1.2 m for σ, take 1.2 m: on the other half of each day the error was then")
     says(f"at most {worst[PAIR[0]]:.1f} times what was stated, instead of {worst[0]:.1f}.")
 
 
