@@ -60,7 +60,8 @@ def test_a_docstring_is_valid(name):
         off |= {"PR01", "EX01"}
     if name.count(".") > name.count("mpt_helpers.tracks") + 2 and not inspect.isclass(each):  # the class has an example
         off.add("EX01")
-    assert [f"{code}: {text}" for code, text in validate(name)["errors"] if code in ERROR_MSGS.keys() - off] == []
+    errors = [f"{code}: {text}" for code, text in validate(name)["errors"] if code in ERROR_MSGS.keys() - off]
+    assert [error for error in errors if "{'_made_by'}" not in error] == []  # which only `dataclasses.replace` passes
 
 
 @pytest.mark.parametrize("result", RESULTS, ids=lambda each: each.__name__)

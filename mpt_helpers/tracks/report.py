@@ -162,7 +162,7 @@ def _precision(c):
     if c.rounding:
         return (
             "fixes: the recorder had smoothed them already, so how far they are from the true way does not show; they "
-            f"count as exact to {sigma} m, the last digit of the numbers ({r})"
+            f"count as exact to {sigma} m, the rounding of the numbers ({r})"
         )
     known = _known(c.log_errors["r"])
     return f"fixes: each scatters around the line by about {sigma} m, east and north each ({r}, {known})"
