@@ -25,16 +25,20 @@ def is_vague(model, P0, r=None):
     """
     F, H, Q, R = model.F, model.H, model.Q, model.R
 
-    def first_S(noise):
-        G = unit_measurements(H, noise)[0] @ F
-        return float((G @ P0 @ G.T).max())
+    def largest_S(noise, steps):
+        G, largest = unit_measurements(H, noise)[0], 0.0
+        for _ in range(steps):
+            G = G @ F
+            largest = max(largest, float((G @ P0 @ G.T).max()))
+        return largest
 
-    if not first_S(R) < LARGEST:
-        checks.refuse("P0", f"variances of what is measured below {LARGEST:g} R", f"{first_S(R):.2g} R")
+    first_S = largest_S(R, steps=1)
+    if not first_S < LARGEST:
+        checks.refuse("P0", f"variances of what is measured below {LARGEST:g} R", f"{first_S:.2g} R")
     if r is not None:
         smallest = np.where(r > 0, r, np.inf).min(axis=(0, *range(2, r.ndim)))
         R = np.diag(np.minimum(np.diag(R), smallest))
-    return first_S(H @ Q @ H.T + R) > VAGUE
+    return largest_S(H @ Q @ H.T + R, steps=len(F)) > VAGUE  # within n steps each state shows that ever does
 
 
 def require_digits(T_1, T_2, P, after, S, dt=None):

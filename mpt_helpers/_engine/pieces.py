@@ -32,8 +32,8 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # The largest number of runs. Where pieces do not fit together, each runs again from where the preceding one ended; if
 # they do not fit after the last run, the track is filtered uncut.
 MOST_PASSES = 3
-# The largest number of rows that `_from_a_vague_start` computes.
-MOST_OF_A_START = 32
+# The largest number of rows with a measurement that `_from_a_vague_start` computes, each from the first row on.
+MOST_OF_A_START = 300
 # Smaller eigenvalues of a correlation matrix count as this one: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
 
@@ -180,15 +180,23 @@ def _from_a_vague_start(advance, rows, x0, P0, x, P):
     """Write the first rows as `through` does, and return how many, x and P after the last.
 
     Taken row by row, the first updates from a vague start would lose the digits of P0 / R, and without process noise
-    never regain them. So row k is computed as the end of one piece of the rows 0 to k. This goes on until each track
-    has had 2 n epochs with a measurement.
+    never regain them. So row k is computed as the end of one piece of the rows 0 to k. This goes on until each sensor
+    of each track has measured 2 n times, or will not again. A row in which nothing is measured is a prediction, which
+    loses no digits.
     """
     n, _, W = x0.shape
-    measured = np.cumsum(rows[1].any(axis=1), axis=0).min(axis=1)
-    K = min(1 + np.sum(measured < 2 * n), MOST_OF_A_START, len(x))
-    for k in range(K):
-        piece = _of_each(rows, lambda array, k=k: array[: k + 1])
-        x_k, P_k = (each[..., -W:] for each in starts(advance, piece, x0, P0))
+    seen = rows[1]
+    counts = np.cumsum(seen, axis=0)
+    settled = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=(1, 2))
+    measured = np.cumsum(seen.any(axis=(1, 2)))
+    K = min(1 + np.sum(~settled & (measured < MOST_OF_A_START)), len(x))
+    x_k, P_k = x0, P0
+    for k, row in enumerate(_one_by_one(_of_each(rows, lambda array: array[:K]))):
+        if seen[k].any():
+            piece = _of_each(rows, lambda array, k=k: array[: k + 1])
+            x_k, P_k = (each[..., -W:] for each in starts(advance, piece, x0, P0))
+        else:
+            x_k, P_k, _ = advance(row, x_k, P_k)
         x[k] = x_k
         if P is not None:
             P[k] = P_k

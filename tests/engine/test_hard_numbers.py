@@ -386,3 +386,33 @@ if __name__ == "__main__":
         print(json.dumps({f"{begin}{name}": way(name) for (names, _, begin, _), way in tables for name in names}))
     else:
         write_page()
+
+
+@pytest.mark.parametrize("first", [(40, 40), (0, 40), (0, 400)], ids=str)
+def test_a_vague_start_may_be_measured_late(first):
+    """Two tracks, the first measurement of each after so many rows: x to 1e-6 of a sigma, P to 1e-6, by 60 digits."""
+    model = mpt.constant_velocity(1.0, 0.01, 1.0, P0=1e18 * np.eye(2))
+    N = first[1] + 10
+    z = np.random.default_rng(3).standard_normal((N, 1, 2))
+    for track, row in enumerate(first):
+        z[:row, :, track] = np.nan
+    if first[1] > 300:  # only the last rows of the other track then
+        z[:-20, :, 0] = np.nan
+    found = mpt.KalmanFilter(model).estimates(z)
+    for track, row in enumerate(first):
+        x, _, _, P, *_ = precise.kalman(model.F, model.H, model.Q, model.R, model.x0, model.P0, z[..., track])
+        x, P = x[row + 2 :].astype(float), P[row + 2 :].astype(float)
+        sigma = np.sqrt(np.einsum("kii->ki", P))
+        assert (np.abs(found.x[row + 2 :, :, track] - x) < 1e-6 * sigma).all()
+        assert (np.abs(found.P[row + 2 :, :, :, track] - P) < 1e-6 * sigma[:, :, None] * sigma[:, None]).all()
+
+
+def test_a_vague_state_that_shows_only_after_some_steps_is_refused():
+    """Two steps pass before the acceleration reaches the position; then all of its digits are lost, gap or not."""
+    F = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    model = mpt.LinearModel(F=F, H=[[1, 0, 0]], Q=np.zeros((3, 3)), R=[[1.0]], P0=np.diag([0, 0, 1e18]))
+    z = np.random.default_rng(0).standard_normal((20, 1))
+    for missing in ([], [5]):
+        z[missing] = np.nan
+        with pytest.raises(ValueError, match="doubles"):
+            mpt.KalmanFilter(model).estimates(z)
