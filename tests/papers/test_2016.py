@@ -280,7 +280,10 @@ def test_what_is_said_of_the_time_step():
     assert f"to {falls[2]} and {falls[3]} with constant acceleration" in sentence
     front = text_of("front")
     assert f"σ after the start {min(steps):.1f} to {max(steps):.1f} times as large" in front
-    assert f"where four times the noise makes it {min(noises):.1f} to {max(noises):.1f} times" in front
+    assert (
+        f"where four times the variance of the measurements makes it {min(noises):.1f} to {max(noises):.1f} times"
+        in front
+    )
     at_half, at_two = (average("ca", round(STEPS / dt), dt=dt)[0] for dt in (0.5, 2))
     assert "for estimates with constant acceleration it falls to a third" in text_of("front")
     assert at_half / at_two == pytest.approx(3, rel=0.05)
