@@ -179,13 +179,16 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     t = np.broadcast_to(estimator.times_of(N).reshape(N, -1), (N, M))
     R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
     start = model.x0, estimator.P0
-    tracks = [_of_one_track(model, start, *(each[..., c] for each in (t, z, x, P, R)), seconds) for c in range(M)]
+    tracks = []
+    for c in range(M):
+        of_track = (each[..., c] for each in (t, z, x, P, R))
+        tracks.append(_of_one_track(model, start, *of_track, seconds))  # type: ignore[call-arg]
     track = np.repeat(np.arange(M), [len(made) for made, *_ in tracks])
     if len(track) == 0:
         checks.refuse("seconds", FITTING, f"{seconds:g}")
     *arrays, rests = (np.concatenate(parts) for parts in zip(*tracks, strict=True))
     left_out = int(np.isfinite(z).any(axis=1).sum()) - len(track)
-    return ForecastErrors(*arrays, track, rests, left_out, seconds)
+    return ForecastErrors(*arrays, track, rests, left_out, seconds)  # type: ignore[call-arg]  # mypy counts no *arrays
 
 
 def _of_one_track(model, start, t, z, x, P, R, seconds):

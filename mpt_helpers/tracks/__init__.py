@@ -214,7 +214,9 @@ def longest_in_order(time: Array) -> Array:
         return known
     # Of all increasing subsequences of k + 1 rows, the one that ends earliest can be continued by most: ends[k] is its
     # last time, rows[k] its last row, the newest of several at one time; `before` has the row before each one.
-    ends, rows, before = [], [], {}
+    ends: list[Any] = []
+    rows: list[Any] = []
+    before: dict[Any, Any] = {}
     for row in known.tolist():
         k = bisect.bisect_left(ends, time[row])
         before[row] = rows[k - 1] if k else None

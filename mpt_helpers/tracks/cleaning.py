@@ -117,7 +117,7 @@ class Source:
     recording: Recording
     rows: NDArray[np.intp]
     left_out: dict[str, int]
-    charts: list[geodesy.Plane | geodesy.Belt]
+    charts: list[geodesy.Chart]
     plane: NDArray[np.intp]
     said: list[str]
 
