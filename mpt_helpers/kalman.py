@@ -1,4 +1,4 @@
-"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` is one of many tracks.
+"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` is that of many tracks.
 
 A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros
 in H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed,

@@ -54,8 +54,8 @@ class LinearModel(Immutable):
     Raises
     ------
     ValueError, TypeError
-        For matrices that do not fit together, an R that is not positive definite, covariances that are none, a
-        transition that is none or has another F or Q, and another dt without a transition.
+        For matrices that do not fit together, an R that is not positive definite, a Q or P0 that is not a covariance, a
+        transition that is not callable or disagrees with F or Q, and another dt without a transition.
 
     Examples
     --------
@@ -82,7 +82,7 @@ class LinearModel(Immutable):
     P0: Array
     dt: float | None
     transition: Transition | None
-    # dt and transition, again: from them `replace` knows the F and Q that it hands on.
+    # The dt and transition that F and Q came from, so that `replace` can tell derived F and Q from given ones.
     _made_by: tuple[float, Transition | None] | None = field(repr=False)
 
     def __init__(

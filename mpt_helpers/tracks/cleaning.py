@@ -197,7 +197,7 @@ class Cleaned:
 
     @property
     def unusual(self) -> list[str]:
-        """What is unusual about the track, in words: it may be in other units, or have too few digits."""
+        """Questions that the track raises, in words: it may be in other units, or have too few digits."""
         return report.unusual(self)
 
     def report(self) -> str:

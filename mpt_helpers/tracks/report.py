@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ..fitting import UNKNOWN
 from .geodesy import earth_centred
 from .readers import UNIX, moment_of
 from .writers import degrees_of
@@ -25,7 +26,7 @@ REST, REST_STEP = 60.0, 2.0  # s: a rest lasts a minute, which is looked at in s
 KM_H = 3.6
 COLUMNS = 100  # of a terminal
 TOGETHER = "\u00a0"  # a blank at which a line is not broken
-A_FEW, UNKNOWN = 0.3, math.log(10)  # errors of a logarithm: told in per cent, as a factor, or not at all
+A_FEW = 0.3  # errors of a logarithm: below it told in per cent, below UNKNOWN as a factor, or not at all
 LISTED = 5  # times of faults at most
 OF_THE_BAND = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
 # Usual recordings lie between the speeds of a snail and of a fighter. Fixes RARELY seconds apart and so slow are usual
