@@ -118,7 +118,8 @@ def test_the_numbers_of_the_scene_and_of_the_repair():
 def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
     """The estimate is that of x(k), minus Δt times the velocity in the position: for every Q, r and Δt."""
     says(
-        "late by v Δt on average at a speed v is algebra, for every Q, r and Δt with which it still corrects its speed"
+        "late by v Δt on average at a speed v is algebra, for every Q, r and Δt with which its gain for the speed does "
+        "not fade to zero"
     )
     rng = np.random.default_rng(0)
     for _ in range(100):
@@ -129,7 +130,7 @@ def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
 
 def test_the_wrong_sigma_is_the_error_of_a_second_ago():
     """Within one part in a hundred, by simulation of the position before and the estimate now."""
-    says("with pushes this gentle, it is about the position a second ago, which one more measurement has seen")
+    says("with pushes this gentle, it is really that of the position a second ago, which one more measurement has seen")
     true, measured = lesson.walk(60, tracks=4000)
     x = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE})).filter(measured[:, None])
     about_before = np.sqrt(np.mean((x[40:, 0] - true[39:-1]) ** 2))
@@ -233,15 +234,6 @@ def test_how_often_a_minute_raises_an_alarm():
     assert nis == pytest.approx(1, abs=0.05)
 
 
-def test_successive_surprises_of_the_late_filter_are_hardly_correlated():
-    """At gentle pushes; in a minute a correlation has a σ of 0.13, so nobody sees it."""
-    _, measured = lesson.walk(160, tracks=20_000)
-    kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE}))
-    new = mpt.metrics.innovations(kf, measured[:, None]).values[60:, 0]
-    correlation = np.mean(new[1:] * new[:-1]) / np.mean(new**2)
-    says(f"correlated to speak of: by −{-correlation:.2f}, where a minute scatters by {1 / np.sqrt(60):.2f}.")
-
-
 def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
     minute, hours = ([float(each) for each in re.findall(r"\d\.\d\d", line)] for line in printed_by("nis").splitlines())
     says("The minute alarms nobody. Three hours of such pushes show that something is a little off, but not what.")
@@ -262,7 +254,7 @@ def test_nis_of_the_lesson_is_that_of_the_package(taught):
 
 
 def test_somebody_who_turns_back_alarms_both():
-    says("both filters lag, and NIS is large with either H.")
+    says("it lags for a while, too, and NIS is large with either H.")
     seconds = np.arange(200)
     positions = np.cumsum(1.5 * (1 - 2 * (seconds // 20 % 2)))
     z = positions[:, None] + np.random.default_rng(0).normal(0, np.sqrt(0.1), (200, 200))
@@ -279,7 +271,7 @@ def test_the_ramp_of_the_four_cases():
     found = re.findall(r"off by (-?[\d.]+) m and ([\d.]+) m/s", printed_by("ramp"))
     assert found == [("0.00", "0.00"), ("-1.50", "0.00"), ("1.50", "0.00"), ("0.00", "0.00")]
     assert len(code_of("ramp").split("\n\n\n")[0].splitlines()) == 5
-    says("Five lines of code bring it to light.")
+    says("Five lines of code, and one fact about the sensor, bring it to light.")
 
 
 def after_ramp(F, H, Q, r, sensor, dt=1.0, v=1.5, rows=1000):
@@ -323,7 +315,7 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_a_ramp_sees_neither_q_nor_r():
-    says("Q, r and P, since every filter that still corrects its speed settles in the same place;")
+    says("Q, r and P, since every filter whose gain for the speed does not fade to zero settles in the same place;")
     rng = np.random.default_rng(5)
     for _ in range(15):
         root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
@@ -430,7 +422,7 @@ def test_an_old_position_takes_a_negative_h_in_the_mean_only():
 
 def test_uneven_steps_give_the_late_filter_away():
     """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
-    says("With Δt anything between 0.7 and 1.3 s NIS is 1.6 on the calm walk.")
+    says("with Δt anything between 0.7 and 1.3 s NIS is 1.6 on the calm walk.")
     rng = np.random.default_rng(11)
     tracks, rows = 2000, 100
     steps = rng.uniform(0.7, 1.3, rows)
@@ -458,7 +450,7 @@ def test_uneven_steps_give_the_late_filter_away():
 
 def test_after_a_turn_a_filter_looks_late_until_it_has_settled():
     """Without noise, of the right filter: the delay that the mark tells, by seconds between the mark and the turn."""
-    says("Go on until the filter will have settled after a turn, here ten seconds.")
+    says("Walk on for as long as the filter takes to settle after a turn, here ten seconds.")
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE}))
 
     def delay(beyond):
@@ -476,8 +468,8 @@ def test_an_h_that_fits_the_sensor_passes_the_ramp(taught, h):
     assert abs(taught["ramp"](np.array([[1.0, h + 0.1]]), h)[0]) > 0.1
 
 
-def test_a_report_is_mended_by_the_delay_times_its_speed(taught):
-    says("To each report add the delay times the speed.")
+def test_an_old_position_is_mended_by_its_age_times_the_velocity(taught):
+    says("For a fraction of a step, add that time, multiplied by the velocity, to the position;")
     for delay in (0.4, 1.0, 2.7):
         position, speed = taught["ramp"](NOW, -delay)
         assert position + delay * (1.5 + speed) == pytest.approx(0, abs=1e-6)
