@@ -126,10 +126,8 @@ def test_which_filter_wins(off, taught):
     for each, expected in table.items():
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
-    says(
-        "The acceleration filter wins at all four stops, but clearly only if the stop takes longer than the five seconds"
-    )
-    says("unless the car has nearly stopped by then, or the brake has lasted some nine seconds.")
+    says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than the five")
+    says("unless the car has nearly stopped by then (4 m/s or less are left), or the brake has lasted nine seconds.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
