@@ -137,10 +137,10 @@ def test_axes_that_are_linked():
     says("So for equal axes a correlation of 0.5 costs 2 % in each coordinate")
     for link in ("errors", "changes"):
         assert round(lesson.losses_apart([1, 1, 1], **{link: 0.5})[0, 0]) == 2
-    says("With one half between the errors, they state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
+    says("the small filters state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
     says(
-        "With 0.9 where 0.3 is true, it states a σ of 4.4 m after the silence where 10.9 m is true, more than axes kept"
+        "told 0.9 where 0.3 is true, it states a σ of 4.4 m after the silence where 10.9 m is true, and axes kept"
     )
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
@@ -210,7 +210,7 @@ def test_the_frozen_step_is_that_of_the_package(settled, stacked):
 
 
 def test_errors_that_last_are_not_stated():
-    says("If 0.99 of each error stays for the next second, this filter states a σ of 0.23 m where 0.33 m is true, no")
+    says("If errors fade by only 1 % a second, this filter states a σ of 0.23 m where 0.33 m is true: it gains nothing")
     last = lesson.sigma_if_errors_last(0.99, steps=5000)
     assert round(last, 2) == 0.33
     assert last > np.sqrt(0.1)
