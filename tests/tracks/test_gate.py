@@ -25,7 +25,7 @@ def track():
     return mpt.KalmanFilter(model()), z
 
 
-def test_a_clean_track_is_one_piece(track):
+def test_a_clean_track_is_one_segment(track):
     kf, z = track
     np.testing.assert_array_equal(mpt.gated(kf, z), 0)
 
@@ -39,13 +39,13 @@ def test_single_outliers_are_refused_and_nothing_else(track):
     assert number.max() == 0
 
 
-def test_a_jump_that_stays_begins_a_piece_at_its_first_fix(track):
+def test_a_jump_that_stays_begins_a_segment_at_its_first_fix(track):
     kf, z = track
     z[200:] += 500.0
     np.testing.assert_array_equal(mpt.gated(kf, z), np.repeat([0, 1], 200))
 
 
-def test_a_jump_whose_first_fix_is_an_outlier_begins_a_piece_without_it(track):
+def test_a_jump_whose_first_fix_is_an_outlier_begins_a_segment_without_it(track):
     kf, z = track
     z[200:] += 500.0
     z[200] -= 90.0
@@ -247,7 +247,7 @@ def test_what_has_no_gate_is_refused_by_name(kf, z, given, said):
         mpt.gated(kf, z, **given)
 
 
-def test_nothing_to_see_is_no_piece():
+def test_nothing_to_see_is_no_segment():
     np.testing.assert_array_equal(mpt.gated(mpt.KalmanFilter(model()), np.full((5, 2), np.nan)), -1)
 
 

@@ -346,3 +346,10 @@ def test_the_time_in_motion_of_a_glider_is_known_although_its_speed_is_not():
     found = clean(t, z + np.random.default_rng(4).normal(0, 3.0, z.shape)).summary()
     assert found["speed_error_km_h"] > 3.6 * 0.5
     assert found["moving_seconds"] == pytest.approx(1797, abs=6)
+
+
+def test_a_cleaned_track_is_equal_to_itself_only():
+    c, again = (clean(*SHORT[::2]) for _ in range(2))
+    assert c == c
+    assert c != again
+    assert len({c, again}) == 2
