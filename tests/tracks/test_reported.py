@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mpt_helpers as mpt
-from mpt_helpers.tracks import clean, geodesy
+from mpt_helpers.tracks import clean, geodesy, readers
 
 RADIUS = 6371008.8
 
@@ -226,6 +226,27 @@ def test_a_flight_along_the_earth_has_its_length_its_speed_and_no_jump(km, step,
     assert [len(each.t) for each in written] == [N]
     off = np.linalg.norm(geodesy.earth_centred(*mpt.tracks.report.degrees_of(c, c.x[:, ::2]), 0.0) - true, axis=0)
     assert off.max() < max(noise, 0.1)
+
+
+def test_frame_file_picture_and_report_of_a_flight_agree_on_its_speed_and_course(tmp_path):
+    """Along a parallel for 130°, where the chart shows a bow: its north is up to 56° off, its metres 1.4 % too long."""
+    lat, lon = np.full(1100, 55.0), -60 + 0.1176 * np.arange(1100)
+    c = mpt.track(gpx(tmp_path / "far.gpx", 30 * np.arange(1100), lat, lon))
+
+    def speeds(lat, lon):
+        return np.linalg.norm(np.diff(geodesy.earth_centred(lat, lon, 0.0), axis=1), axis=0) / 30
+
+    speed = speeds(lat, lon).mean()
+    frame = c.to_frame()
+    np.testing.assert_allclose(frame["v_x"], speed, rtol=1e-4)
+    np.testing.assert_allclose(frame["v_y"], 0, atol=1e-3 * speed)
+    np.testing.assert_allclose(speeds(frame["lat"], frame["lon"]), speed, rtol=1e-6)
+    drawn = max(c.plot().axes[1].lines, key=lambda line: len(line.get_ydata())).get_ydata()
+    np.testing.assert_allclose(drawn, 3.6 * speed, rtol=1e-4)
+    assert c.summary()["median_speed_km_h"] == pytest.approx(3.6 * speed, rel=1e-4)
+    c.gpx(tmp_path / "smooth.gpx")
+    written = readers.read(tmp_path / "smooth.gpx")
+    np.testing.assert_allclose([written.lat, written.lon], frame[["lat", "lon"]].T, atol=1e-8)
 
 
 def test_a_chart_gives_degrees_back_and_distances_from_its_middle():
