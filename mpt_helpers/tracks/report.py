@@ -15,6 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..fitting import UNKNOWN
+from .doubts import take_turns
 from .geodesy import earth_centred
 from .readers import UNIX, moment_of
 from .writers import degrees_of, velocities_of
@@ -88,6 +89,8 @@ def unusual(c: Cleaned) -> list[str]:
         recording, rows = c.source.recording, c.source.rows[fixes]
         if max(np.abs(recording.lat[rows]).max() * 2, np.abs(recording.lon[rows]).max()) < math.pi:
             found.append("ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians?")
+    if take_turns(c.t[fixes], c.z[fixes]):
+        found.append("ATTENTION: every other fix lies on a way of its own: are these two receivers, or two mobiles?")
     share = _share_refused(c)
     if share > MANY:
         asked = "So many are hardly faults: are digits missing, or is the noise large?"
