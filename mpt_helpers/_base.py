@@ -19,7 +19,7 @@ through `filter`:
       1 shared_steps             tracks without gaps: A_k, B_k and P, made once by `next_step`
         run_shared               x <- A x + B z, several steps in one product
       2 Epochs.rows              all others: tracks as columns
-        pieces.through           one row after the other, or a long track in pieces
+        pieces.run_rows           one row after the other, or a long track in pieces
           advance                one row: x and P of all tracks, predicted and corrected
 
 `advance` calls `next_step` for each track, unless a filter has a faster way: KalmanFilter has one in `_engine.columns`.

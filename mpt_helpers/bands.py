@@ -171,7 +171,7 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     (array([0., 1.]), array([3., 3.]), array([-0.02,  0.04]), array([0.56, 0.53]), 2)
 
     """
-    model = _model_of_any_step(estimator)
+    model = _model_with_transition(estimator)
     seconds = checks.duration("seconds", seconds)
     z, _ = estimator.as_tracks(z)
     x, P = estimator.estimates(z)
@@ -321,7 +321,9 @@ def _nis_per_number(innovations, S):
     return np.minimum(np.square(unit).sum(axis=0) / np.isfinite(innovations).sum(axis=-1), CAP)
 
 
-def _model_of_any_step(estimator):
+def _model_with_transition(estimator):
+    """Return the model of a filter whose predictions some seconds ahead are known."""
+    checks.instance("estimator", estimator, Filter)
     if estimator.model.transition is None:
         need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
         checks.refuse("estimator", need, "one whose F and Q are for one length only")
@@ -412,6 +414,7 @@ def _checked_band(name, a, band, where):
 
     `name` is that of the function that judges, for its warning.
     """
+    checks.instance("a", a, ForecastErrors)
     band = checks.real_numbers("band", band, "half-widths")
     if band.shape != a.errors.shape or (band < 0).any():
         got = f"shape {band.shape}, the least is {np.nanmin(band):g}"
@@ -467,7 +470,7 @@ class LiveBand:
     """
 
     def __init__(self, estimator: Filter, seconds: Seconds, before: ForecastErrors | None = None, level: float = 0.95):
-        self.model: LinearModel = _model_of_any_step(estimator)
+        self.model: LinearModel = _model_with_transition(estimator)
         self.seconds: float = checks.duration("seconds", seconds)
         self.level: float = checks.level(level)
         self.log_f: Array = _log_f_at_start(self.seconds, self.model.m, before, self.level)

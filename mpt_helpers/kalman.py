@@ -24,7 +24,7 @@ from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns
 from ._engine.digits import require_digits
 from ._engine.shared import Step
-from .equations import neutralised, unit_measurements
+from .equations import masked, unit_measurements
 from .model import LinearModel, missed_by_halves
 
 # The relative difference between a step and two half steps above which the filter warns of an inaccurate transition.
@@ -124,7 +124,7 @@ class KalmanFilter(RecursiveFilter):
             kf.F, kf.Q = self.model.over(dt)
         if r is not None or not seen.all():
             R = self.model.R if r is None else np.diag(np.where(seen, r, 1))
-            H_1, W = unit_measurements(*neutralised(self.model.H, R, seen))
+            H_1, W = unit_measurements(*masked(self.model.H, R, seen))
             kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
         kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z

@@ -59,7 +59,7 @@ def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
     Returns
     -------
     float
-        max|a - b| / max|b|.
+        max|a - b| / max|b|; 0 where a and b are equal, infinite where only b is zero.
 
     Examples
     --------
@@ -71,7 +71,11 @@ def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
     a, b = (checks.real_numbers(name, each, "an array of numbers") for name, each in (("a", a), ("b", b)))
     if a.shape != b.shape:
         checks.refuse("a", f"the shape of b, {b.shape}", a.shape)
-    return float(np.abs(np.subtract(a, b, dtype=float)).max() / np.abs(b).max())
+    gap = np.abs(np.subtract(a, b, dtype=float)).max()
+    if gap == 0:
+        return 0.0
+    with np.errstate(divide="ignore"):
+        return float(gap / np.abs(b).max())
 
 
 def rms(values: ArrayLike, axis: int | tuple[int, ...] | None = None) -> Any:

@@ -34,8 +34,8 @@ class LinearModel(Immutable):
         x(k+1) = F x(k) + w(k),     w ~ N(0, Q)
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
-    A model is immutable. `dataclasses.replace` makes another one: of another dt or transition with the F and Q that
-    follow, of another F or Q without the transition.
+    A model is immutable; `dataclasses.replace` makes another one. With another dt or transition it has the F and Q that
+    the transition makes. With another F or Q it has no transition. Without one, another dt needs both F and Q.
 
     Parameters
     ----------
@@ -82,8 +82,9 @@ class LinearModel(Immutable):
     P0: Array
     dt: float | None
     transition: Transition | None
-    # The dt and transition that F and Q came from, so that `replace` can tell derived F and Q from given ones.
-    _made_by: tuple[float, Transition | None] | None = field(repr=False)
+    # F, Q, the dt that they are for, and the transition: `replace` hands them on, and what is still the same object in
+    # the new model was not given anew.
+    _made: tuple[Array, Array, float | None, Transition | None] = field(repr=False, compare=False)
 
     def __init__(
         self,
@@ -96,14 +97,11 @@ class LinearModel(Immutable):
         P0: ArrayLike | None = None,
         dt: Seconds | None = None,
         transition: Transition | None = None,
-        _made_by: tuple[float, Transition | None] | None = None,
+        _made: tuple[Array | None, Array | None, float | None, Transition | None] = (None, None, None, None),
     ):
         if dt is not None:
             dt = checks.duration("dt", dt)
-        if transition is not None:
-            F, Q, transition = _of_the_transition(F, Q, dt, transition, _made_by)
-        elif _made_by is not None and dt not in (None, _made_by[0]):
-            checks.refuse("dt", f"a transition for steps of another length than {_made_by[0]:g} s", f"{dt:g} s")
+        F, Q, transition = _one_step(F, Q, dt, transition, _made)
         n, m = checks.rows("F", F), checks.rows("H", H)
         given = {
             "F": checks.array("F", F, (n, n)),
@@ -113,8 +111,8 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
         }
-        made_by = None if dt is None else (dt, transition)
-        for name, value in (given | {"dt": dt, "transition": transition, "_made_by": made_by}).items():
+        made = given["F"], given["Q"], _made[2] if dt is None else dt, transition
+        for name, value in (given | {"dt": dt, "transition": transition, "_made": made}).items():
             object.__setattr__(self, name, value)
 
     def over(self, dt: ArrayLike) -> tuple[Array, Array]:
@@ -123,12 +121,17 @@ class LinearModel(Immutable):
         Parameters
         ----------
         dt : array_like (...)
-            Lengths of the steps in s.
+            Lengths of the steps, not negative: in s, or timedeltas.
 
         Returns
         -------
         tuple of ndarray (..., n, n)
             F and Q of each step.
+
+        Raises
+        ------
+        ValueError
+            For a model without a transition, and for lengths that are negative or not finite.
 
         Examples
         --------
@@ -140,7 +143,7 @@ class LinearModel(Immutable):
         """
         if self.transition is None:
             checks.refuse("model", "a transition, for steps of any length", "an F and a Q of one length only")
-        return _steps(self.transition, np.asarray(dt, float))
+        return _steps(self.transition, checks.lengths("dt", dt))
 
     def with_noise_times(self, factor: float) -> LinearModel:
         """Return the model with another process noise, over steps of any length that it knows.
@@ -179,22 +182,27 @@ class LinearModel(Immutable):
         return len(self.H)
 
 
-def _of_the_transition(F, Q, dt, transition, made_by):
-    """Return F and Q of a step of dt, and the transition, or None where it is not known for another F or Q."""
+def _one_step(F, Q, dt, transition, before):
+    """Return F and Q of a step of dt, and the transition, or None where F or Q is given in its place.
+
+    `before` are F, Q, dt and the transition of the model that `replace` changes: they do not count as given.
+    """
+    F_before, Q_before, dt_before, transition_before = before
+    F_is_given = F is not None and F is not F_before
+    Q_is_given = Q is not None and Q is not Q_before
+    if transition is None:
+        if None not in (dt, dt_before) and dt != dt_before and not (F_is_given and Q_is_given):
+            need = f"a transition, or F and Q of such a step: those of the model are for {dt_before:g} s"
+            checks.refuse("dt", need, f"{dt:g} s")
+        return F, Q, None
     if dt is None:
         checks.refuse("dt", "to be given beside transition", None, TypeError)
-    F_dt, Q_dt = _checked(transition, dt)
-    dt_before, transition_before = (None, None) if made_by is None else made_by
-    if transition_before is not None:  # in `replace`: the F and Q that it hands on are made anew
-        F_before, Q_before = transition_before(dt_before)
-        F = None if np.array_equal(F, F_before) else F
-        Q = None if np.array_equal(Q, Q_before) else Q
-    F, Q = F_dt if F is None else F, Q_dt if Q is None else Q
-    if np.array_equal(F, F_dt) and np.array_equal(Q, Q_dt):
-        return F_dt, Q_dt, transition
+    F_made, Q_made = _checked(transition, dt)
+    if not (F_is_given or Q_is_given):
+        return F_made, Q_made, transition
     if transition is not transition_before:
-        checks.refuse("transition", "to make the F and Q that are given beside it (or to be None)", "one of others")
-    return F, Q, None
+        checks.refuse("transition", "F and Q to be left out, since it makes them", "it beside them")
+    return F if F_is_given else F_made, Q if Q_is_given else Q_made, None
 
 
 def _checked(transition, dt):

@@ -78,7 +78,7 @@ class SteadyStateFilter(RecursiveFilter):
         n, m, F, H = model.n, model.m, model.F, model.H
         object.__setattr__(self, "A", checks.array("A", A, (n, n)))
         object.__setattr__(self, "B", checks.array("B", B, (n, m)))
-        object.__setattr__(self, "P", checks.covariance("P", P, n, rounding=checks.SOLVED))
+        object.__setattr__(self, "P", checks.covariance("P", P, n, tolerance=checks.SOLVED))
         gap = np.abs(self.A - (F - self.B @ H @ F))
         size = np.abs(F) + np.abs(self.B) @ np.abs(H) @ np.abs(F)
         rounding = n * np.finfo(float).eps * size.max()  # where an entry of A is zero, and computed as nearly zero

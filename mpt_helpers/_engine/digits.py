@@ -1,7 +1,7 @@
 """The digits that doubles lose where P is huge beside the noise of a measurement: what is refused, what is done.
 
 The size of P is told by S, the variance that it gives to the prediction of a measurement, in units of the noise. Where
-it is above VAGUE, the epochs of a start are filtered in another way (`pieces.through`). A single step has no such way:
+it is above VAGUE, the epochs of a start are filtered in another way (`pieces.run_rows`). A single step has no such way:
 it is refused where it leaves no digit. Above LARGEST everything is refused.
 """
 

@@ -310,8 +310,8 @@ def test_one_early_pause_does_not_stop_the_live_band():
     ("given", "said"),
     [
         ({"z": [np.inf]}, "z: needs .* of numbers, got infinity"),
-        ({"z": [1.0], "r": [np.nan]}, "r: needs a vector of 1 positive variances"),
-        ({"z": [1.0], "r": [-1.0]}, "r: needs a vector of 1 positive variances"),
+        ({"z": [1.0], "r": [np.nan]}, "r: needs a positive variance of every measurement that is there, got nan"),
+        ({"z": [1.0], "r": [-1.0]}, "r: needs a positive variance of every measurement that is there, got -1"),
         ({"z": [1.0], "r": [1.0, 1.0]}, "r: needs a vector of 1 positive variances, got"),
     ],
 )

@@ -194,7 +194,7 @@ def test_a_tracker_that_sleeps_again_and_again_is_the_track(monkeypatch, make, s
     found, in_pieces = [], partition._in_pieces
     monkeypatch.setattr(partition, "_in_pieces", lambda *all: found.append(in_pieces(*all)) or found[-1])
     both, x, P, states = kf.estimates(z), axis.x0, axis.P0, []
-    assert found[0] == fits
+    assert found[-1] == fits  # the first are those of the pieces as rows
     for length, z_k in zip([1.0, *steps], z, strict=True):
         x, P = kf.step(x, P, z_k, dt=length)
         states.append(x)

@@ -25,7 +25,7 @@ from mpt_helpers._engine import pieces as partition
 from mpt_helpers._engine import run as engine
 from mpt_helpers._engine import shared as steps
 from mpt_helpers.bands import LiveBand, ahead, following
-from mpt_helpers.equations import corrected_covariance, gain, neutralised
+from mpt_helpers.equations import corrected_covariance, gain, masked
 
 DT, Q = 0.7, 0.3  # of all axes
 SHARING = ["none", "shared", "own"]
@@ -272,7 +272,7 @@ class FadingFilter(RecursiveFilter):
 
     def next_step(self, P, seen):
         F, Q = self.model.F, self.model.Q
-        H, R = neutralised(self.model.H, self.model.R, seen)
+        H, R = masked(self.model.H, self.model.R, seen)
         P = self.alpha**2 * F @ P @ F.T + Q
         K = gain(P, H, R)
         return (np.eye(len(F)) - K @ H) @ F, K, corrected_covariance(P, K, H, R)
@@ -420,6 +420,6 @@ def test_pieces_with_a_variance_below_zero_are_not_taken():
 
     x, P = np.empty((60, 2, 1, 1)), np.empty((60, 2, 2, 1))
     with patch.object(partition, "rows_per_piece", lambda N, tracks: 20):
-        assert partition.through(rounding, rows, x0, P0, x, P)
+        assert partition.run_rows(rounding, rows, x0, P0, x, P)
     assert not P[:, 1].any()
     np.testing.assert_allclose(x[..., 0, 0], kf.filter(z[..., 0]), **SAME)
