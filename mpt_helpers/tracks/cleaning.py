@@ -453,7 +453,7 @@ def band_of(line: Line, noise: Noise, scale: Scale, seconds: float) -> Band | No
     kf = filter_of(first, scale, line.t, line.relative, line.z.shape[1])
     t = line.t[np.isfinite(line.z).any(axis=1)]
     due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - bands.TIME_ROUNDING))] - t
-    if np.mean(due <= bands.LATEST * seconds) < CHECKED:
+    if np.mean(due <= bands.LATEST_CHECK * seconds) < CHECKED:
         seconds = float(np.quantile(np.diff(t), 0.5, method="higher"))
     try:
         a = bands.ahead(kf, line.z, seconds)
