@@ -267,7 +267,9 @@ class Cleaned:
         pandas.DataFrame
             `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y` (m/s),
             `sigma` and `sigma_v`, the standard deviations of each axis of these, `kept`, and the number of the segment;
-            NaN and -1 outside of segments. The rows have the labels of the frame that the track is from.
+            NaN and -1 outside of segments. Of a track in degrees the velocities are those east and north on the Earth,
+            while `x`, `y` lie on a chart of the segment, which is true near its middle only. The rows have the labels
+            of the frame that the track is from.
 
         """
         return writers.frame_of(self)
@@ -453,7 +455,7 @@ def band_of(line: Line, noise: Noise, scale: Scale, seconds: float) -> Band | No
     kf = filter_of(first, scale, line.t, line.relative, line.z.shape[1])
     t = line.t[np.isfinite(line.z).any(axis=1)]
     due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - bands.TIME_ROUNDING))] - t
-    if np.mean(due <= bands.LATEST * seconds) < CHECKED:
+    if np.mean(due <= bands.LATEST_CHECK * seconds) < CHECKED:
         seconds = float(np.quantile(np.diff(t), 0.5, method="higher"))
     try:
         a = bands.ahead(kf, line.z, seconds)

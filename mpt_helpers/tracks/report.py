@@ -15,9 +15,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..fitting import UNKNOWN
+from .doubts import take_turns
 from .geodesy import earth_centred
 from .readers import UNIX, moment_of
-from .writers import degrees_of
+from .writers import degrees_of, velocities_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
@@ -88,6 +89,8 @@ def unusual(c: Cleaned) -> list[str]:
         recording, rows = c.source.recording, c.source.rows[fixes]
         if max(np.abs(recording.lat[rows]).max() * 2, np.abs(recording.lon[rows]).max()) < math.pi:
             found.append("ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians?")
+    if take_turns(c.t[fixes], c.z[fixes]):
+        found.append("ATTENTION: every other fix lies on a way of its own: are these two receivers, or two mobiles?")
     share = _share_refused(c)
     if share > MANY:
         asked = "So many are hardly faults: are digits missing, or is the noise large?"
@@ -200,11 +203,11 @@ def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
     than MOVING and not in a minute at rest. If too many speeds cannot be told from MOVING, the time in motion is None.
     """
     rows = c.line.rows
-    position, later = c.x[:, :4:2], c.x[:, :4:2] + c.x[:, 1:4:2]  # a second later
-    here, there = position.T[:, rows], later.T[:, rows]
+    position = c.x[:, :4:2]
+    here = position.T[:, rows]
     if c.source is not None and c.source.charts:
-        here, there = (earth_centred(*degrees_of(c, each), 0.0)[:, rows] for each in (position, later))
-    speed = np.linalg.norm(there - here, axis=0)
+        here = earth_centred(*degrees_of(c, position), 0.0)[:, rows]
+    speed = np.linalg.norm(velocities_of(c)[rows, :2], axis=1)
     rest = _at_rest(c.line, position[rows], speed)
     same = np.diff(c.line.number) == 0
     kept = np.ones(len(rows), dtype=bool)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mpt_helpers as mpt
-from mpt_helpers.tracks import clean, geodesy
+from mpt_helpers.tracks import clean, geodesy, readers
 
 RADIUS = 6371008.8
 
@@ -194,6 +194,21 @@ def test_two_receivers_in_one_file_keep_their_times(tmp_path):
     assert "overlap in time" in c.report()
 
 
+@pytest.mark.parametrize(("apart", "asked"), [(30.0, True), (600.0, True), (0.0, False)])
+def test_two_receivers_in_turn_are_asked_about(apart, asked, tmp_path):
+    """Nothing else in the file tells them apart, and the line runs midway between them."""
+    t, _, z = ride()
+    z[::2, 1] += apart
+    c = mpt.track(gpx(tmp_path / "two.gpx", t, *degrees(z)))
+    assert ("every other fix lies on a way of its own" in " ".join(c.report().split())) == asked
+
+
+@pytest.mark.parametrize("step", [0.7, 1.5, 2.5])
+def test_one_receiver_whose_times_are_rounded_is_not(step):
+    t, _, z = ride(dt=step, speed=30.0, noise=0.5)
+    assert not any("every other fix" in each for each in clean(np.floor(t), z).unusual)
+
+
 def test_times_that_run_back_within_a_segment_are_refused():
     t, _, z = ride()
     with pytest.raises(ValueError, match="t: needs times that do not decrease within a segment, got less in row 300"):
@@ -226,6 +241,27 @@ def test_a_flight_along_the_earth_has_its_length_its_speed_and_no_jump(km, step,
     assert [len(each.t) for each in written] == [N]
     off = np.linalg.norm(geodesy.earth_centred(*mpt.tracks.report.degrees_of(c, c.x[:, ::2]), 0.0) - true, axis=0)
     assert off.max() < max(noise, 0.1)
+
+
+def test_frame_file_picture_and_report_of_a_flight_agree_on_its_speed_and_course(tmp_path):
+    """Along a parallel for 130°, where the chart shows a bow: its north is up to 56° off, its metres 1.4 % too long."""
+    lat, lon = np.full(1100, 55.0), -60 + 0.1176 * np.arange(1100)
+    c = mpt.track(gpx(tmp_path / "far.gpx", 30 * np.arange(1100), lat, lon))
+
+    def speeds(lat, lon):
+        return np.linalg.norm(np.diff(geodesy.earth_centred(lat, lon, 0.0), axis=1), axis=0) / 30
+
+    speed = speeds(lat, lon).mean()
+    frame = c.to_frame()
+    np.testing.assert_allclose(frame["v_x"], speed, rtol=1e-4)
+    np.testing.assert_allclose(np.degrees(np.arctan2(frame["v_x"], frame["v_y"])), 90, atol=0.1)
+    np.testing.assert_allclose(speeds(frame["lat"], frame["lon"]), speed, rtol=1e-6)
+    drawn = max(c.plot().axes[1].lines, key=lambda line: len(line.get_ydata())).get_ydata()
+    np.testing.assert_allclose(drawn, 3.6 * speed, rtol=1e-4)
+    assert c.summary()["median_speed_km_h"] == pytest.approx(3.6 * speed, rel=1e-4)
+    c.gpx(tmp_path / "smooth.gpx")
+    written = readers.read(tmp_path / "smooth.gpx")
+    np.testing.assert_allclose([written.lat, written.lon], frame[["lat", "lon"]].T, atol=1e-8)
 
 
 def test_a_chart_gives_degrees_back_and_distances_from_its_middle():
