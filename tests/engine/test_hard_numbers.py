@@ -315,7 +315,7 @@ def three_sensors():
 @pytest.mark.parametrize("solve", [mpt.SteadyStateFilter.from_kalman, mpt.SteadyStateFilter.from_lainiotis])
 def test_a_steady_state_without_a_digit_is_refused_though_its_equation_holds(solve, monkeypatch):
     model = three_sensors()
-    with pytest.raises(ValueError, match="in a variance no digit holds"):
+    with pytest.raises(ValueError, match="a variance has no digit right"):
         solve(model)
     monkeypatch.setattr(riccati, "require_resolved", lambda model, P: None)
     exact = precise.steady(model.F, model.H, model.Q, model.R)[2].astype(float)
