@@ -183,7 +183,7 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     tracks = []
     for c in range(M):
         of_track = (each[..., c] for each in (t, z, x, P, R))
-        tracks.append(_of_one_track(model, start, *of_track, seconds))  # type: ignore[call-arg]
+        tracks.append(_forecasts_of_track(model, start, *of_track, seconds))  # type: ignore[call-arg]
     track = np.repeat(np.arange(M), [len(made) for made, *_ in tracks])
     if len(track) == 0:
         checks.refuse("seconds", SUITABLE_HORIZON, f"{seconds:g}")
@@ -192,7 +192,7 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     return ForecastErrors(*arrays, track, rests, left_out, seconds)  # type: ignore[call-arg]  # mypy counts no *arrays
 
 
-def _of_one_track(model, start, t, z, x, P, R, seconds):
+def _forecasts_of_track(model, start, t, z, x, P, R, seconds):
     """Return the arrays of ForecastErrors of one track, but for `track`; start is x0 and P0."""
     fixes = np.flatnonzero(np.isfinite(z).any(axis=1))
     t_fix = t[fixes]

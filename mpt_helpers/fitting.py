@@ -132,11 +132,11 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     if not start:
         checks.refuse("start", "a first guess of at least one parameter", "none")
     guess = {name: checks.positive(name, value) for name, value in start.items()}
-    estimator = _filter(make, guess)
+    estimator = _filter_of(make, guess)
     z = checks.measurements(z, estimator.model.m)
     if (count := int(np.isfinite(z).sum())) <= len(guess):
         checks.refuse("z", f"more measurements than parameters, of which there are {len(guess)}", count)
-    if (distance := _distance_of_the_start(estimator, z)) > MAX_START_DISTANCE:
+    if (distance := _distance_of_x0(estimator, z)) > MAX_START_DISTANCE:
         need = "a model whose x0 and P0 say where the tracks begin (x0 at the first measurement, or z - z[0])"
         checks.refuse("make", need, f"first measurements {distance:.0f} standard deviations away")
     with tqdm(desc="fit", unit=" filters", disable=None, leave=False) as bar:
@@ -145,7 +145,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         if not math.isfinite(likelihood(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters under which z has a likelihood", guess)
-        near = _best_ratio(likelihood, origin, estimator.model.n)
+        near = _search_along_ratio(likelihood, origin, estimator.model.n)
         best = lowest(likelihood, origin) if near is None else newton(likelihood, near)
         # If log L does not fall as a parameter goes towards zero, z gives only an upper limit of it.
         further = [likelihood(best - math.log(1000) * unit) for unit in np.eye(len(best))]
@@ -155,7 +155,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     log_errors_by_name = dict(zip(guess, errors.tolist(), strict=True))
     values, found = likelihood.values_at(best), likelihood.filter_at(best)
     result = Fit(values, log_errors_by_name, found, -likelihood(best), blocks.name)
-    for text in _doubts(result, z, guess, bounded):
+    for text in _warnings(result, z, guess, bounded):
         checks.warn(f"fit: {text}")
     return result
 
@@ -181,10 +181,10 @@ class NegativeLogLikelihood:
 
     def filter_at(self, point: Array) -> Filter:
         """Return the filter with these parameters."""
-        return _filter(self.make, self.values_at(point))
+        return _filter_of(self.make, self.values_at(point))
 
     def _terms(self, point):
-        """Return NIS, log det S and the count of the numbers of each row, (N, M), infinite where there are none."""
+        """Return NIS, log det S and the count of the numbers of each row (N, M); infinite if the model fails."""
         if self.bar is not None:
             self.bar.update()
         try:
@@ -222,7 +222,7 @@ class NegativeLogLikelihood:
         return log_c, 0.5 * (log_det + count * (log_c + 1 + math.log(2 * math.pi)))
 
 
-def _filter(make, values):
+def _filter_of(make, values):
     made = make(**values)
     if isinstance(made, LinearModel):
         return KalmanFilter(made)
@@ -230,7 +230,7 @@ def _filter(make, values):
     return made
 
 
-def _best_ratio(likelihood, origin, n):
+def _search_along_ratio(likelihood, origin, n):
     """Return a point near the minimum, by a search over the ratio of two parameters such as q and r, or None.
 
     It applies where c times both parameters gives c Q and c R. Then `with_best_scale` gives the best c of each ratio.
@@ -270,7 +270,7 @@ def blocks_of(estimator: Filter, z: Array) -> Blocks:
     if fixes < 2 * MIN_BLOCKS:
         return Blocks(np.zeros((N, M), int), 1, "curvature")
     # The smallest number of parts of each track that makes at least the wanted number of blocks.
-    wanted = np.clip(fixes * _usual_step(estimator, seen) / BLOCK_SECONDS, MIN_BLOCKS, MAX_BLOCKS)
+    wanted = np.clip(fixes * _median_step(estimator, seen) / BLOCK_SECONDS, MIN_BLOCKS, MAX_BLOCKS)
     parts = math.ceil(wanted / M)
     before: np.ndarray = np.cumsum(seen, axis=0) - seen  # the fixes of a track before each row, (N, M)
     part = before * parts // np.maximum(seen.sum(axis=0), 1)
@@ -281,7 +281,7 @@ def blocks_of(estimator: Filter, z: Array) -> Blocks:
     return Blocks(of_rows.reshape(N, M), count, name)
 
 
-def _usual_step(estimator, seen):
+def _median_step(estimator, seen):
     """Return the median step between the fixes, seen (N, M), of a track in seconds."""
     t = np.broadcast_to(estimator.times_of(len(seen)).reshape(len(seen), -1), seen.shape)
     steps = np.concatenate([np.diff(t_of_one[seen_of_one]) for t_of_one, seen_of_one in zip(t.T, seen.T, strict=True)])
@@ -306,7 +306,7 @@ def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blo
         _, scores, H = differences(of_blocks, best[known])  # (d, B) and (d, d, B) of B blocks
         H = H.sum(axis=-1)
         J = H if blocks.count == 1 else covariance_of_scores(scores)
-        errors[known] = np.sqrt(_variances(H, J))
+        errors[known] = np.sqrt(_sandwich_diagonal(H, J))
     return errors
 
 
@@ -317,7 +317,7 @@ def covariance_of_scores(scores: Array) -> Array:
     return student**2 * count / (count - 1) * scores @ scores.T
 
 
-def _variances(H, J):
+def _sandwich_diagonal(H, J):
     """Return the diagonal (d,) of H⁻¹ J H⁻¹, infinite for parameters with a component along a flat direction of H."""
     if not (np.isfinite(H).all() and np.isfinite(J).all()):
         return np.full(len(H), math.inf)
@@ -329,14 +329,14 @@ def _variances(H, J):
     return np.where(moved > MAX_FLAT_COMPONENT, math.inf, np.diag(inverse @ J @ inverse))
 
 
-def _doubts(found, z, guess, bounded):
+def _warnings(found, z, guess, bounded):
     """Yield a warning for each undetermined parameter, and for whatever else looks wrong."""
     for (name, error), has_a_limit in zip(found.log_errors.items(), bounded, strict=True):
         if not has_a_limit:
             yield f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known"
         elif error > UNKNOWN:
             yield f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters"
-    if (distance := _distance_of_the_start(found.filter, z)) > DOUBTFUL_START_DISTANCE:
+    if (distance := _distance_of_x0(found.filter, z)) > DOUBTFUL_START_DISTANCE:
         away = f"{distance:.0f} standard deviations from what x0 and P0 expect"
         yield f"the first measurements are {away}: the fit explains the distance as motion or noise"
     suspicions = metrics.suspicious(found.filter, z)
@@ -350,7 +350,7 @@ def _doubts(found, z, guess, bounded):
             yield f"{name}: {found.values[name]:.3g} is {times:.0e} times its guess: {units}"
 
 
-def _distance_of_the_start(estimator, z):
+def _distance_of_x0(estimator, z):
     """Return the distance of x0 from the best initial state of a track, in standard deviations: the largest of all.
 
     The innovations are linear in the initial state: e = e_0 - G d for x0 + d. With P0 = 0 and at unit covariance, least

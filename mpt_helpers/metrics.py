@@ -148,11 +148,11 @@ def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
            [1.239]])
 
     """
-    _, many, values, S = _of(estimator, z)
+    _, many, values, S = _checked_innovations(estimator, z)
     return Innovations(*one_or_many(values, S, many))
 
 
-def _of(estimator, z):
+def _checked_innovations(estimator, z):
     """Return z (N, m, M), whether it was given with an axis of tracks, its innovations, and S (N, m, m, M or 1)."""
     checks.instance("estimator", estimator, Filter)
     z, many = estimator.as_tracks(z)
@@ -165,7 +165,7 @@ def _of(estimator, z):
 
 def unit_innovations(estimator: Filter, z: ArrayLike) -> tuple[Array, Array, Array]:
     """Return innovations at unit covariance, (N, m, M), 0 where z is missing, and (N, M) log det S and their count."""
-    _, _, values, S = _of(estimator, z)
+    _, _, values, S = _checked_innovations(estimator, z)
     return *_at_unit_covariance(values, S), np.isfinite(values).sum(axis=1)
 
 
@@ -269,7 +269,7 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     {'far off': 'row 70 of z is far off: its NIS is 2e+08 times the median one'}
 
     """
-    z, _, values, S = _of(estimator, z)
+    z, _, values, S = _checked_innovations(estimator, z)
     unit = values / np.sqrt(np.einsum("kjj...->kj...", S))
     repeats = np.zeros(z.shape, bool)
     repeats[1:] = z[1:] == z[:-1]

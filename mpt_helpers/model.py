@@ -145,7 +145,7 @@ class LinearModel(Immutable):
         """
         if self.transition is None:
             checks.refuse("model", "a transition, for steps of any length", "an F and a Q of one length only")
-        return _steps(self.transition, checks.lengths("dt", dt))
+        return _F_and_Q(self.transition, checks.lengths("dt", dt))
 
     def with_noise_times(self, factor: float) -> LinearModel:
         """Return the model with its process noise scaled: Q times a factor, over steps of any length.
@@ -199,7 +199,7 @@ def _one_step(F, Q, dt, transition, before):
         return F, Q, None
     if dt is None:
         checks.refuse("dt", "to be given beside transition", None, TypeError)
-    F_made, Q_made = _checked(transition, dt)
+    F_made, Q_made = _checked_step(transition, dt)
     if not (F_is_given or Q_is_given):
         return F_made, Q_made, transition
     if transition is not transition_before:
@@ -207,7 +207,7 @@ def _one_step(F, Q, dt, transition, before):
     return F if F_is_given else F_made, Q if Q_is_given else Q_made, None
 
 
-def _checked(transition, dt):
+def _checked_step(transition, dt):
     """Check a transition and return its F and Q of one step of dt."""
     need = "a function of dt that returns F and Q as arrays"
     if not callable(transition):
@@ -226,7 +226,7 @@ def _checked(transition, dt):
     return F, Q
 
 
-def _steps(transition, dt):
+def _F_and_Q(transition, dt):
     """Return F and Q of one or many steps; a transition that takes a single dt is called once for each length."""
     if np.ndim(dt) == 0 or getattr(transition, "takes_arrays", False):
         return transition(dt)
@@ -299,7 +299,7 @@ class SideBySide:
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
-        F, Q = zip(*(_steps(transition, dt) for transition in self.transitions), strict=True)
+        F, Q = zip(*(_F_and_Q(transition, dt) for transition in self.transitions), strict=True)
         return _on_diagonal(F), _on_diagonal(Q)
 
 
@@ -313,7 +313,7 @@ class Scaled:
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
-        F, Q = _steps(self.transition, dt)
+        F, Q = _F_and_Q(self.transition, dt)
         return F, self.factor * np.asarray(Q)
 
 
