@@ -44,22 +44,19 @@ def warn(text: str) -> None:
 def instance(name: str, value: object, kind: type) -> None:
     """Refuse a value that is not a `kind`."""
     if not isinstance(value, kind):
-        refuse(name, f"a {kind.__name__}", f"{type(value).__name__} {value!r:.40}", TypeError)
+        refuse(name, f"a {kind.__name__}", f"a {type(value).__name__}", TypeError)
+
+
+# Numbers.
 
 
 def number(name: str, value: object, need: str, accept: Callable[[float], bool]) -> float:
-    """Return a finite real number that satisfies `accept`; `need` says in words what that is.
-
-    >>> number("dt", 0, "a positive number", lambda value: value > 0)
-    Traceback (most recent call last):
-    ...
-    ValueError: dt: needs a positive number, got 0
-    """
+    """Return a finite real number that satisfies `accept`; `need` says in words what that is."""
     if not isinstance(value, Real) or isinstance(value, np.timedelta64):  # which counts as a Real
         refuse(name, need, f"{value!r:.60}", TypeError)
     try:
         as_float = float(value)
-    except OverflowError:  # a whole number beyond the range of doubles
+    except OverflowError:  # an integer beyond the range of doubles
         as_float = math.inf
     if not (math.isfinite(as_float) and accept(as_float)):
         refuse(name, need, f"{value!r:.60}")
@@ -77,22 +74,8 @@ def not_negative(name: str, value: object) -> float:
 
 
 def level(value: object) -> float:
-    """Return the coverage that a band is to have, between 0 and 1."""
+    """Return the nominal coverage of a band, between 0 and 1."""
     return number("level", value, "a number in (0, 1)", lambda value: 0 < value < 1)
-
-
-def duration(name: str, value: object) -> float:
-    """Return a positive length of time, a number of seconds or a timedelta, in seconds."""
-    return positive(name, as_seconds(value))
-
-
-def as_seconds(value: object) -> object:
-    """Return a timedelta of Python, numpy or pandas in seconds; anything else as it is.
-
-    >>> as_seconds(timedelta(minutes=1)), as_seconds(1.5)
-    (60.0, 1.5)
-    """
-    return float(value / np.timedelta64(1, "s")) if isinstance(value, timedelta | np.timedelta64) else value
 
 
 def count(name: str, value: object, least: int = 1) -> int:
@@ -105,6 +88,32 @@ def count(name: str, value: object, least: int = 1) -> int:
     if whole < least:
         refuse(name, need, whole)
     return whole
+
+
+# Arrays.
+
+
+def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
+    """Return `value` as an array of real numbers. numpy would silently turn dates, strings and masks into numbers."""
+    values = _as_array(name, value, need)
+    if values.dtype == object and hasattr(value, "to_numpy") and any(isinstance(each, Real) for each in values.flat):
+        with suppress(TypeError, ValueError):  # of numbers and texts
+            values = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
+    if values.dtype == object:
+        kinds = ", ".join(sorted({type(each).__name__ for each in values.flat}))
+        refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
+    if values.dtype.kind not in "iuf":
+        refuse(name, need, f"an array of {values.dtype} data", TypeError)
+    return values
+
+
+def _as_array(name, value, need):
+    if isinstance(value, np.ma.MaskedArray):
+        refuse(name, need, "a masked array (its filled(np.nan) has NaN where one is missing)", TypeError)
+    try:
+        return np.asarray(value)
+    except ValueError:
+        refuse(name, need, "rows of different lengths")
 
 
 def array(name: str, value: object, shape: tuple[int, ...], finite: bool = True) -> Array:
@@ -120,25 +129,6 @@ def array(name: str, value: object, shape: tuple[int, ...], finite: bool = True)
     return copy
 
 
-def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
-    """Return `value` as an array of real numbers. numpy would silently turn dates, strings and masks into numbers."""
-    if isinstance(value, np.ma.MaskedArray):
-        refuse(name, need, "a masked array (its filled(np.nan) has NaN where one is missing)", TypeError)
-    try:
-        values = np.asarray(value)
-    except ValueError:
-        refuse(name, need, "rows of different lengths")
-    if values.dtype == object and hasattr(value, "to_numpy") and any(isinstance(each, Real) for each in values.flat):
-        with suppress(TypeError, ValueError):  # of numbers and texts
-            values = value.to_numpy(dtype=float, na_value=np.nan)  # a pandas column of type Float64
-    if values.dtype == object:
-        kinds = ", ".join(sorted({type(each).__name__ for each in values.flat}))
-        refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
-    if values.dtype.kind not in "iuf":
-        refuse(name, need, f"an array of {values.dtype} data", TypeError)
-    return values
-
-
 def rows(name: str, matrix: object) -> int:
     """Return how many rows a matrix has."""
     values = real_numbers(name, matrix, "a matrix")
@@ -147,82 +137,25 @@ def rows(name: str, matrix: object) -> int:
     return len(values)
 
 
-def covariance(name: str, value: object, size: int, definite: bool = False, rounding: float = ROUNDING) -> Array:
-    """Return a symmetric positive semidefinite (or definite) matrix of this size, judged at unit variances.
-
-    >>> covariance("R", [[0.0]], 1, definite=True)
-    Traceback (most recent call last):
-    ...
-    ValueError: R: needs a symmetric positive definite 1×1 matrix, got an eigenvalue of 0 (at unit variances)
-    """
+def covariance(name: str, value: object, size: int, definite: bool = False, tolerance: float = ROUNDING) -> Array:
+    """Return a symmetric positive semidefinite (or definite) matrix of this size, judged at unit variances."""
     need = f"a symmetric positive {'definite' if definite else 'semidefinite'} {size}×{size} matrix"
     matrix = array(name, value, (size, size))
     variance = matrix.diagonal()
-    # A variance of -rounding² relative to the largest is a sigma wrong by `rounding`.
-    if variance.min() < -(rounding**2) * max(variance.max(), 0):
+    # A variance of -tolerance² relative to the largest is a sigma wrong by `tolerance`.
+    if variance.min() < -(tolerance**2) * max(variance.max(), 0):
         refuse(name, need, f"a variance of {variance.min():.6g}")
     sigma = np.sqrt(np.maximum(variance, 0))
-    # Covariances with a component of zero variance can only be rounding: up to `rounding` of the largest possible.
-    unit = np.where(sigma > 0, sigma, np.sqrt(rounding) * sigma.max() or np.finfo(float).tiny)
+    # Covariances with a component of zero variance can only be rounding: up to `tolerance` of the largest possible.
+    unit = np.where(sigma > 0, sigma, np.sqrt(tolerance) * sigma.max() or np.finfo(float).tiny)
     with np.errstate(over="ignore"):
         scaled = np.clip(matrix / unit[:, None] / unit, -1e9, 1e9)
     lowest = np.linalg.eigvalsh(scaled)[0]
-    if np.abs(scaled - scaled.T).max() > rounding:
+    if np.abs(scaled - scaled.T).max() > tolerance:
         refuse(name, need, "a matrix that is not symmetric")
-    if lowest < -rounding or (definite and lowest <= rounding):
+    if lowest < -tolerance or (definite and lowest <= tolerance):
         refuse(name, need, f"an eigenvalue of {lowest:.6g} (at unit variances)")
     return matrix
-
-
-def measurements(z: Any, m: int, name: str = "z") -> Array:
-    """Return measurements, NaN where one is missing, as floats (N, m) or (N, m, M); (N,) of one sensor is (N, 1).
-
-    Infinite values pass: `no_infinity` looks for them once a result is not finite.
-    """
-    need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
-    values = real_numbers(name, z, need)
-    if m == 1 and values.ndim == 1:
-        values = values[:, None]
-    if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
-        refuse(name, need, f"shape {values.shape}")
-    with np.errstate(over="ignore"):  # a long double beyond the range of doubles becomes infinite, and is refused
-        return values.astype(float, copy=False)
-
-
-def variances(name: str, value: object, m: int) -> Array:
-    """Return variances (N, m) or (N, m, M) as a read-only float array, without a look at the numbers."""
-    values = measurements(value, m, name).copy(order="C")
-    values.flags.writeable = False
-    return values
-
-
-def no_infinity(z: np.ndarray, name: str = "z") -> None:
-    """Refuse infinite measurements."""
-    if np.isinf(z).any():
-        refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
-
-
-def one_measurement(value: object, m: int, name: str = "z_k") -> tuple[Array, np.ndarray]:
-    """Return a measurement as a new vector (m,), NaN where it is missing, and which of its components are there."""
-    z_k = array(name, value, (m,), finite=False)
-    return z_k, ~np.isnan(z_k)
-
-
-def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
-    """Return the variances (m,) of one measurement, positive where it is there, as seen (m,) says."""
-    need = f"a vector of {len(seen)} positive variances"
-    values = real_numbers(name, value, need).astype(float)
-    if values.shape != seen.shape:
-        refuse(name, need, f"shape {values.shape}")
-    if not ((values[seen] > 0) & (values[seen] < np.inf)).all():
-        refuse(name, need, f"{values}")
-    return values
-
-
-def used_variances(name: str, values: np.ndarray, of: str = "measurement that is there") -> None:
-    """Refuse variances that are not all positive and finite; `of` says what they belong to."""
-    if not ((values > 0) & (values < np.inf)).all():
-        refuse(name, f"a positive variance of every {of}", "another")
 
 
 def state(x: Any, P: Any, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -243,18 +176,101 @@ def state(x: Any, P: Any, n: int) -> tuple[np.ndarray, np.ndarray]:
     return x, P
 
 
-def times(name: str, value: object) -> Array:
-    """Return times (N,) or (N, M) that do not decrease as a read-only array in seconds; dates count from the first.
+# Measurements and their variances.
 
-    >>> times("t", np.array(["2024-05-03T10:00", "2024-05-03T10:01"], "datetime64[m]"))
-    array([ 0., 60.])
+
+def measurements(z: Any, m: int, name: str = "z") -> Array:
+    """Return measurements, NaN where one is missing, as floats (N, m) or (N, m, M); (N,) of one sensor is (N, 1).
+
+    Infinite values pass: `no_infinity` looks for them once a result is not finite.
     """
+    need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
+    values = real_numbers(name, z, need)
+    if m == 1 and values.ndim == 1:
+        values = values[:, None]
+    if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
+        refuse(name, need, f"shape {values.shape}")
+    with np.errstate(over="ignore"):  # a long double beyond the range of doubles becomes infinite, and is refused
+        return values.astype(float, copy=False)
+
+
+def no_infinity(z: np.ndarray, name: str = "z") -> None:
+    """Refuse infinite measurements."""
+    if np.isinf(z).any():
+        refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
+
+
+def one_measurement(value: object, m: int, name: str = "z_k") -> tuple[Array, np.ndarray]:
+    """Return a measurement as a new vector (m,), NaN where it is missing, and which of its components are there."""
+    z_k = array(name, value, (m,), finite=False)
+    return z_k, ~np.isnan(z_k)
+
+
+def variances(name: str, value: object, m: int) -> Array:
+    """Return variances (N, m) or (N, m, M) as a read-only float array, without a look at the numbers."""
+    values = measurements(value, m, name).copy(order="C")
+    values.flags.writeable = False
+    return values
+
+
+def used_variances(name: str, values: np.ndarray, of: str = "measurement that is there") -> None:
+    """Refuse variances that are not all positive and finite; `of` says what they belong to."""
+    wrong = values[~((values > 0) & (values < np.inf))]
+    if wrong.size:
+        refuse(name, f"a positive variance of every {of}", f"{wrong[0]:g}")
+
+
+def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
+    """Return the variances (m,) of one measurement, positive where it is there, as seen (m,) says."""
+    need = f"a vector of {len(seen)} positive variances"
+    values = real_numbers(name, value, need).astype(float)
+    if values.shape != seen.shape:
+        refuse(name, need, f"shape {values.shape}")
+    used_variances(name, values[seen])
+    return values
+
+
+# Times, and lengths of time.
+
+
+def as_seconds(value: object) -> object:
+    """Return a timedelta of Python, numpy or pandas in seconds; anything else as it is."""
+    return float(value / np.timedelta64(1, "s")) if isinstance(value, timedelta | np.timedelta64) else value
+
+
+def _each_in_seconds(value, values):
+    """Return an array `values` of timedeltas in seconds; if it has none, the `value` that it was made from."""
+    if values.dtype.kind == "m":
+        return values / np.timedelta64(1, "s")
+    if isinstance(next(values.flat, None), timedelta | np.timedelta64):
+        return np.reshape([as_seconds(each) for each in values.flat], values.shape)
+    return value
+
+
+def duration(name: str, value: object) -> float:
+    """Return a positive length of time, a number of seconds or a timedelta, in seconds."""
+    return positive(name, as_seconds(value))
+
+
+def lengths(name: str, value: object) -> Array:
+    """Return the lengths of steps, numbers of seconds or timedeltas, in seconds; they are not negative."""
+    need = "finite lengths of time that are not negative"
+    seconds = real_numbers(name, _each_in_seconds(value, _as_array(name, value, need)), need).astype(float, copy=False)
+    if not ((seconds >= 0) & (seconds < np.inf)).all():
+        refuse(name, need, f"{value!r:.60}")
+    return seconds
+
+
+def times(name: str, value: Any) -> Array:
+    """Return times (N,) or (N, M) that do not decrease as a read-only array in seconds; dates count from the first."""
     need = "an (N,) or (N, M) array of finite times that do not decrease"
-    try:
-        values = _in_seconds(value)
-    except TypeError as error:
-        refuse(name, need, f"dates that cannot be subtracted: {error}", TypeError)
-    values = real_numbers(name, values, need)
+    values = _as_array(name, value, need)
+    if values.dtype.kind == "M" or isinstance(next(values.flat, None), datetime):
+        try:
+            values = values - values.flat[:1]
+        except TypeError as error:
+            refuse(name, need, f"dates that cannot be subtracted: {error}", TypeError)
+    values = real_numbers(name, _each_in_seconds(value, values), need)
     if values.ndim not in (1, 2) or 0 in values.shape:
         refuse(name, need, f"shape {values.shape}")
     kind = values.dtype
@@ -273,17 +289,3 @@ def times(name: str, value: object) -> Array:
     if kind.kind == "f" and kind.itemsize < 8 and shortest < 2 * np.spacing(kind.type(largest)):
         refuse(name, "times as float64, or from the first", f"{kind}, which rounds {largest:.10g}")
     return values
-
-
-def _in_seconds(value):
-    """Return dates, from the first of them, and lengths of time as arrays of seconds; anything else as it is."""
-    values = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
-    first = next(values.flat, None)
-    if values.dtype.kind == "M" or isinstance(first, datetime):
-        values = values - values.flat[:1]
-        first = next(values.flat)
-    if values.dtype.kind == "m":
-        return values / np.timedelta64(1, "s")
-    if isinstance(first, timedelta | np.timedelta64):
-        return np.reshape([as_seconds(each) for each in values.flat], values.shape)
-    return value

@@ -12,8 +12,9 @@ import numpy as np
 class Immutable:
     """A frozen dataclass whose fields are numbers, arrays and other immutable values.
 
-    Instances of one class are equal, with equal hashes, if all their fields are equal; NaN equals NaN. Copies and
-    pickles go through the constructor, since numpy does not keep the read-only flag.
+    Instances of one class are equal, with equal hashes, if all their fields are equal, those of `field(compare=False)`
+    left out; NaN equals NaN. Copies and pickles go through the constructor, since numpy does not keep the read-only
+    flag.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -27,7 +28,7 @@ class Immutable:
         return hash((type(self), *held))
 
     def _held(self) -> list[Any]:
-        return [getattr(self, field.name) for field in fields(self)]
+        return [getattr(self, field.name) for field in fields(self) if field.compare]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(type(self), **{field.name: getattr(self, field.name) for field in fields(self)}), ()

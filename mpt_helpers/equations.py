@@ -123,14 +123,14 @@ def lainiotis_matrices(model, H=None, R=None):
     return LainiotisMatrices(Fn=keep @ F, Kn=K @ W, Km=C @ W_of_C, Pn=G @ G.T, On=C @ C.T, C=C, W=W_of_C)
 
 
-def gain_on_the_start(P, C):
+def start_gain(P, C):
     """Return G (n×p) with [I + P O]⁻¹ = I - G Cᵀ for O = C Cᵀ; P (n×n) and C (n×p) may be stacks.
 
     It is the Kalman gain for measurements Cᵀ x of unit noise, which carry the information O that one epoch, or many,
     have about the state before them. With G, [I + P O]⁻¹ P takes Joseph's form, which stays accurate where P is large;
     the explicit inverse loses its digits after long gaps and from vague starts.
 
-    >>> gain_on_the_start(P=np.eye(1), C=np.array([[2.0]]))
+    >>> start_gain(P=np.eye(1), C=np.array([[2.0]]))
     array([[0.4]])
     """
     PC = P @ C
@@ -149,7 +149,7 @@ def lainiotis_step(P, constants):
            [0.1224]])
     """
     Fn, Kn, _, Pn, _, C, W = constants
-    G = gain_on_the_start(P, C)
+    G = start_gain(P, C)
     A = Fn @ (np.eye(len(Fn)) - G @ C.T)
     B = Kn + Fn @ G @ W  # A P K_m = F_n [I + P C Cᵀ]⁻¹ P C W = F_n G W
     P = Pn + Fn @ corrected_covariance(P, G, C.T, np.eye(C.shape[1])) @ Fn.T
@@ -165,7 +165,7 @@ def lainiotis_transition(P, Fn, On):
     return np.linalg.solve((np.eye(len(Fn)) + P @ On).T, Fn.T).T
 
 
-def neutralised(H, R, seen):
+def masked(H, R, seen):
     """Return H and R with rows of zeros in H, and of the identity in R, for measurements not in seen (m,)."""
     H = H * seen[:, None]
     R = np.where(np.outer(seen, seen), R, np.diag(~seen))

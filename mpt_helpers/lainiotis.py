@@ -9,7 +9,7 @@ import numpy as np
 from ._base import RecursiveFilter
 from ._checks import Array
 from ._engine.digits import VAGUE, require_digits
-from .equations import gain_on_the_start, lainiotis_matrices, lainiotis_step, neutralised
+from .equations import lainiotis_matrices, lainiotis_step, masked, start_gain
 
 
 class LainiotisFilter(RecursiveFilter):
@@ -38,6 +38,8 @@ class LainiotisFilter(RecursiveFilter):
 
     """
 
+    optimal = True
+
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter.
 
@@ -47,21 +49,19 @@ class LainiotisFilter(RecursiveFilter):
         A, B, P_next = lainiotis_step(P, constants)
         S = (constants.C.T @ P @ constants.C).max()
         if not S < VAGUE:
-            keep = np.eye(len(P)) - gain_on_the_start(P, constants.C) @ constants.C.T
+            keep = np.eye(len(P)) - start_gain(P, constants.C) @ constants.C.T
             require_digits(constants.Fn, keep, P, P_next, S)
         return A, B, P_next
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) of stacks (M, n, n), as in RecursiveFilter, all at once."""
-        if type(self).next_step is not LainiotisFilter.next_step:  # a subclass has a step of its own
-            return super().next_steps(P, seen)
         return lainiotis_step(P, self._constants(seen))
 
     def _constants(self, seen):
         """Return the LainiotisMatrices of rows in which these measurements are there; they are made once."""
         there = tuple(seen.tolist())
         if there not in self._made:
-            self._made[there] = lainiotis_matrices(self.model, *neutralised(self.model.H, self.model.R, seen))
+            self._made[there] = lainiotis_matrices(self.model, *masked(self.model.H, self.model.R, seen))
         return self._made[there]
 
     @cached_property

@@ -5,12 +5,12 @@ for many rows at once. So a long track is cut into pieces that run side by side,
 
 1. Run every piece from a start that is taken as exact. This gives its estimate, its sensitivity to the start, and the
    information of its measurements about the start.
-2. Find the starts, one after the other. Each is one Lainiotis step over a whole piece.
+2. Find the starts. Each piece is now one long Lainiotis step, a row of a shorter track: run that track, in pieces
+   again where it is long.
 3. Run every piece again, from its own start. It must end where the next one starts.
 
-N rows in sequence become two runs of K rows, side by side, and N / K starts. It works for any
-`advance` (`columns`), whose rows are a tuple of arrays (N, ..., W), or None, z first: of a filter, or of the smoother's
-way back.
+It works for any `advance` (`columns`), whose rows are a tuple of arrays (N, ..., W), or None, z first: of a filter, of
+pieces, or of the smoother's backward pass.
 """
 
 import math
@@ -18,7 +18,7 @@ from itertools import repeat
 
 import numpy as np
 
-from ..equations import gain_on_the_start
+from ..equations import start_gain
 from .shared import FEW_TRACKS
 
 # Shorter tracks are not cut, nor are more than FEW_TRACKS. Measured on one processor, with the rows "one track" of
@@ -32,13 +32,11 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # The largest number of runs. Where pieces do not fit together, each runs again from where the preceding one ended; if
 # they do not fit after the last run, the track is filtered uncut.
 MOST_PASSES = 3
-# The largest number of rows with a measurement that `_from_a_vague_start` computes, each from the first row on.
-MOST_OF_A_START = 300
 # Smaller eigenvalues of a correlation matrix count as this one: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
 
 
-def through(advance, rows, x0, P0, x, P, vague=False):
+def run_rows(advance, rows, x0, P0, x, P, vague=False):
     """Write the states x(1) ... x(N) of rows to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None.
 
     They start from x0 (n, c, W) and P0 (n, n, W), which may be vague (`digits`). Rows are cut into pieces where that is
@@ -60,7 +58,7 @@ def through(advance, rows, x0, P0, x, P, vague=False):
 
 
 def _in_sequence(advance, rows, x_k, P_k, x, P):
-    """Do what `through` does, one row after the other. Returns the last P, and whether doubles held all of them.
+    """Do what `run_rows` does, one row after the other. Returns the last P, and whether doubles held all of them.
 
     An overflow persists to the last row; a variance below zero may come and go.
     """
@@ -75,7 +73,7 @@ def _in_sequence(advance, rows, x_k, P_k, x, P):
 
 
 def _in_pieces(advance, rows, K, x0, P0, x, P):
-    """Do what `through` does, in pieces of K rows. Returns False where the pieces do not fit together."""
+    """Do what `run_rows` does, in pieces of K rows. Returns False where the pieces do not fit together."""
     N, W = len(x), x.shape[-1]
     pieces = _of_each(rows, lambda array: cut(array, K))
     try:
@@ -112,11 +110,11 @@ def rows_per_piece(N, tracks):
     """Return K, the number of rows of a piece: N where cutting does not pay.
 
     >>> rows_per_piece(12_000, tracks=1), rows_per_piece(12_000, tracks=1000)
-    (55, 12000)
+    (37, 12000)
     """
     if N < LEAST_ROWS or tracks > FEW_TRACKS:
         return N
-    return max(8, math.ceil(math.sqrt(N * tracks) / 2))
+    return max(8, math.ceil(math.sqrt(N * tracks) / 3))
 
 
 def cut(array, K):
@@ -139,8 +137,9 @@ def uncut(array, N, W):
     >>> uncut(np.array([[0, 2, 4], [1, 3, 4]]), N=5, W=1)[:, 0]
     array([0, 1, 2, 3, 4])
     """
-    pieces = np.moveaxis(array.reshape(*array.shape[:-1], -1, W), -2, 0)  # (C, K, ..., W)
-    return pieces.reshape(-1, *pieces.shape[2:])[:N]
+    C = array.shape[-1] // W
+    pieces = np.moveaxis(array.reshape(*array.shape[:-1], C, W), -2, 0)  # (C, K, ..., W)
+    return pieces.reshape(C * len(array), *pieces.shape[2:])[:N]
 
 
 def starts(advance, pieces, x0, P0):
@@ -149,8 +148,7 @@ def starts(advance, pieces, x0, P0):
     The first piece starts from x0 (n, c, W) and P0 (n, n, W).
 
     Started from x instead of zero, a piece ends at x_piece + T x: a filter is linear in x. Then it has the innovations
-    e - L x, and these are white and of unit variance, so that e = L x + noise measures x. Each start takes one
-    Lainiotis step: it is corrected by what the piece measures of it, and moves on by T. A filter of constant gain
+    e - L x, and these are white and of unit variance, so that e = L x + noise measures x. A filter of constant gain
     returns no innovations, and nothing corrects its starts.
 
     For example, a state that stays where it is, F = 1 and Q = 0, is measured twice, H = 1 and R = 1. Known to be at
@@ -158,73 +156,91 @@ def starts(advance, pieces, x0, P0):
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, W = x0.shape
-    _, m, _, width = pieces[0].shape
-    # Each piece from a zero that is known exactly. Beside its c tracks run n more, which have no measurements and start
-    # at one of the unit vectors each: they end at T, and have the innovations -L.
-    x, P, z = np.zeros((n, c + n, width)), np.zeros((n, n, width)), np.zeros((m, c + n, width))
-    x[:, c:] = np.eye(n)[..., None]
     innovations = []
-    for z_k, *conditions in _one_by_one(pieces):
+    for after in _from_exact_zero(advance, pieces, n):
+        innovations.append(after[2])
+    x, P, _ = after
+    C = P.shape[-1] // W
+    x, P, e = (uncut(each[None], C, W) for each in (x, P, np.concatenate(innovations)))  # a row for each piece
+    L, y = _compressed(-e[:, :, c:], e[:, :, :c])
+    rows = np.concatenate([x[:, :, :c], y], axis=1), x[:, :, c:], P, L
+    x, P = np.empty((C + 1, n, c, W)), np.empty((C + 1, n, n, W))
+    x[0], P[0] = x0, P0
+    run_rows(over_a_piece, rows, x0, P0, x[1:], P[1:])
+    return cut(x, K=1)[0], cut(P, K=1)[0]
+
+
+def _from_exact_zero(advance, rows, n):
+    """Run rows of c tracks from a zero that is known exactly, and yield x (n, c + n, W), P and the innovations of each.
+
+    Beside the c tracks run n more, which have no measurements and start at one of the unit vectors each: they end at T,
+    and have the innovations -L of `starts`.
+    """
+    _, m, c, W = rows[0].shape
+    x, P, z = np.zeros((n, c + n, W)), np.zeros((n, n, W)), np.zeros((m, c + n, W))
+    x[:, c:] = np.eye(n)[..., None]
+    for z_k, *conditions in _one_by_one(rows):
         z[:, :c] = z_k
         x, P, e = advance((z, *conditions), x, P)
-        innovations.append(e)
-    x, P, e = (_as_matrices(each, W) for each in (x, P, np.concatenate(innovations)))
-    L, y = _compressed(-e[..., c:], e[..., :c])
-    found = [(_as_matrices(x0, W)[0], _as_matrices(P0, W)[0])]
-    for piece in zip(x[..., c:], x[..., :c], P, L, y, strict=True):
-        found.append(_next_start(*found[-1], *piece))
-    return tuple(_as_columns(every) for every in zip(*found, strict=True))
+        yield x, P, e
+
+
+def over_a_piece(row, x, P):
+    """Return x, P and the innovations after one piece: the `advance` of a track whose rows are pieces.
+
+    It is one Lainiotis step. A row holds z = [x_piece; y], T, P_piece and L of `starts`. The start is corrected by
+    y = L x + noise of unit variance, with P in Joseph's form, and moves on by T.
+    """
+    n = len(x)
+    z, T, P_piece, L, x, P = (each.transpose(2, 0, 1) for each in (*row, x, P))  # stacks of matrices
+    L_t = L.swapaxes(-1, -2)
+    innovations = z[:, n:] - L @ x
+    root_of_S = np.linalg.cholesky(L @ P @ L_t + np.eye(L.shape[1]))
+    TG = T @ start_gain(P, L_t)
+    keep = T - TG @ L
+    x = z[:, :n] + T @ x + TG @ innovations
+    P = keep @ P @ keep.swapaxes(-1, -2) + TG @ TG.swapaxes(-1, -2) + P_piece
+    P = (P + P.swapaxes(-1, -2)) / 2
+    innovations = np.linalg.solve(root_of_S, innovations)
+    return tuple(each.transpose(1, 2, 0) for each in (x, P, innovations))
 
 
 def _from_a_vague_start(advance, rows, x0, P0, x, P):
-    """Write the first rows as `through` does, and return how many, x and P after the last.
+    """Write the first rows as `run_rows` does, and return how many, x and P after the last.
 
     Taken row by row, the first updates from a vague start would lose the digits of P0 / R, and without process noise
-    never regain them. So row k is computed as the end of one piece of the rows 0 to k. This goes on until each sensor
-    of each track has measured 2 n times, or will not again. A row in which nothing is measured is a prediction, which
-    loses no digits.
+    never regain them. So the rows 0 to k are one piece, which grows by a row at a time, and row k is its end. This goes
+    on until each sensor of each track has measured 2 n times, or will not again.
     """
-    n, _, W = x0.shape
+    n, c, W = x0.shape
     seen = rows[1]
     counts = np.cumsum(seen, axis=0)
     settled = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=(1, 2))
-    measured = np.cumsum(seen.any(axis=(1, 2)))
-    K = min(1 + np.sum(~settled & (measured < MOST_OF_A_START)), len(x))
-    x_k, P_k = x0, P0
-    for k, row in enumerate(_one_by_one(_of_each(rows, lambda array: array[:K]))):
+    K = min(1 + np.sum(~settled), len(x))
+    L, y = np.zeros((0, n, W)), np.zeros((0, c, W))
+    first_rows = _of_each(rows, lambda array: array[:K])
+    for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, first_rows, n)):
         if seen[k].any():
-            piece = _of_each(rows, lambda array, k=k: array[: k + 1])
-            x_k, P_k = (each[..., -W:] for each in starts(advance, piece, x0, P0))
-        else:
-            x_k, P_k, _ = advance(row, x_k, P_k)
+            L, y = _compressed(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
+        piece = np.concatenate([x_piece[:, :c], y]), x_piece[:, c:], P_piece, L
+        x_k, P_k, _ = over_a_piece(piece, x0, P0)
         x[k] = x_k
         if P is not None:
             P[k] = P_k
     return K, x_k, P_k
 
 
-def _next_start(x, P, T, x_piece, P_piece, L, y):
-    """Return the start of the next piece by one Lainiotis step over this one, from its start x (n, c), P (n, n).
-
-    All arguments may be stacks. The start is corrected by y = L x + noise of unit variance, in Joseph's form.
-    """
-    TG = T @ gain_on_the_start(P, L.swapaxes(-1, -2))
-    keep = T - TG @ L
-    P = keep @ P @ keep.swapaxes(-1, -2) + TG @ TG.swapaxes(-1, -2) + P_piece
-    return x_piece + keep @ x + TG @ y, (P + P.swapaxes(-1, -2)) / 2
-
-
 def _compressed(L, y):
-    """Return p <= n rows L (..., p, n) and y (..., p, c) with the same information: y = L x + noise of unit variance.
+    """Return y = L x + noise of unit variance as p <= n rows of the same information.
 
-    The given L and y have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays
-    white, and the part of y that Qᵀ drops is noise alone, independent of the rest. Lᵀ L and Lᵀ y hold the same
-    information, but sums of squares lose digits that R keeps. The order of the rows changes only the rounding. The last
-    rows come first, as they are the largest where x grows: of 240 vague starts with gaps, half were then wrong by less
-    than 5e-5 of a sigma, and a twentieth by more than 2e-3.
+    The given L (..., n, W) and y (..., c, W) have a row for each innovation of a piece. With L = Q R,
+    Qᵀ y = R x + Qᵀ noise: the noise stays white, and the part of y that Qᵀ drops is noise alone, independent of the
+    rest. Lᵀ L and Lᵀ y hold the same information, but sums of squares lose digits that R keeps. The order of the rows
+    changes only the rounding: the last rows come first, as they are the largest where x grows.
     """
-    Q, R = np.linalg.qr(L[..., ::-1, :])
-    return R, Q.swapaxes(-1, -2) @ y[..., ::-1, :]
+    L, y = (np.moveaxis(each, -1, 0)[..., ::-1, :] for each in (L, y))  # stacks of matrices
+    Q, R = np.linalg.qr(L)
+    return tuple(np.moveaxis(each[..., ::-1, :], 0, -1) for each in (R, Q.swapaxes(-1, -2) @ y))
 
 
 def agree(x, P, x_next, P_next):
@@ -250,15 +266,3 @@ def agree(x, P, x_next, P_next):
     largest = np.moveaxis(np.abs(x_next / unit[:, None]).max(axis=0, keepdims=True), 2, 0)  # (W, 1, c), in sigmas
     rounding = STATE_ROUNDING * np.abs(axes).sum(axis=1)[..., None] * largest
     return bool((of_x <= AGREED + rounding).all() and (of_P <= AGREED).all())
-
-
-def _as_matrices(array, W):
-    """Return columns (a, b, C W) as matrices (C, W, a, b)."""
-    a, b, width = array.shape
-    return np.ascontiguousarray(np.moveaxis(array.reshape(a, b, width // W, W), (2, 3), (0, 1)))
-
-
-def _as_columns(matrices):
-    """Return a list of C matrices (W, a, b) as columns (a, b, C W)."""
-    stacked = np.moveaxis(np.array(matrices), (0, 1), (2, 3))
-    return np.ascontiguousarray(stacked).reshape(*stacked.shape[:2], -1)

@@ -7,14 +7,14 @@
 
 The way of one track with gaps, z (N, m, 1):
 
-    estimates -> Epochs.rows -> through -> starts        each piece from zero: advance, row by row;  then its start
+    estimates -> Epochs.rows -> run_rows -> starts       each piece from zero: advance, row by row;  then its start
                                         -> _in_sequence  each piece from its start: advance, row by row
 """
 
 import numpy as np
 
 from .. import _checks as checks
-from .pieces import through
+from .pieces import run_rows
 from .shared import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
 # Numbers in the covariances of all epochs of the tracks that are computed together: 32 MB.
@@ -62,10 +62,10 @@ def _on_columns(estimator, epochs, x, covariances):
         _, _, c, width = rows[0].shape
         x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, width))
         P0 = np.repeat(estimator.P0[..., None], width, axis=2)
-        # Views, which `through` writes to. If only the tracks of this tile share P, it is written to each of them.
+        # Views, which `run_rows` writes to. If only the tracks of this tile share P, it is written to each of them.
         x_part = x[..., part].reshape(N, n, c, width)
         P_part = P[..., part] if covariances and W > 1 else P
-        _require_held(through(estimator.advance, rows, x0, P0, x_part, P_part, estimator.vague))
+        _require_held(run_rows(estimator.advance, rows, x0, P0, x_part, P_part, estimator.vague))
     return P
 
 

@@ -13,7 +13,7 @@ from scipy.linalg import eig
 
 from .. import _checks as checks
 from .algebra import product, solved, transposed
-from .pieces import through
+from .pieces import run_rows
 from .run import estimates
 from .shared import epochs_at_a_time
 
@@ -41,7 +41,7 @@ def smoothed(estimator, epochs):
 
     # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
-    through(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+    run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
     return x, P
 
 

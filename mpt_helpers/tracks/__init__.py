@@ -318,7 +318,7 @@ def track(
     """
     if show is not None:
         show("reading")
-    is_frame = hasattr(source, "iloc")
+    is_frame = hasattr(source, "itertuples")  # which neither a path nor a pandas series has
     path = "frame" if is_frame else Path(source)
     recording = read_frame(source, columns) if is_frame else read(path, columns)
     known = recording.time[recording.time != NO_TIME]
@@ -337,7 +337,8 @@ def track(
         said.append("ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?")
     if recording.metres is None:
         charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], segment)
-        grids = [grid_of(each[rows], GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat, recording.lon)]
+        east = np.unwrap(recording.lon[rows], period=360)  # without a step of 360°
+        grids = [grid_of(each, GRIDS) * METRES_OF_A_DEGREE for each in (recording.lat[rows], east)]
     else:
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]

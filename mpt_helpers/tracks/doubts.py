@@ -13,30 +13,39 @@ from .._checks import Array
 GPSBABEL = "gpsbabel -t -i {} -f FILE -o gpx -F track.gpx"
 XML = rb"(?i)(\xef\xbb\xbf)?\s*(<[?!][^>]*>\s*)*<"  # what stands before the name of the outermost element
 # How other files begin, what they are, and how a GPX or CSV file is made of them.
+PACKED = rb"PK\x03\x04|BZh|\xfd7z|7z\xbc|Rar!|\x28\xb5\x2f\xfd|\x1f\x9d|\x04\x22\x4d\x18"
 KINDS = (
-    (rb"PK\x03\x04|BZh|\xfd7z|7z\xbc|Rar!", "an archive", "unpack it; or pandas.read_excel('FILE').to_csv('new.csv')"),
+    (PACKED, "an archive", "unpack it; or pandas.read_excel('FILE').to_csv('new.csv')"),
     (rb"\xff\xfe|\xfe\xff", "UTF-16", "save it as UTF-8: pandas.read_csv('FILE', encoding='utf-16').to_csv('new.csv')"),
     (rb"(?s)[\x0c\x0e].{7}\.FIT", "a FIT file", f"{GPSBABEL.format('garmin_fit')}, or the package fitdecode"),
     (rb"\s*[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
     (rb"A[A-Z]{3}.*[\r\n]+H", "an IGC file", GPSBABEL.format("igc")),
-    (rb"\s*[{[]", "a JSON file", "pandas.read_json('FILE').to_csv('new.csv')"),
+    (
+        rb"\s*[{[]",
+        "a JSON file",
+        "pandas.read_json('FILE').to_csv('new.csv'), or of GeoJSON geopandas.read_file('FILE')",
+    ),
     (XML + rb"TrainingCenterDatabase", "a TCX file", GPSBABEL.format("gtrnctr")),
     (XML + rb"kml", "a KML file", GPSBABEL.format("kml")),
     (XML + rb"(?![?!]|([\w.-]+:)?gpx)", "another kind of XML, or a web page", "export it as GPX"),
-    (rb"(?s).*\0", "a binary file", "export it as GPX or CSV"),
+    (rb"(?s).*\0|.{,99}[\1-\x08\x0e-\x1f]", "a binary file, or a damaged one", "export it as GPX or CSV"),
 )
 # How a COLUMN becomes numbers or times whose cells look so.
+SIGNS = "{'N': 1, 'S': -1, 'E': 1, 'W': -1}"
 WAYS = (
     (r"\d{13,}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms'), 'us' or 'ns'; of digits format='%Y%m%d%H%M%S'"),
     (r"\d{5}\.\d+", "days of a spreadsheet? pandas.to_datetime(COLUMN, unit='D', origin='1899-12-30')"),
-    (r"\d+\.\d+", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S.%f'), as texts"),
-    (r"\d+", "a clock's digits? pandas.to_datetime(frame['date'] + COLUMN, format='%Y-%m-%d%H%M%S'), as texts"),
+    (
+        r"-?[\d.]+",
+        "a clock's digits? pandas.to_datetime(frame['date'] + ' ' + COLUMN, format='ISO8601'), as texts; "
+        "seconds from another start? COLUMN - COLUMN.iloc[0]",
+    ),
     (r"[+-]?\d+([.,'\s]\d{3})*[.,]?\d*", "pandas.read_csv(FILE, decimal=',', thousands='.'), or the two exchanged"),
-    (r"[\d.]+ *[NSEWnsew]", "COLUMN.str[:-1].astype(float) * COLUMN.str[-1].map({'N': 1, 'S': -1, 'E': 1, 'W': -1})"),
+    (r"[\d. NSEW]+", f"COLUMN.str.strip('NSEW ').astype(float) * COLUMN.str.extract('([NSEW])')[0].map({SIGNS})"),
     (r".*\d *[°º'd].*", "degrees + minutes / 60 + seconds / 3600, negative south and west"),
     (r"\d{1,2}:\d\d.*", "a date is needed too: pandas.to_datetime(frame['date'] + ' ' + COLUMN)"),
     (r"\d{4}\D.*", "pandas.to_datetime(COLUMN)"),
-    (r"(?s).*", "numbers are decimal; of dates pandas.to_datetime(COLUMN, dayfirst=True), or False"),
+    (r"(?s).*", "numbers are decimal, without a unit; of dates pandas.to_datetime(COLUMN, dayfirst=True), or False"),
 )
 # Several mobiles: a column changes its value at least so often, has so many fixes of each value, and these lie so much
 # farther from the line between their neighbours in time than from that between their neighbours of the same value.
@@ -56,15 +65,13 @@ def way_of(column: str, text: str) -> str:
     return f"{text!r:.40}: {way.replace('COLUMN', f'frame[{column!r}]')}"
 
 
-def refuse_signs(name: str, others: dict[str, list[str]], column: str, degrees: Array, words: tuple[str, str]) -> None:
-    """Refuse latitudes or longitudes of a column whose sign stands in another column, as NORTH, N or SOUTH, S."""
-    plus, minus = (word[0] for word in words)
+def refuse_signs(name: str, others: dict[str, list[str]], column: str, degrees: Array, plus: str, minus: str) -> None:
+    """Refuse degrees whose sign stands in another column, as a word (NORTH, SOUTH) or its first letter."""
     for other, cells in others.items():
-        letters = [cell.strip().upper() for cell in cells]
-        negative = np.array([cell.startswith(minus) for cell in letters], dtype=bool)
-        if set(letters) <= {*words, plus, minus, ""} and (degrees[negative] > 0).any():
-            letter = f"frame[{other!r}].str.strip().str.upper().str[0]"
-            way = f"frame[{column!r}] *= {letter}.map({{{plus!r}: 1, {minus!r}: -1}})"
+        words = [cell.strip().upper() for cell in cells]
+        negative = np.array([word.startswith(minus[0]) for word in words], dtype=bool)
+        if set(words) <= {plus, minus, plus[0], minus[0], ""} and (degrees[negative] > 0).any():
+            way = f"frame[{column!r}] *= frame[{other!r}].str.strip().str.upper().str[0].map({SIGNS})"
             got = f"the sign of {column} in column {other!r}: {way}; or drop that column"
             raise ValueError(f"{name}: needs signed degrees, got {got}")
 
@@ -91,6 +98,19 @@ def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int
             raise ValueError(
                 f"{name}: needs one mobile, got {len(values)}, by their column {column!r}: take one: {one}"
             )
+
+
+def take_turns(time: Array, position: Array) -> bool:
+    """Tell whether every other fix is of another mobile: all others alone make a much straighter line.
+
+    So does one mobile whose times are rounded, but then no fix is off by more than the way from one to the next.
+    """
+    if len(time) < CHANGES:
+        return False
+    apart = np.median(_off_the_line(time, position, np.arange(len(time))))
+    own = np.median(_off_the_line(time, position, np.argsort(np.arange(len(time)) % 2, kind="stable")))
+    way = np.median(np.linalg.norm(position[2:] - position[:-2], axis=1))
+    return bool(apart > FARTHER * own and apart > way)
 
 
 def _off_the_line(time, position, order):

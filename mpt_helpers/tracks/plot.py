@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .report import KM_H, numbers_of_the_way
-from .writers import degrees_of, segment_of_rows
+from .writers import degrees_of, segment_of_rows, velocities_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -86,7 +86,7 @@ def _draw_map(ax, c, line, refused, start):
 
 
 def _draw_speed(ax, c, line, refused, band):
-    speed = np.linalg.norm(c.x[:, 1:4:2], axis=1)
+    speed = np.linalg.norm(velocities_of(c)[:, :2], axis=1)
     sigma = np.sqrt(c.P[:, 1, 1])
     time, recorded = _time_of_the_picture(c)
     unit, seconds = ("h", 3600) if np.nanmax(time) > LONG else ("min", 60)

@@ -124,7 +124,7 @@ def _of_gpx(path, data, said):
         raise ValueError(f"{path}: needs a recorded track, got no trkpt: routes and waypoints have no times")
     segment, lat, lon, time, height, hdop = map(list, zip(*fixes, strict=True))
     lat, lon = _numbers(path, "lat", lat), _numbers(path, "lon", lon)
-    time = _readable(path, "time", time, np.array([_time_of(text) for text in time]))
+    time = _moments(path, "time", time, np.array([_time_of(text) for text in time]))
     height, hdop = (np.array([_number(text) for text in texts]) for texts in (height, hdop))
     accuracy = np.full(len(time), math.nan)
     return Recording(time, lat, lon, None, height, hdop, accuracy, np.array(segment), tuple(said), data)
@@ -149,16 +149,27 @@ def _time_of(text):
     return since // timedelta(microseconds=1) if abs(since) < timedelta(seconds=LATEST) else math.nan
 
 
-def _is_missing(text):
-    return text.strip().lower() in MISSING
+def _there(texts):
+    """Tell which cells of a column are not empty (N,)."""
+    return np.array([text.strip().lower() not in MISSING for text in texts], dtype=bool)
 
 
-def _readable(name, column, texts, times):
-    """Return times in whole microseconds, NO_TIME where they are NaN, or refuse a column that is mostly not read."""
-    unread = [text for text, time in zip(texts, times, strict=True) if math.isnan(time) and not _is_missing(text)]
-    if len(unread) > MANY * len(texts):
-        need = f"ISO 8601, Unix seconds, or seconds from 0 in column {column!r}"
-        raise ValueError(f"{name}: needs {need}, got {way_of(column, unread[0])}")
+def _checked(name, column, texts, values, need):
+    """Return the values of a column, or refuse one that is written in another way: many cells or a comma are unread."""
+    unread = [texts[row] for row in np.flatnonzero(np.isnan(values) & _there(texts))]
+    if len(unread) > MANY * len(texts) or any("," in text for text in unread):
+        raise ValueError(f"{name}: needs {need} in column {column!r}, got {way_of(column, unread[0])}")
+    return values
+
+
+def _numbers(name, column, texts):
+    """Return the numbers of a column (N,), NaN where there is none."""
+    return _checked(name, column, texts, np.array([_number(text) for text in texts]), "decimal numbers")
+
+
+def _moments(name, column, texts, times):
+    """Return times of a column (N,), NaN where there is none, in whole microseconds."""
+    times = _checked(name, column, texts, times, "ISO 8601, Unix seconds, or seconds from 0")
     return np.where(np.isnan(times), NO_TIME, times).astype(np.int64)
 
 
@@ -166,7 +177,10 @@ def _of_csv(path, text, columns, said):
     """Return the Recording of a CSV with a line of names. Lines before it that begin with a # are passed over."""
     lines = filter(str.strip, re.split(r"[\r\n]+", text))
     lines = list(itertools.dropwhile(lambda line: line.startswith("#"), lines)) or ["nothing"]
-    names, *rows = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines]
+    try:
+        names, *rows = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines]
+    except csv.Error as error:
+        raise ValueError(f"{path}: needs a CSV file, got one that cannot be read ({error})") from None
     if text[-1:] not in "\r\n" and len(rows) > 1 and (said or _is_cut(rows)):
         del rows[-1]
         said = [*said, "ATTENTION: the last line is cut, and left out"]
@@ -174,10 +188,8 @@ def _of_csv(path, text, columns, said):
     wrong = [line for line, row in in_turn if line.count('"') % 2 or (len(names) > 1 and any(row[len(names) :]))]
     if wrong:
         way = "pandas.read_csv(FILE, quoting=3, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
-        if len(wrong) > MANY * len(lines):
-            way = "are commas decimal, too? Write the table with ; between its cells"
-        need = f"{len(names)} cells in each line, and quotes that close"
-        raise ValueError(f"{path}: needs {need}, got {wrong[0]!r:.60}: {way}")
+        need = f"{len(names)} cells in each line, as in {lines[0]!r:.60}, and quotes that close"
+        raise ValueError(f"{path}: needs {need}, got {wrong[0]!r:.60}: are commas decimal, too? Otherwise {way}")
     cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
     return _of_table(str(path), [name.strip() for name in names], cells, columns, said)
 
@@ -212,8 +224,8 @@ def _of_table(name, names, values, columns, said, index=None):
     if lat is None:
         metres = position = np.column_stack([numbers["x"], numbers["y"]])
     else:
-        refuse_signs(name, others, found["lat"], lat, ("NORTH", "SOUTH"))
-        refuse_signs(name, others, found["lon"], lon, ("EAST", "WEST"))
+        refuse_signs(name, others, found["lat"], lat, "NORTH", "SOUTH")
+        refuse_signs(name, others, found["lon"], lon, "EAST", "WEST")
         position = np.column_stack([lon * np.cos(np.radians(lat)), lat])
     refuse_several(name, others, time, position)
     more = [numbers.get(what, np.full(len(time), math.nan)) for what in ("ele", "hdop", "accuracy")]
@@ -235,7 +247,7 @@ def _found(name, names, columns):
         need = "columns time and lat, lon (degrees) or x, y (metres), with commas between"
         options = " ".join(f"--{what} NAME" for what in lacking)
         way = f"name the others: {options}, or in Python columns={dict.fromkeys(lacking, 'NAME')}"
-        if separator := re.search(r"[;\t|]", "".join(names)):
+        if len(names) == 1 and (separator := re.search(r"[;\t| ]", names[0])):
             way = f"pandas.read_csv(FILE, sep={separator[0]!r}, decimal=',').to_csv('new.csv') makes commas"
         raise ValueError(f"{name}: needs {need}, got {got}: {way}")
     found = {what: found[what] for what in ("time", *place, "ele", "hdop", "accuracy") if what in found}
@@ -245,30 +257,21 @@ def _found(name, names, columns):
     return found
 
 
-def _numbers(name, column, texts):
-    """Return the numbers of a column (N,), NaN where there is none, or refuse one that is written in another way."""
-    numbers = np.array([_number(text) for text in texts])
-    others = [texts[k] for k in np.flatnonzero(np.isnan(numbers)) if not _is_missing(texts[k])]
-    if len(others) > MANY * len(texts) or any("," in text for text in others):
-        raise ValueError(f"{name}: needs decimal numbers in column {column!r}, got {way_of(column, others[0])}")
-    return numbers
-
-
 def _times(name, column, values, texts):
     """Return times in microseconds, and whether they are dates."""
     if (kind := _kind(values)) in ("M", "m"):
         return np.asarray(values, dtype=f"{kind}8[us]").astype(np.int64), kind == "M"
     times = np.array([_number(text) for text in texts])
     known = times[np.isfinite(times)]
-    if len(known) > 0.5 * sum(not _is_missing(text) for text in texts):
+    if len(known) > 0.5 * _there(texts).sum():
         seconds = np.where(_are_seconds(known) & (np.abs(times) < LATEST), times, math.nan)
-        return _readable(name, column, texts, np.round(seconds * 1e6)), False
+        return _moments(name, column, texts, np.round(seconds * 1e6)), False
     times = np.array([_time_of(text) for text in texts])
     zoned = [text for text, time in zip(texts, times, strict=True) if math.isfinite(time) and ZONE.search(text)]
     if 0 < len(zoned) < np.isfinite(times).sum():
         way = f"pandas.to_datetime(frame[{column!r}], utc=True, format='ISO8601') where the others are UTC"
         raise ValueError(f"{name}: needs a zone in all times or none, got one in {zoned[0]!r:.40} only: {way}")
-    return _readable(name, column, texts, times), True
+    return _moments(name, column, texts, times), True
 
 
 def _are_seconds(times):

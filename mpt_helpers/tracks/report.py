@@ -15,9 +15,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..fitting import UNKNOWN
+from .doubts import take_turns
 from .geodesy import earth_centred
 from .readers import UNIX, moment_of
-from .writers import degrees_of
+from .writers import degrees_of, velocities_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
 MOVING = 0.5  # m/s, slower than a walk
@@ -88,6 +89,8 @@ def unusual(c: Cleaned) -> list[str]:
         recording, rows = c.source.recording, c.source.rows[fixes]
         if max(np.abs(recording.lat[rows]).max() * 2, np.abs(recording.lon[rows]).max()) < math.pi:
             found.append("ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians?")
+    if take_turns(c.t[fixes], c.z[fixes]):
+        found.append("ATTENTION: every other fix lies on a way of its own: are these two receivers, or two mobiles?")
     share = _share_refused(c)
     if share > MANY:
         asked = "So many are hardly faults: are digits missing, or is the noise large?"
@@ -200,11 +203,11 @@ def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
     than MOVING and not in a minute at rest. If too many speeds cannot be told from MOVING, the time in motion is None.
     """
     rows = c.line.rows
-    position, later = c.x[:, :4:2], c.x[:, :4:2] + c.x[:, 1:4:2]  # a second later
-    here, there = position.T[:, rows], later.T[:, rows]
+    position = c.x[:, :4:2]
+    here = position.T[:, rows]
     if c.source is not None and c.source.charts:
-        here, there = (earth_centred(*degrees_of(c, each), 0.0)[:, rows] for each in (position, later))
-    speed = np.linalg.norm(there - here, axis=0)
+        here = earth_centred(*degrees_of(c, position), 0.0)[:, rows]
+    speed = np.linalg.norm(velocities_of(c)[rows, :2], axis=1)
     rest = _at_rest(c.line, position[rows], speed)
     same = np.diff(c.line.number) == 0
     kept = np.ones(len(rows), dtype=bool)
@@ -228,7 +231,8 @@ def _at_rest(line, position, speed):
     """Tell which rows of a line lie in a minute at rest.
 
     The fixes of a receiver at rest drift at the speed of a slow walk, but stay in one place: within such a minute they
-    keep within the distance that MOVING covers in it, and half of their speeds are below twice MOVING.
+    keep within the distance that MOVING covers in it, and half of their speeds are below twice MOVING. A rest may be
+    shorter: of each minute it lasts from the first to the last of these speeds.
     """
     rest = np.zeros(len(position), dtype=bool)
     size = int(REST / REST_STEP) + 1
@@ -240,8 +244,12 @@ def _at_rest(line, position, speed):
             continue
         windows = [sliding_window_view(np.interp(grid, t, each), size) for each in (*position[own].T, speed[own])]
         extent = np.linalg.norm([np.ptp(each, axis=1) for each in windows[:-1]], axis=0)
-        still = (extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING)
-        among = np.convolve(still, np.ones(size))[: len(grid)] > 0.5  # grid points inside such a minute
+        still = np.flatnonzero((extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING))
+        slow = windows[-1][still] < 2 * MOVING
+        begins = still + np.argmax(slow, axis=1)
+        ends = still + size - np.argmax(slow[:, ::-1], axis=1)
+        count = np.bincount(begins, minlength=len(grid) + 1) - np.bincount(ends, minlength=len(grid) + 1)
+        among = np.cumsum(count) > 0  # grid points inside such a rest
         rest[own] = among[np.minimum(np.searchsorted(grid, t), len(grid) - 1)]
     return rest
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .geodesy import axes_at, earth_centred
 from .readers import moment_of
 
 Cleaned = Any  # that of `cleaning`, whose methods call this module
@@ -37,6 +38,19 @@ def degrees_of(c: Cleaned, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         lat[own], lon[own] = chart.degrees(z[own])
     recorded = c.source.recording.lon[c.source.rows]
     return lat, lon + 360 * np.round((recorded - lon) / 360)  # as the file counts them
+
+
+def velocities_of(c: Cleaned) -> np.ndarray:
+    """Return the smoothed velocities (N, m) in m/s, east and north on the Earth where the track is in degrees.
+
+    Far from the middle of a chart its own north is not north, and its metres across are too long.
+    """
+    position, velocity = c.x[:, ::2], c.x[:, 1::2]
+    if c.source is None or not c.source.charts:
+        return velocity
+    lat, lon = degrees_of(c, position)
+    here, in_a_second = earth_centred(lat, lon, 0.0), earth_centred(*degrees_of(c, position + velocity), 0.0)
+    return np.einsum("ijn,jn->ni", axes_at(lat, lon)[:2], in_a_second - here)
 
 
 def gpx_bytes(c: Cleaned) -> bytes:
@@ -97,7 +111,7 @@ def csv_bytes(c: Cleaned) -> bytes:
     """Return the smoothed track of a file in metres as a table, with a line of names."""
     rows = np.flatnonzero(segment_of_rows(c) >= 0)
     seconds = c.source.recording.time[c.source.rows[rows]] / 1e6
-    table = np.column_stack([seconds, c.x[rows][:, [0, 2, 1, 3]], c.pieces[rows] < 0])
+    table = np.column_stack([seconds, c.x[rows][:, [0, 2, 1, 3]], c.segments[rows] < 0])
     file, head = io.StringIO(), "# smoothed by mpt_helpers\ntime,x,y,v_x,v_y,refused"
     np.savetxt(file, table, ["%.6f", *["%.4f"] * 4, "%d"], delimiter=",", header=head, comments="")
     return file.getvalue().encode()
@@ -119,7 +133,7 @@ def frame_of(c: Cleaned) -> Any:
         columns["lat"], columns["lon"] = degrees_of(c, c.x[:, :4:2])
     axes = "xyz"[: c.z.shape[1]]
     columns |= {axis: c.x[:, 2 * k] for k, axis in enumerate(axes)}
-    columns |= {f"v_{axis}": c.x[:, 2 * k + 1] for k, axis in enumerate(axes)}
+    columns |= {f"v_{axis}": each for axis, each in zip(axes, velocities_of(c).T, strict=True)}
     columns |= {"sigma": np.sqrt(c.P[:, 0, 0]), "sigma_v": np.sqrt(c.P[:, 1, 1])}
     columns |= {"kept": c.mask, "segment": segment_of_rows(c)}
     return pandas.DataFrame(columns, index=index)

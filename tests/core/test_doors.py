@@ -21,6 +21,8 @@ EYE, PLANE, CV = np.eye(2), mpt.stack(AXIS, AXIS), mpt.constant_velocity(1.0, 0.
 KF, LF, STEADY = mpt.KalmanFilter(AXIS), mpt.LainiotisFilter(AXIS), mpt.SteadyStateFilter.from_kalman(AXIS)
 AHEAD, FIR = mpt.SteadyStatePredictor(STEADY, 2), mpt.FIRFilter.from_steady_state(STEADY)
 RNG = np.random.default_rng(0)
+STILL, MOVING = np.zeros((40, 1)), mpt.KalmanFilter(CV)
+ERRORS = metrics.ahead(MOVING, STILL, seconds=1.0)
 
 NO_NUMBER = [None, "1", [1.0], 1j, NAN, INF, 10**400, KF]
 NO_POSITIVE = [*NO_NUMBER, 0, -1]
@@ -136,7 +138,15 @@ DOORS = {
         KF.covariances,
         {"z": (3, [each for each in NO_MEASUREMENTS if isinstance(each, list | np.ndarray)])},
     ),
-    "innovations": (partial(metrics.innovations, KF), MEASURED),
+    "innovations": (metrics.innovations, {"estimator": (KF, NO_FILTER)} | MEASURED),
+    "nis": (partial(metrics.nis, z=STILL), {"estimator": (KF, NO_FILTER)}),
+    "log_likelihood": (partial(metrics.log_likelihood, z=STILL), {"estimator": (KF, NO_FILTER)}),
+    "suspicious": (partial(metrics.suspicious, z=STILL), {"estimator": (KF, NO_FILTER)}),
+    "ahead": (partial(metrics.ahead, z=STILL, seconds=1.0), {"estimator": (MOVING, NO_FILTER)}),
+    "LiveBand": (partial(mpt.bands.LiveBand, seconds=1.0), {"estimator": (MOVING, NO_FILTER)}),
+    "following": (metrics.following, {"a": (ERRORS, [KF, None, 1.0])}),
+    "coverage": (partial(metrics.coverage, band=ERRORS.sigma), {"a": (ERRORS, [KF, None, 1.0])}),
+    "interval_score": (partial(metrics.interval_score, band=ERRORS.sigma), {"a": (ERRORS, [KF, None, 1.0])}),
     "nees": (
         metrics.nees,
         {"errors": (np.ones((3, 2)), []), "P": (EYE, [np.eye(3), [1.0, 1.0], -EYE, 0 * EYE, [[1.0, 0.5], [0.0, 1.0]]])},

@@ -125,7 +125,9 @@ def test_steps_of_one_length_and_single_steps_are_the_filter(make):
 
 
 def test_a_fit_finds_the_parameters_of_a_motion_of_ones_own():
-    t = np.cumsum(np.random.default_rng(3).uniform(0.2, 2.0, 600))
+    t = np.cumsum(
+        np.random.default_rng(3).integers(2, 20, 600) / 10
+    )  # few lengths: this transition takes one at a time
     x, z, rng = np.zeros(2), [], np.random.default_rng(4)
     for T in [0.7, *np.diff(t)]:
         F, Q = of_model(forgetful(), T)
@@ -236,6 +238,30 @@ def test_what_is_replaced_on_purpose_stays():
         np.testing.assert_array_equal((other.F, other.Q), (change.get("F", model.F), change.get("Q", model.Q)))
 
 
+def test_another_step_of_a_model_without_a_transition_is_its_F_and_Q():
+    """Once refused, since the dt was another one."""
+    slow, quick = mpt.gsm_axis(5.0, 0.01, 0.1), mpt.gsm_axis(2.0, 0.01, 0.1)
+    made = replace(slow, F=quick.F, Q=quick.Q, H=quick.H, dt=2.0)
+    assert made == quick
+    assert replace(replace(slow, dt=None), dt=5.0) == slow
+    with pytest.raises(ValueError, match="those of the model are for 2 s"):
+        replace(made, dt=5.0)
+
+
+@pytest.mark.parametrize("dt", [timedelta(minutes=1), np.timedelta64(1, "m"), [timedelta(minutes=1)], [60]])
+def test_over_takes_lengths_of_time(dt):
+    np.testing.assert_array_equal(forgetful().over(dt)[0], np.reshape(forgetful().over(60.0)[0], (*np.shape(dt), 2, 2)))
+
+
+@pytest.mark.parametrize(
+    "dt", [-1.0, [1.0, -1e-9], np.nan, np.inf, timedelta(-1), np.timedelta64("NaT"), "1", None, [[1], [1, 2]]]
+)
+def test_over_refuses_what_is_no_length_of_time(dt):
+    """A step of -1 s once had a negative Q."""
+    with pytest.raises((ValueError, TypeError), match="dt: needs finite lengths of time that are not negative, got "):
+        forgetful().over(dt)
+
+
 ONE_LENGTH = {
     "gsm_axis": mpt.gsm_axis(5.0, 0.01, 0.1),
     "gps_ins": mpt.gps_ins(5.0, 0.01, (1.0, 1.0)),
@@ -285,25 +311,35 @@ REFUSED = {
     "Q of another shape": (lambda: of(lambda dt: (np.eye(2), np.eye(1))), ValueError, "transition: needs a"),
     "no Q": (lambda: mpt.LinearModel(F=[[1]], H=[[1]], R=[[1]]), TypeError, "Q: needs a .* got None"),
     "no F": (lambda: mpt.LinearModel(H=[[1]], R=[[1]]), TypeError, "F: needs a matrix, got None"),
-    "F beside a transition of another": (
+    "F beside a transition": (
         lambda: mpt.LinearModel(F=[[2]], transition=wrong(), dt=1.0, H=[[1]], R=[[1]]),
         ValueError,
-        "transition: needs to make the F and Q that are given beside it",
+        "transition: needs F and Q to be left out, since it makes them",
     ),
     "Q replaced beside the transition": (
         lambda: replace(forgetful(), Q=np.eye(2), transition=Forgetful(TAU, 0.1)),
         ValueError,
-        "transition: needs to make the F and Q that are given beside it",
+        "transition: needs F and Q to be left out, since it makes them",
     ),
     "another dt for the same F and Q": (
         lambda: replace(mpt.gsm_axis(5, 1, 1), dt=2.0),
         ValueError,
-        "dt: needs a transition for steps of another length than 5 s, got 2 s",
+        "dt: needs a transition, or F and Q of such a step: those of the model are for 5 s, got 2 s",
+    ),
+    "another dt after none": (
+        lambda: replace(replace(mpt.gsm_axis(5, 1, 1), dt=None), dt=2.0),
+        ValueError,
+        "dt: needs a transition, or F and Q of such a step: those of the model are for 5 s, got 2 s",
+    ),
+    "another dt and F without its Q": (
+        lambda: replace(mpt.gsm_axis(5, 1, 1), F=np.eye(2), dt=2.0),
+        ValueError,
+        "dt: needs a transition, or F and Q of such a step: those of the model are for 5 s, got 2 s",
     ),
     "another dt without the transition": (
         lambda: replace(forgetful(), dt=2.0, transition=None),
         ValueError,
-        "dt: needs a transition for steps of another length than 0.7 s, got 2 s",
+        "dt: needs a transition, or F and Q of such a step: those of the model are for 0.7 s, got 2 s",
     ),
     "a stack of two dt, of one length each": (
         lambda: mpt.stack(mpt.gsm_axis(1, 1, 1), mpt.gsm_axis(5, 1, 1)),

@@ -98,7 +98,7 @@ MUTANTS = {
     "several steps in one product, with A halved": (shared, "product_of_steps", half_a_step),
     "a filter has converged at once": (shared, "_has_not_moved", lambda before, after: True),
     "tracks of other gaps share a column": (columns.Epochs, "width", 1),
-    "a piece starts as the one before it": (pieces, "_next_start", lambda x, P, *piece: (x, P)),
+    "a piece starts as the one before it": (pieces, "over_a_piece", lambda row, x, P: (x, P, x[:0])),
     "all pieces start at zero": (pieces, "starts", starts_at_zero),
     "the way back without process noise": (smoother, "_steps_back", steps_back_without_noise),
     "innovations against the state after": (run, "_before", lambda array, start, part: array[part]),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mpt_helpers as mpt
-from mpt_helpers.tracks import clean, geodesy
+from mpt_helpers.tracks import clean, geodesy, readers
 
 RADIUS = 6371008.8
 
@@ -194,6 +194,21 @@ def test_two_receivers_in_one_file_keep_their_times(tmp_path):
     assert "overlap in time" in c.report()
 
 
+@pytest.mark.parametrize(("apart", "asked"), [(30.0, True), (600.0, True), (0.0, False)])
+def test_two_receivers_in_turn_are_asked_about(apart, asked, tmp_path):
+    """Nothing else in the file tells them apart, and the line runs midway between them."""
+    t, _, z = ride()
+    z[::2, 1] += apart
+    c = mpt.track(gpx(tmp_path / "two.gpx", t, *degrees(z)))
+    assert ("every other fix lies on a way of its own" in " ".join(c.report().split())) == asked
+
+
+@pytest.mark.parametrize("step", [0.7, 1.5, 2.5])
+def test_one_receiver_whose_times_are_rounded_is_not(step):
+    t, _, z = ride(dt=step, speed=30.0, noise=0.5)
+    assert not any("every other fix" in each for each in clean(np.floor(t), z).unusual)
+
+
 def test_times_that_run_back_within_a_segment_are_refused():
     t, _, z = ride()
     with pytest.raises(ValueError, match="t: needs times that do not decrease within a segment, got less in row 300"):
@@ -226,6 +241,27 @@ def test_a_flight_along_the_earth_has_its_length_its_speed_and_no_jump(km, step,
     assert [len(each.t) for each in written] == [N]
     off = np.linalg.norm(geodesy.earth_centred(*mpt.tracks.report.degrees_of(c, c.x[:, ::2]), 0.0) - true, axis=0)
     assert off.max() < max(noise, 0.1)
+
+
+def test_frame_file_picture_and_report_of_a_flight_agree_on_its_speed_and_course(tmp_path):
+    """Along a parallel for 130°, where the chart shows a bow: its north is up to 56° off, its metres 1.4 % too long."""
+    lat, lon = np.full(1100, 55.0), -60 + 0.1176 * np.arange(1100)
+    c = mpt.track(gpx(tmp_path / "far.gpx", 30 * np.arange(1100), lat, lon))
+
+    def speeds(lat, lon):
+        return np.linalg.norm(np.diff(geodesy.earth_centred(lat, lon, 0.0), axis=1), axis=0) / 30
+
+    speed = speeds(lat, lon).mean()
+    frame = c.to_frame()
+    np.testing.assert_allclose(frame["v_x"], speed, rtol=1e-4)
+    np.testing.assert_allclose(np.degrees(np.arctan2(frame["v_x"], frame["v_y"])), 90, atol=0.1)
+    np.testing.assert_allclose(speeds(frame["lat"], frame["lon"]), speed, rtol=1e-6)
+    drawn = max(c.plot().axes[1].lines, key=lambda line: len(line.get_ydata())).get_ydata()
+    np.testing.assert_allclose(drawn, 3.6 * speed, rtol=1e-4)
+    assert c.summary()["median_speed_km_h"] == pytest.approx(3.6 * speed, rel=1e-4)
+    c.gpx(tmp_path / "smooth.gpx")
+    written = readers.read(tmp_path / "smooth.gpx")
+    np.testing.assert_allclose([written.lat, written.lon], frame[["lat", "lon"]].T, atol=1e-8)
 
 
 def test_a_chart_gives_degrees_back_and_distances_from_its_middle():
@@ -271,6 +307,26 @@ def test_a_stop_is_found_beside_errors_that_last(rho, sigma):
     found = clean(t, true + sigma * error).summary()
     assert found["moving_seconds"] == pytest.approx(2401, abs=40)
     assert found["kilometres"] == pytest.approx(v.sum() / 1000, rel=0.02)
+
+
+def test_a_walk_with_stops_of_half_a_minute_to_two_has_its_length_and_its_time_in_motion():
+    """Fixes with an error that lasts for half a minute; the time before a stop and after it counted as rest."""
+    rng = np.random.default_rng(1)
+    t = np.arange(3600.0)
+    stops, begin = np.zeros(3600, dtype=bool), 100
+    while begin < 3600:
+        end = begin + int(rng.uniform(30, 120))
+        stops[begin:end] = True
+        begin = end + int(rng.uniform(100, 300))
+    heading = np.cumsum(rng.normal(0, 0.03, 3600))
+    v = np.where(stops, 0.0, 1.4)
+    true = np.cumsum(np.column_stack([np.sin(heading), np.cos(heading)]) * v[:, None], axis=0)
+    error = 1.5 * rng.standard_normal((3600, 2))
+    for k in range(1, 3600):
+        error[k] = np.exp(-1 / 30) * error[k - 1] + np.sqrt(1 - np.exp(-2 / 30)) * error[k]
+    found = clean(t, true + error).summary()
+    assert found["moving_seconds"] == pytest.approx((~stops).sum(), rel=0.05)
+    assert found["kilometres"] == pytest.approx(v.sum() / 1000, rel=0.03)
 
 
 def test_a_player_who_runs_about_in_a_small_place_is_no_stop():
@@ -346,3 +402,10 @@ def test_the_time_in_motion_of_a_glider_is_known_although_its_speed_is_not():
     found = clean(t, z + np.random.default_rng(4).normal(0, 3.0, z.shape)).summary()
     assert found["speed_error_km_h"] > 3.6 * 0.5
     assert found["moving_seconds"] == pytest.approx(1797, abs=6)
+
+
+def test_a_cleaned_track_is_equal_to_itself_only():
+    c, again = (clean(*SHORT[::2]) for _ in range(2))
+    assert c == c
+    assert c != again
+    assert len({c, again}) == 2
