@@ -87,6 +87,8 @@ class KalmanFilter(RecursiveFilter):
     t: Array | None
     r: Array | None
 
+    optimal = True
+
     def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
         if t is not None:
@@ -177,8 +179,6 @@ class KalmanFilter(RecursiveFilter):
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""
-        if type(self).next_step is not KalmanFilter.next_step:  # a subclass has a step of its own
-            return super().advance(row, x, P)
         of_whole_rows, of_others = self._columns
         seen = row[1]
         if of_others is not of_whole_rows and (seen != seen[:1]).any():
