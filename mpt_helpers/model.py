@@ -84,8 +84,8 @@ class LinearModel(Immutable):
     P0: Array
     dt: float | None
     transition: Transition | None
-    # F, Q, the dt that they are for, and the transition. `replace` hands them on: an F that is still the same object has
-    # not been given anew.
+    # F, Q, the dt that they are for, and the transition. `replace` hands them on: an F that is still the same object
+    # has not been given anew.
     _made: tuple[Array, Array, float | None, Transition | None] = field(repr=False, compare=False)
 
     def __init__(
