@@ -127,7 +127,7 @@ def test_which_filter_wins(off, taught):
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than the five")
-    says("unless the car has nearly stopped by then (4 m/s or less are left), or the brake has lasted nine seconds.")
+    says("unless the car has nearly stopped by then (about a fifth of its speed is left, or less), or the brake has")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -135,7 +135,8 @@ def test_which_filter_wins(off, taught):
             if off(*VELOCITY, brake, lasting) > off(*ACCELERATION, brake, lasting)
         ]
         assert wins == list(range(from_when, 20 // brake))
-        assert from_when == 9 or 20 - brake * from_when <= 4
+        assert from_when == 9 or 20 - brake * from_when <= 0.2 * 20
+        assert 20 - brake * (from_when - 1) >= 0.2 * 20
     gain = {each: off(*VELOCITY, each, np.inf) / off(*ACCELERATION, each, np.inf) for each in (1, 2, 3, 4, 6, 8)}
     assert min(gain.values()) > 1
     assert min(gain[1], gain[2], gain[3]) > 1.25  # twenty, ten and seven seconds
@@ -161,13 +162,38 @@ def test_the_winners_are_those_until_ten_seconds_after_the_brake():
             assert (" < " in cell) == (velocity < acceleration), (brake, lasting)
 
 
-def test_three_stops_in_ten_are_enough_for_the_acceleration_filter(off):
-    says(
-        "at 2 m/s², among stops and brakes of three seconds, three stops in ten are enough for the acceleration filter"
-    )
-    gained = off(*VELOCITY, 2, np.inf) ** 2 - off(*ACCELERATION, 2, np.inf) ** 2
-    lost = off(*ACCELERATION, 2, 3) ** 2 - off(*VELOCITY, 2, 3) ** 2
-    assert 0.25 < lost / (gained + lost) < 0.3
+def test_how_many_stops_the_acceleration_filter_needs(off):
+    says("the acceleration filter needs three stops in ten at 2 m/s², and five at 3.")
+    for brake, share in ((2, 0.3), (3, 0.5)):
+        gained = off(*VELOCITY, brake, np.inf) ** 2 - off(*ACCELERATION, brake, np.inf) ** 2
+        lost = off(*ACCELERATION, brake, 3) ** 2 - off(*VELOCITY, brake, 3) ** 2
+        assert share - 0.05 < lost / (gained + lost) < share + 0.01
+
+
+def test_the_mean_of_the_two_predictions(taught):
+    says("run both, and take the mean of their predictions: 20 m and 12 m.")
+    noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))
+    for lasting, expected in ((np.inf, 20), (3, 12)):
+        both = [taught["misses"](*each, 2, lasting, noise) for each in (VELOCITY, ACCELERATION)]
+        assert round(rms(np.mean(both, axis=0))) == expected
+
+
+def test_a_driver_who_has_just_speeded_up(taught):
+    says("the acceleration filter is up to 63 m too far at 2 m/s²")
+    t = np.arange(-60.0, 20.0)
+    fast, slow = np.clip(t + 5, 0, 5), np.maximum(t, 0)
+    position = 20 * (t + 60) + fast**2 + 10 * slow - slow**2  # 20 m/s, from -5 s on faster, from 0 on braked
+    x, _ = taught["track"](position[:, None], *taught["motion"](3, 1.0, 0.01), lesson.R)
+    predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x])
+    assert round((predicted[60:75] - position[65:80]).max()) == 63
+
+
+def test_metres_grow_with_the_speed_at_a_brake_of_the_same_length(taught):
+    says("At other speeds all metres of a brake of the same length grow in proportion, but for the sensor's.")
+    slow = taught["misses"](*ACCELERATION, 2, 3, QUIET)
+    fast = {**taught}
+    exec(source(CELLS["table"]).partition("\nbrakes = ")[0].replace("20", "40"), fast)
+    np.testing.assert_allclose(fast["misses"](*ACCELERATION, 4, 3, QUIET), 2 * slow, atol=1e-6)
 
 
 def equally_calm(names, n, q, seconds=5):
@@ -189,7 +215,7 @@ def test_two_seconds_ahead_the_acceleration_wins_a_stop_of_four_seconds(monkeypa
 
 
 def test_most_of_the_error_of_a_short_stop_is_made_before_anybody_knows():
-    says("At 4 m/s² it takes five, and the first three seconds, in which no filter is good, make most of the error.")
+    says("and the first three seconds, in which neither of the two is good, make most of the error.")
     for model in list(lesson.FILTERS.values())[1:]:
         squares = lesson.misses(model, 4.0) ** 2
         assert squares[:3].sum() > 0.5 * squares.sum()
@@ -240,7 +266,12 @@ def test_the_list_of_the_small_computer():
     off = np.abs(gains / gains[-1] - 1).max(axis=1)
     assert np.flatnonzero(off > 0.02)[-1] + 2 == 8
     said, true = map(float, re.findall(r"in five seconds ([\d.]+) m on", shown(CELLS["device"])))
-    says(f"It is {true - said:.1f} m short")
+    says(f"It is {true - said:.1f} m short; with this sensor 1.5 m are usual.")
+    names = made()
+    z = names["road"](np.arange(-60, 7), 2)[:, None] + np.random.default_rng(9).normal(0, np.sqrt(0.1), (67, 1000))
+    x, _ = names["track"](z - z[0], *names["motion"](3, 1.0, 0.01), 0.1)
+    found = [names["ahead"](each, 5) for each in x[-1].T] + z[0] - names["road"](11, 2)
+    assert f"{rms(found):.1f}" == "1.5"
     names = made()
     exec(source(CELLS["device"]), names)
     from_first = (names["z"] - names["first"])[:, None]
@@ -251,7 +282,9 @@ def test_the_list_of_the_small_computer():
 
 def test_with_a_worse_sensor_the_acceleration_gains_less():
     """With q such that the filter with acceleration is as calm as that of velocity with q = 1, as the table judges."""
-    says("both filters tuned to 7 m on the calm road, the acceleration filter is better by some 6 % at most;")
+    says(
+        "both filters tuned to 7 m on the calm road, the acceleration filter is better by some 6 % at most, and as much"
+    )
     says("at 7 m the acceleration filter is better by some 6 % at most")
     names = made(R=25.0)
     noise = np.random.default_rng(7).normal(0, 5.0, (71, 100))
@@ -266,6 +299,7 @@ def test_with_a_worse_sensor_the_acceleration_gains_less():
     assert 0.93 < min(each for (q, _), each in ratios.items() if q == 1) < 0.95
     says("tuned to 13 m, by nearly a fifth in the long stop")
     assert ratios[10.0, (2, np.inf)] == pytest.approx(0.82, abs=0.02)
+    assert ratios[1.0, (2, 3)] == pytest.approx(1.06, abs=0.02)
     of_velocity = names["calm"](*VELOCITY)
     model = mpt.constant_velocity(1.0, 1.0, 25.0)
     made_of = mpt.metrics.error_moments(mpt.SteadyStateFilter.from_kalman(model), replace(model, Q=0 * model.Q), 400)
