@@ -790,7 +790,7 @@ def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):
         both = each.coefficients(6)
         assert is_right(Estimates(recursion(both.A, both.B, model.x0, z), both.P), 0.01)
     else:
-        with pytest.raises(ValueError, match="P: needs a covariance with a prediction whose variances doubles hold"):
+        with pytest.raises(ValueError, match="P: needs a covariance that keeps digits beside the measurement noise"):
             each.coefficients(6)
 
 
