@@ -11,27 +11,23 @@ from numpy.typing import NDArray
 from .._checks import Array
 
 GPSBABEL = "gpsbabel -t -i {} -f FILE -o gpx -F track.gpx"
-XML = rb"(?i)(\xef\xbb\xbf)?\s*(<[?!][^>]*>\s*)*<"  # what stands before the name of the outermost element
-# How other files begin, what they are, and how a GPX or CSV file is made of them.
+XML = rb"(?i)(<[?!][^>]*>\s*)*<"  # what stands before the name of the outermost element
 PACKED = rb"PK\x03\x04|BZh|\xfd7z|7z\xbc|Rar!|\x28\xb5\x2f\xfd|\x1f\x9d|\x04\x22\x4d\x18"
+# How other files begin, what they are, and how a GPX or CSV file is made of them.
 KINDS = (
     (PACKED, "an archive", "unpack it; or pandas.read_excel('FILE').to_csv('new.csv')"),
     (rb"\xff\xfe|\xfe\xff", "UTF-16", "save it as UTF-8: pandas.read_csv('FILE', encoding='utf-16').to_csv('new.csv')"),
     (rb"(?s)[\x0c\x0e].{7}\.FIT", "a FIT file", f"{GPSBABEL.format('garmin_fit')}, or the package fitdecode"),
-    (rb"\s*[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
+    (rb"[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
     (rb"A[A-Z]{3}.*[\r\n]+H", "an IGC file", GPSBABEL.format("igc")),
-    (
-        rb"\s*[{[]",
-        "a JSON file",
-        "pandas.read_json('FILE').to_csv('new.csv'), or of GeoJSON geopandas.read_file('FILE')",
-    ),
+    (rb"[{[]", "a JSON file", "pandas.read_json('FILE').to_csv('new.csv'); of GeoJSON geopandas.read_file('FILE')"),
     (XML + rb"TrainingCenterDatabase", "a TCX file", GPSBABEL.format("gtrnctr")),
     (XML + rb"kml", "a KML file", GPSBABEL.format("kml")),
     (XML + rb"(?![?!]|([\w.-]+:)?gpx)", "another kind of XML, or a web page", "export it as GPX"),
     (rb"(?s).*\0|.{,99}[\1-\x08\x0e-\x1f]", "a binary file, or a damaged one", "export it as GPX or CSV"),
 )
-# How a COLUMN becomes numbers or times whose cells look so.
 SIGNS = "{'N': 1, 'S': -1, 'E': 1, 'W': -1}"
+# How a COLUMN becomes numbers or times whose cells look so.
 WAYS = (
     (r"\d{13,}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms'), 'us' or 'ns'; of digits format='%Y%m%d%H%M%S'"),
     (r"\d{5}\.\d+", "days of a spreadsheet? pandas.to_datetime(COLUMN, unit='D', origin='1899-12-30')"),
@@ -53,7 +49,8 @@ CHANGES, OF_EACH, FARTHER = 10, 5, 2.5
 
 
 def refuse_other_kinds(path: Path, data: bytes) -> None:
-    """Refuse a file of another kind, by how it begins."""
+    """Refuse a file of another kind, by how it begins after blanks and the mark of UTF-8."""
+    data = data.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     for begins, kind, way in KINDS:
         if re.match(begins, data):
             raise ValueError(f"{path}: needs a GPX or CSV file, got {kind}: {way.replace('FILE', path.name)}")

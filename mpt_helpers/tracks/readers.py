@@ -124,7 +124,7 @@ def _of_gpx(path, data, said):
         raise ValueError(f"{path}: needs a recorded track, got no trkpt: routes and waypoints have no times")
     segment, lat, lon, time, height, hdop = map(list, zip(*fixes, strict=True))
     lat, lon = _numbers(path, "lat", lat), _numbers(path, "lon", lon)
-    time = _moments(path, "time", time, np.array([_time_of(text) for text in time]))
+    time = _moments(path, "time", time, np.array([_time_of(text) for text in time]), "ISO 8601")
     height, hdop = (np.array([_number(text) for text in texts]) for texts in (height, hdop))
     accuracy = np.full(len(time), math.nan)
     return Recording(time, lat, lon, None, height, hdop, accuracy, np.array(segment), tuple(said), data)
@@ -167,9 +167,9 @@ def _numbers(name, column, texts):
     return _checked(name, column, texts, np.array([_number(text) for text in texts]), "decimal numbers")
 
 
-def _moments(name, column, texts, times):
+def _moments(name, column, texts, times, need="ISO 8601, Unix seconds, or seconds from 0"):
     """Return times of a column (N,), NaN where there is none, in whole microseconds."""
-    times = _checked(name, column, texts, times, "ISO 8601, Unix seconds, or seconds from 0")
+    times = _checked(name, column, texts, times, need)
     return np.where(np.isnan(times), NO_TIME, times).astype(np.int64)
 
 
