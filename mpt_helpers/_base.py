@@ -47,7 +47,11 @@ from ._engine.digits import is_vague
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
+from .equations import corrected_covariance, gain, predicted_covariance
 from .model import LinearModel
+
+# A gain and a P are the Kalman filter's if they agree to this fraction of the standard deviations.
+SAME = 1e-6
 
 
 class Estimates(NamedTuple):
@@ -313,13 +317,18 @@ class Filter(Immutable):
 class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance. A subclass defines `next_step`; all else follows from it.
 
-    Its gain is assumed to be the Kalman gain for its P. A subclass with another gain must set `optimal = False`, and
-    has no smoother. A wrong `True` silently gives wrong results.
+    A subclass may define faster ways beside its `next_step`: `next_steps` and `advance`. It inherits them from a parent
+    only together with the parent's `next_step`.
     """
 
     model: LinearModel
 
-    optimal = True
+    def __init_subclass__(cls) -> None:
+        """Go back to the general ways in a subclass with a `next_step` of its own."""
+        super().__init_subclass__()
+        for name in ("next_steps", "advance", "optimal"):
+            if cls.__mro__.index(_owner(cls, "next_step")) < cls.__mro__.index(_owner(cls, name)):
+                setattr(cls, name, vars(RecursiveFilter)[name])
 
     def __post_init__(self) -> None:
         checks.instance("model", self.model, LinearModel)
@@ -328,6 +337,22 @@ class RecursiveFilter(Filter):
     def P0(self) -> Array:
         """P(0/0), the covariance that the filter starts from: the model's."""
         return self.model.P0
+
+    @cached_property
+    def optimal(self) -> bool:
+        """Whether the gain and P of `next_step` are the Kalman filter's, from P(0/0) and from the P of a step later."""
+        return all(self._is_optimal_from(P) for P in (self.P0, predicted_covariance(self.model, self.P0)))
+
+    def _is_optimal_from(self, P):
+        H, R = self.model.H, self.model.R
+        _, B, P_next = self.next_step(P, np.ones(self.model.m, bool))
+        P = predicted_covariance(self.model, P)
+        K = gain(P, H, R)
+        best = corrected_covariance(P, K, H, R)
+        sigma, sigma_best, sigma_z = (np.sqrt(C.diagonal()) for C in (P, best, H @ P @ H.T + R))
+        same_gain = np.abs(B - K) * sigma_z <= SAME * sigma[:, None]
+        same_P = np.abs(P_next - best) <= SAME * sigma_best * sigma_best[:, None]
+        return bool(same_gain.all() and same_P.all())
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k).
@@ -440,7 +465,7 @@ class RecursiveFilter(Filter):
         It warns where damped modes without process noise make P(k/N) inaccurate.
         """
         if not self.optimal:
-            raise TypeError(f"smooth: needs a filter whose P is that of the best estimate, got a {type(self).__name__}")
+            raise TypeError(f"smooth: needs a filter of optimal gain, got a {type(self).__name__}")
         return self._as_given(z, lambda z: engine.in_tiles(smoothed, self, self.epochs_of(z), self.model.n))
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
@@ -455,3 +480,8 @@ class RecursiveFilter(Filter):
     def shared_steps(self) -> Callable[[int, int], Any]:
         """Return `make_shared_steps` of this filter, as a function of N and M that keeps its last result."""
         return lru_cache(maxsize=1)(partial(steps.make_shared_steps, self.next_step, self.P0, self.model.m))
+
+
+def _owner(cls, name):
+    """Return the class whose definition of a name counts in cls."""
+    return next(each for each in cls.__mro__ if name in vars(each))

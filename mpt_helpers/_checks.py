@@ -74,7 +74,7 @@ def not_negative(name: str, value: object) -> float:
 
 
 def level(value: object) -> float:
-    """Return the coverage that a band is to have, between 0 and 1."""
+    """Return the nominal coverage of a band, between 0 and 1."""
     return number("level", value, "a number in (0, 1)", lambda value: 0 < value < 1)
 
 

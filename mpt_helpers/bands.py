@@ -1,24 +1,24 @@
-"""Prediction bands that have their stated coverage because they adapt to their own past errors.
+"""Prediction bands that keep their stated coverage, since they adapt to their own past errors.
 
-`ahead` predicts each fix some seconds before. `following` makes a band around these predictions, and learns only from
-those that were due by then. `LiveBand` gives the same band fix by fix.
+`ahead` predicts each fix some seconds in advance. `following` puts a band around each prediction, and uses only errors
+that were known when the prediction was made. `LiveBand` gives the same band fix by fix.
 
-The *horizon* is the time from a prediction to its fix, `seconds`, or h steps. The half-width of the band is f c sigma
-on each axis:
+The *horizon* is the time from a prediction to the fix that checks it: `seconds`, or h steps. On each axis, the
+half-width of the band is f c sigma:
 
-    sigma   what the filter states: the root of H P(k+h/k) Hᵀ + R
-    c       one for all axes: sqrt(0.2 + 0.8 a), where a is the recent average of NIS / m, which is 1 if the model is
+    sigma   the standard deviation that the filter states: the root of H P(k+h/k) Hᵀ + R
+    c       sqrt(0.2 + 0.8 a), the same for all axes; a is the recent average of NIS / m, which is 1 if the model is
             right. The 0.2 keeps the band from vanishing while a mobile is at rest.
-    f       follows the misses of its axis: for a band of 95 %, log f rises by 0.95 gamma after a miss and falls by
-            0.05 gamma after a hit. A fix that repeats the one it was predicted at counts as neither.
+    f       a factor that follows the misses of its axis: for a band of 95 %, log f rises by 0.95 gamma after a miss
+            and falls by 0.05 gamma after a hit. A fix that repeats the one at which it was predicted counts as neither.
 
-The memory of both is one horizon, in fixes, but at least five: a new NIS has the weight 1 / memory, and gamma is 0.5 /
-memory. For a, the fixes of the last horizon are counted; for f, those from the prediction to its check.
+Both have a memory of one horizon, in fixes, but of at least five: a new NIS has the weight 1 / memory, and gamma is
+0.5 / memory. For a, the memory counts the fixes of the last horizon; for f, those from the prediction to its check.
 
 The rule for f is quantile tracking, the proportional part of conformal PID control (Angelopoulos, Candes and Tibshirani
 2023). With a constant gamma, the share of misses among T predictions differs from 5 % by at most the range of log f
-over gamma T, whatever the mobile does and whatever sigma is. So a correct share proves little. A good band is also
-narrow where it can be: compare its `interval_score`, and its `coverage` in states that are known beforehand.
+over gamma T, whatever the mobile does and whatever sigma is. So a correct share proves little. A good band is also as
+narrow as it can be: compare its `interval_score`, and its `coverage` under conditions that are known in advance.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ __all__ = [
 ]
 
 SHORTEST_MEMORY = 5  # fixes
-# The part of a prediction's variance that the recent innovations scale.
-SCALED = 0.8
-# NIS / m is clipped at this value, so that one jump does not widen the band for a whole memory.
-CAP = 50.0
-# A prediction is checked by the first fix that is one horizon later, and by none later than these horizons.
-LATEST = 1.5
-# Times that should be one horizon apart may differ by their rounding, in horizons.
+# The share of the stated variance that is scaled by the recent innovations.
+SCALED_SHARE = 0.8
+# NIS / m is clipped at this value, so that one jump does not widen the band for the length of the memory.
+MAX_NIS = 50.0
+# A prediction is checked by the first fix after one horizon, if it comes within this many horizons.
+LATEST_CHECK = 1.5
+# Rounding of times that should be one horizon apart, in horizons.
 TIME_ROUNDING = 1e-6
-# The share of 30 independent predictions has a standard deviation of 4 %: with fewer, `coverage` warns.
-FEW = 30
-# If this many fixes from the first on come too late for a check, the horizon is shorter than the steps.
-UNCHECKED = 30
-FITTING = "a horizon with fixes 1 to 1.5 times as much later than others"
+# With fewer independent predictions than this, `coverage` warns: the share of 30 has a standard deviation of 4 %.
+ENOUGH = 30
+# If the first fixes all come too late for a check, up to this many, the horizon is shorter than the steps.
+MAX_UNCHECKED = 30
+SUITABLE_HORIZON = "a horizon after which there are fixes, within 1 to 1.5 times its length"
 
 
 class ForecastErrors(NamedTuple):
@@ -72,17 +72,17 @@ class ForecastErrors(NamedTuple):
     made, due : ndarray (K,)
         Times of the prediction and of the fix that checks it, in s.
     errors, sigma : ndarray (K, m)
-        Measured minus predicted, NaN where nothing was measured, and its standard deviation as the filter states it.
+        Measured minus predicted, NaN where nothing was measured, and the standard deviation that the filter states.
     recent : ndarray (K,)
-        c, the recent size of the innovations relative to the stated one, when the prediction was made.
+        The factor c when the prediction was made: the recent size of the innovations relative to the stated size.
     row, due_row, fixes : ndarray of int (K,)
-        Rows of z of both, and the number of fixes from one to the other.
+        Rows of z of the prediction and of its fix, and the number of fixes from one to the other.
     track : ndarray of int (K,)
         The track.
     rests : ndarray of bool (K,)
         Whether the checking fix repeats the fix at which it was predicted.
     left_out : int
-        How many fixes had no other one 1 to 1.5 horizons later: before a gap, and at the end.
+        Number of fixes without a later one within 1 to 1.5 horizons: those before a gap, and at the end.
     seconds : float
         The horizon.
 
@@ -138,10 +138,10 @@ class Expected(NamedTuple):
 
 
 def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
-    """Return the forecast errors of a filter: each fix minus its prediction, made `seconds` before.
+    """Return the forecast errors of a filter: each fix minus its prediction, made `seconds` earlier.
 
-    Each prediction is checked by the first fix that is 1 to 1.5 times `seconds` later. On a grid, times
-    count from row 0.
+    Each prediction is checked by the first fix that is 1 to 1.5 times `seconds` later. Without times of its own, a
+    filter has row 0 at 0 s.
 
     Parameters
     ----------
@@ -155,12 +155,13 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     Returns
     -------
     ForecastErrors
-        The errors, and what the filter states of them.
+        The errors, their times and their stated standard deviations.
 
     Raises
     ------
     ValueError
-        For a model without a transition, parts with times of their own, and a horizon that fits no two fixes.
+        For a model without a transition, for parts with times of their own, and for a horizon after which there are no
+        fixes.
 
     Examples
     --------
@@ -182,22 +183,22 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     tracks = []
     for c in range(M):
         of_track = (each[..., c] for each in (t, z, x, P, R))
-        tracks.append(_of_one_track(model, start, *of_track, seconds))  # type: ignore[call-arg]
+        tracks.append(_forecasts_of_track(model, start, *of_track, seconds))  # type: ignore[call-arg]
     track = np.repeat(np.arange(M), [len(made) for made, *_ in tracks])
     if len(track) == 0:
-        checks.refuse("seconds", FITTING, f"{seconds:g}")
+        checks.refuse("seconds", SUITABLE_HORIZON, f"{seconds:g}")
     *arrays, rests = (np.concatenate(parts) for parts in zip(*tracks, strict=True))
     left_out = int(np.isfinite(z).any(axis=1).sum()) - len(track)
     return ForecastErrors(*arrays, track, rests, left_out, seconds)  # type: ignore[call-arg]  # mypy counts no *arrays
 
 
-def _of_one_track(model, start, t, z, x, P, R, seconds):
+def _forecasts_of_track(model, start, t, z, x, P, R, seconds):
     """Return the arrays of ForecastErrors of one track, but for `track`; start is x0 and P0."""
     fixes = np.flatnonzero(np.isfinite(z).any(axis=1))
     t_fix = t[fixes]
     checking = np.searchsorted(t_fix, t_fix + seconds * (1 - TIME_ROUNDING))
     later = np.append(t_fix, np.inf)[checking] - t_fix
-    made = np.flatnonzero(later <= seconds * (LATEST + TIME_ROUNDING))
+    made = np.flatnonzero(later <= seconds * (LATEST_CHECK + TIME_ROUNDING))
     due = checking[made]
     row, due_row = fixes[made], fixes[due]
     expected, S = _predicted_measurement(model, x[row], P[row], later[made], R[due_row])
@@ -218,19 +219,19 @@ def _of_one_track(model, start, t, z, x, P, R, seconds):
 
 
 def following(a: ForecastErrors, before: ForecastErrors | None = None, level: float = 0.95) -> Array:
-    """Return the half-widths of a band that follows its own checked errors, f c sigma of this module.
+    """Return the half-widths f c sigma of a band that adapts to its own past errors (see the module `bands`).
 
-    The band of a prediction has learnt from the predictions of its track that were due when it was made.
+    The band of a prediction uses only those predictions of its track that were checked by the time it was made.
 
     Parameters
     ----------
     a : ForecastErrors
         The errors of `ahead`.
     before : ForecastErrors, optional
-        Those of an earlier segment with the same horizon: f goes on from their end. Without them it starts at the
+        Errors of an earlier segment with the same horizon, after which f continues. Without them f starts at the
         quantile of the normal distribution.
     level : float
-        The share of an axis' errors that its band is to hold, between 0 and 1.
+        The share of the errors of each axis that the band is to hold, between 0 and 1.
 
     Returns
     -------
@@ -253,7 +254,7 @@ def following(a: ForecastErrors, before: ForecastErrors | None = None, level: fl
 
 
 def _log_f_at_start(seconds, m, before, level):
-    """Return log f of each axis at the start: where the errors before end, if there are any."""
+    """Return log f of each axis at the start: its value after the errors `before`, if there are any."""
     normal = np.full(m, math.log(ndtri((1 + level) / 2)))
     if before is None:
         return normal
@@ -265,7 +266,7 @@ def _log_f_at_start(seconds, m, before, level):
 
 
 def _half_widths(a, start, level):
-    """Return the band (K, m) of tracks that begin with log f = start (m,), and the mean log f after their last fix."""
+    """Return the band (K, m) of tracks that start with log f = start (m,), and the mean of log f at their ends."""
     band, ends = np.empty_like(a.sigma), []
     for predictions in np.split(np.arange(len(a.track)), np.flatnonzero(np.diff(a.track)) + 1):
         log_f, checked = start, predictions[0]
@@ -281,9 +282,9 @@ def _half_widths(a, start, level):
 
 
 def _log_f_after(log_f, error, half_width, fixes, rests, level):
-    """Return log f (m,) after one check, `fixes` fixes after the prediction: higher after a miss, lower after a hit.
+    """Return log f (m,) after a check, `fixes` fixes after the prediction: higher after a miss, lower after a hit.
 
-    The fixes that come while one prediction waits are no more than the memory, so they move log f by 0.5 at most.
+    While a prediction waits for its fix, no more checks come than the memory is long, so log f moves by 0.5 at most.
     """
     if rests:
         return log_f
@@ -293,13 +294,13 @@ def _log_f_after(log_f, error, half_width, fixes, rests, level):
 
 
 def _updated_average(average, nis, fixes):
-    """Return the recent average of NIS / m after one more of them, with so many fixes in the horizon before it."""
+    """Return the recent average of NIS / m with one more value; `fixes` counts the fixes of the horizon before it."""
     return average + (nis - average) / max(SHORTEST_MEMORY, fixes)
 
 
 def _recent_size(average):
     """Return c from the recent average of NIS / m."""
-    return math.sqrt(1 - SCALED + SCALED * average)
+    return math.sqrt(1 - SCALED_SHARE + SCALED_SHARE * average)
 
 
 def _repeats(z, before):
@@ -316,16 +317,16 @@ def _predicted_measurement(model, x, P, seconds, R):
 
 
 def _nis_per_number(innovations, S):
-    """Return NIS / m of innovations (..., m), at most CAP, where m counts those that are there."""
+    """Return NIS / m of innovations (..., m), at most MAX_NIS, where m counts those that are there."""
     unit, _ = whitened(innovations.T, np.moveaxis(S, (-2, -1), (0, 1)))
-    return np.minimum(np.square(unit).sum(axis=0) / np.isfinite(innovations).sum(axis=-1), CAP)
+    return np.minimum(np.square(unit).sum(axis=0) / np.isfinite(innovations).sum(axis=-1), MAX_NIS)
 
 
 def _model_with_transition(estimator):
     """Return the model of a filter whose predictions some seconds ahead are known."""
     checks.instance("estimator", estimator, Filter)
     if estimator.model.transition is None:
-        need = "a model that knows steps of any length, such as constant_velocity or a motion of your own"
+        need = "a model with a transition, such as constant_velocity"
         checks.refuse("estimator", need, "one whose F and Q are for one length only")
     if estimator.parts and any(leaf.t is not None or leaf.r is not None for leaf in estimator.leaves):
         need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
@@ -346,7 +347,7 @@ def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None)
     band : array_like (K, m)
         Half-widths of the band; those that are NaN are left out.
     where : array_like of bool (K,), optional
-        Which predictions to look at; all where not given.
+        Which predictions to count; all where not given.
 
     Returns
     -------
@@ -356,7 +357,7 @@ def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None)
     Warns
     -----
     UserWarning
-        Of fewer than 30 independent predictions, and of errors that are left out since their band is NaN.
+        If there are fewer than 30 independent predictions, and if errors are left out since their band is NaN.
 
     Examples
     --------
@@ -371,19 +372,19 @@ def coverage(a: ForecastErrors, band: ArrayLike, where: ArrayLike | None = None)
     share = np.nanmean(np.where(judged, np.abs(a.errors) <= band, np.nan), axis=0)
     independent = np.array([_count_independent(a, of_axis) for of_axis in judged.T])
     fewest = int(independent.min())
-    if fewest < FEW:
+    if fewest < ENOUGH:
         text = f"coverage: {fewest} independent predictions of {a.seconds:g} s are too few to judge a band by"
-        checks.warn(f"{text}, which takes {FEW}")
+        checks.warn(f"{text}, which takes {ENOUGH}")
     near = (share * independent + 2) / (independent + 4)
     return Coverage(share, np.sqrt(near * (1 - near) / (independent + 4)), fewest)
 
 
 def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, where: ArrayLike | None = None) -> Array:
-    """Return the mean interval score of a band on each axis: its width, and by how much errors exceed it.
+    """Return the mean interval score of a band on each axis: its width, plus a penalty for errors outside it.
 
-        2 b + 2 / (1 - level) · max(|error| - b, 0),   b the half-width
+        2 b + 2 / (1 - level) · max(|error| - b, 0),   with b the half-width
 
-    It is least for the true quantiles (Gneiting and Raftery 2007, Eq. 43).
+    Smaller is better; the true quantiles have the smallest (Gneiting and Raftery 2007, Eq. 43).
 
     Parameters
     ----------
@@ -410,9 +411,9 @@ def interval_score(a: ForecastErrors, band: ArrayLike, level: float = 0.95, wher
 
 
 def _checked_band(name, a, band, where):
-    """Return the band, and a mask (K, m) of the errors that judge it: measured, where `where` says, with a half-width.
+    """Return the band, and a mask (K, m) of the errors that count: measured, selected by `where`, with a half-width.
 
-    `name` is that of the function that judges, for its warning.
+    `name` is the function that is called, for its warning.
     """
     checks.instance("a", a, ForecastErrors)
     band = checks.real_numbers("band", band, "half-widths")
@@ -432,7 +433,7 @@ def _checked_band(name, a, band, where):
 
 
 def _count_independent(a, where):
-    """Return the number of predictions that do not overlap: each begins when the one counted before it has ended."""
+    """Return the number of predictions that do not overlap: each is made after the one counted before it was due."""
     count, end, track = 0, -np.inf, -1
     for made, due, of_track in zip(a.made[where], a.due[where], a.track[where], strict=True):
         if made >= end or of_track != track:
@@ -443,8 +444,8 @@ def _count_independent(a, where):
 class LiveBand:
     """The band of `following`, fix by fix, for a filter that runs by `step`.
 
-    It holds for a measurement exactly `seconds` after a fix, with the variances of that fix. On uneven steps the band
-    of `following` is wider, as it holds for the later fix that checks the prediction.
+    It is for a measurement exactly `seconds` after a fix, with the variances of that fix. On uneven steps the band of
+    `following` is wider, since the fix that checks a prediction may come later.
 
     Parameters
     ----------
@@ -480,12 +481,12 @@ class LiveBand:
         self.times: deque[float] = deque()  # of the fixes within the last horizon
         # The predictions since the oldest one that waits for its fix: time, z, x, P, f c.
         self.pending: deque[tuple[Any, ...]] = deque()
-        # How many fixes came too late for a check before the first one that did not.
+        # The number of fixes that came too late for a check, until the first that did not; -inf after it.
         self.unchecked: float = 0 if before is None else -math.inf
 
     @property
     def factor(self) -> Array:
-        """The factor f of each axis, (m,): 1.96 where the filter's own band of 95 % was right."""
+        """The factor f of each axis, (m,): near 1.96 while the filter's own band of 95 % holds 95 % of the errors."""
         return np.exp(self.log_f)
 
     def step(self, t: float, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None) -> Expected:
@@ -498,9 +499,9 @@ class LiveBand:
         z : array_like (m,)
             The measurement at t, NaN where it is missing or was refused.
         x, P : array_like (n,), (n, n)
-            The filter's estimate after it, and its covariance.
+            The filter's estimate after this measurement, and its covariance.
         r : array_like (m,), optional
-            Variances of the measurement, where it has some of its own.
+            Variances of the measurement; the model's R where not given.
 
         Returns
         -------
@@ -510,12 +511,12 @@ class LiveBand:
         Raises
         ------
         ValueError
-            For a time before the last one, and after 30 fixes of which none came within a horizon.
+            For a time before the last one, and if the first 30 fixes all come too late to check a prediction.
 
         """
         t = checks.number("t", t, "a time in seconds", lambda _: True)
         z, seen = checks.one_measurement(z, self.model.m, "z")
-        x, P = (each.copy() for each in checks.state(x, P, self.model.n))  # the caller may fill them anew
+        x, P = (each.copy() for each in checks.state(x, P, self.model.n))  # the caller may overwrite its arrays
         R = self.model.R
         if r is not None:
             R = np.diag(np.where(seen, checks.variances_of_one("r", r, seen), np.diag(R)))
@@ -539,7 +540,7 @@ class LiveBand:
         too_late = False
         while self.pending and t - self.pending[0][0] >= self.seconds * (1 - TIME_ROUNDING):
             made, z_made, x, P, scale = self.pending.popleft()
-            if t - made > self.seconds * (LATEST + TIME_ROUNDING):
+            if t - made > self.seconds * (LATEST_CHECK + TIME_ROUNDING):
                 too_late = True
                 continue
             self.unchecked = -math.inf
@@ -547,8 +548,10 @@ class LiveBand:
             half_width, fixes = scale * np.sqrt(np.diag(S)), len(self.pending) + 1
             self.log_f = _log_f_after(self.log_f, z - expected, half_width, fixes, _repeats(z, z_made), self.level)
         self.unchecked += too_late
-        if self.unchecked == UNCHECKED:
-            checks.refuse("seconds", FITTING, f"{self.seconds:g}, and none of {UNCHECKED} fixes came so soon")
+        if self.unchecked == MAX_UNCHECKED:
+            checks.refuse(
+                "seconds", SUITABLE_HORIZON, f"{self.seconds:g}, and none of {MAX_UNCHECKED} fixes came so soon"
+            )
 
     def _learn(self, t, z, R):
         """Update the average of the recent innovations with the fix z."""

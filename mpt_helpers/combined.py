@@ -173,12 +173,17 @@ class Separate(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return one step of each filter with its components of z_k and of r, as in Filter; P is block diagonal.
+        """Return one step of each filter with its components of z_k and of r, as in Filter.
 
-        A filter that was given no variances takes NaN in r for "none".
+        P is block diagonal; raises ValueError for another. A filter that was given no variances takes NaN in r for
+        "none".
         """
         z_k, _ = checks.one_measurement(z_k, self.model.m)
         x, P = checks.state(x, P, self.model.n)
+        sigma = np.sqrt(np.abs(P.diagonal()))
+        between = P - block_diag(*(P[i, i] for _, i, _ in self._slices()))
+        if (np.abs(between) > checks.ROUNDING * sigma * sigma[:, None]).any():
+            checks.refuse("P", "a block diagonal covariance", "one between the states of different filters")
         if r is not None:
             r = checks.real_numbers("r", r, f"a vector of {self.model.m} variances").astype(float)
             if r.shape != z_k.shape:

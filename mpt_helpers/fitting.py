@@ -1,6 +1,6 @@
 """Maximum-likelihood parameters of a model, with their standard errors and with warnings of a doubtful fit.
 
-A *point* is the vector of the natural logarithms of the parameters; `search` finds the one of the largest log L.
+A *point* is the vector of the natural logarithms of the parameters; `search` finds the point of the largest log L.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from ._checks import Array, Seconds
 from ._immutable import same
 from .kalman import KalmanFilter
 from .model import LinearModel
-from .search import FLAT, NOTHING, along_a_line, by_newton, differences, lowest
+from .search import FLAT_CURVATURE, SIGNIFICANT, along_a_line, differences, lowest, newton
 
-# The search along a ratio leaves out this many rows for each state: after them the start is forgotten.
-ROWS_OF_A_START = 5
-# Measurements that never change would make all variances zero.
-LEAST_SCALE = 1e-9
-# Number of blocks, and their length where a track is long enough. On recorded tracks, scores over 10 s are far from
-# independent, those over 300 s nearly independent.
-FEWEST_BLOCKS, MOST_BLOCKS, SECONDS_OF_A_BLOCK = 6, 20, 300.0
-# A parameter counts as known if its component in each flat direction is below this: as much may remain where the search
-# ends.
-APART = 1e-2
-# A parameter that differs by this factor from its guess may be in other units: kilometres instead of metres change q
-# and r by 1e-6, milliseconds instead of seconds change q by 1e-9, degrees change both by 1e-10.
-OTHER_UNITS = 1e5
-# A parameter with a larger error of its logarithm is not known.
+# Rows for each state that the search along a ratio skips: after them the initial state hardly matters.
+START_ROWS_PER_STATE = 5
+# Smallest factor of Q and R: constant measurements would make all variances zero.
+MIN_SCALE = 1e-9
+# Number of blocks for the standard errors, and their length on long tracks. On recorded tracks, the scores of blocks
+# of 10 s are strongly correlated; those of 300 s are nearly independent.
+MIN_BLOCKS, MAX_BLOCKS, BLOCK_SECONDS = 6, 20, 300.0
+# A parameter is determined if its component along each flat direction of log L is below this. Smaller components come
+# from the tolerance of the search.
+MAX_FLAT_COMPONENT = 1e-2
+# A parameter that differs from its guess by this factor may be in the wrong units: kilometres instead of metres change
+# q and r by 1e-6, milliseconds instead of seconds change q by 1e-9, degrees change both by 1e-10.
+SUSPICIOUS_RATIO = 1e5
+# A parameter whose logarithm has a larger standard error is undetermined.
 UNKNOWN = math.log(10)
-# Standard deviations between x0 and the start that the measurements suggest. Beyond the first a fit is refused. Beyond
-# the second it warns, since it explains the distance by a wrong q and r.
-ANOTHER_POSITION, FAR = 1e3, 10.0
+# Distance of x0 from the initial state that the measurements suggest, in standard deviations. Beyond the first a fit is
+# refused. Beyond the second it warns, since a wrong q and r make up for the distance.
+MAX_START_DISTANCE, DOUBTFUL_START_DISTANCE = 1e3, 10.0
 # Q is rescaled until the logarithm of the band's variance changes by less than this, and at most this many times.
-CLOSE, MOST_RESCALINGS = 1e-2, 50
+RESCALE_TOLERANCE, MAX_RESCALINGS = 1e-2, 50
 
 
 class Fit(NamedTuple):
@@ -59,7 +59,7 @@ class Fit(NamedTuple):
     log_likelihood : float
         log L.
     errors_from : str
-        What the errors were made from, as "15 blocks of 300 fixes", "40 tracks" or "curvature".
+        What the errors were computed from: "15 blocks of 300 fixes", "40 tracks" or "curvature", for example.
 
     """
 
@@ -81,18 +81,18 @@ class Fit(NamedTuple):
 
 
 def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float) -> Fit:
-    """Return the maximum-likelihood values of positive parameters, jointly for all tracks.
+    """Estimate positive parameters by maximum likelihood, jointly over all tracks.
 
-    `log_errors` also hold where the model is wrong (White 1982), as it is for recorded tracks, whose q varies: there
-    the curvature of log L alone gives errors five to twenty times too small. Each track is cut into blocks of some
-    300 s, 6 to 20 of them in all, and the errors follow from how much the scores of the blocks differ. With fewer than
-    12 fixes they are those of the curvature.
+    The standard errors `log_errors` are robust: they also hold for a wrong model (White 1982). For recorded tracks the
+    model is always wrong, since their q varies, and the curvature of log L alone gives errors five to twenty times too
+    small. Each track is cut into blocks of about 300 s, 6 to 20 in all, and the errors follow from the scatter of the
+    blocks' scores. With fewer than 12 fixes the errors are those of the curvature.
 
     Parameters
     ----------
     make : callable
-        ``make(**values)`` returns a model, for a Kalman filter, or a filter. Rows at steps of different lengths need a
-        filter with times `t`: without them q comes out a hundred times too large, and nothing tells.
+        ``make(**values)`` returns a filter, or the model of a Kalman filter. Rows that are not evenly spaced need a
+        filter with times `t`: without them q may come out a hundred times too large, without a warning.
     z : array_like, (N, m) or (N, m, M)
         Measurements, NaN where missing.
     **start : float
@@ -106,14 +106,14 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     Raises
     ------
     ValueError
-        For no more measurements than parameters, a Kalman filter whose start is a thousand standard deviations from
-        the first measurements of a track, and guesses without a likelihood.
+        If there are no more measurements than parameters, if x0 of a Kalman filter is more than a thousand standard
+        deviations from the first measurements of a track, or if log L is not finite at the guess.
 
     Warns
     -----
     UserWarning
-        Of a parameter that z does not determine, or that is 1e5 times its guess, of first measurements far from the
-        start of the model, and of what `metrics.suspicious` finds.
+        If z does not determine a parameter, if a parameter differs from its guess by a factor of 1e5, if the first
+        measurements are far from x0, and if `metrics.suspicious` finds an outlier or two rows of the same time.
 
     Examples
     --------
@@ -132,11 +132,11 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
     if not start:
         checks.refuse("start", "a first guess of at least one parameter", "none")
     guess = {name: checks.positive(name, value) for name, value in start.items()}
-    estimator = _filter(make, guess)
+    estimator = _filter_of(make, guess)
     z = checks.measurements(z, estimator.model.m)
     if (count := int(np.isfinite(z).sum())) <= len(guess):
         checks.refuse("z", f"more measurements than parameters, of which there are {len(guess)}", count)
-    if (distance := _distance_of_the_start(estimator, z)) > ANOTHER_POSITION:
+    if (distance := _distance_of_x0(estimator, z)) > MAX_START_DISTANCE:
         need = "a model whose x0 and P0 say where the tracks begin (x0 at the first measurement, or z - z[0])"
         checks.refuse("make", need, f"first measurements {distance:.0f} standard deviations away")
     with tqdm(desc="fit", unit=" filters", disable=None, leave=False) as bar:
@@ -145,17 +145,17 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         if not math.isfinite(likelihood(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters under which z has a likelihood", guess)
-        near = _best_ratio(likelihood, origin, estimator.model.n)
-        best = lowest(likelihood, origin) if near is None else by_newton(likelihood, near)
-        # Where log L falls by nothing as a parameter goes on towards zero, only an upper limit of it is known.
+        near = _search_along_ratio(likelihood, origin, estimator.model.n)
+        best = lowest(likelihood, origin) if near is None else newton(likelihood, near)
+        # If log L does not fall as a parameter goes towards zero, z gives only an upper limit of it.
         further = [likelihood(best - math.log(1000) * unit) for unit in np.eye(len(best))]
-        bounded = np.array(further) >= likelihood(best) + NOTHING
+        bounded = np.array(further) >= likelihood(best) + SIGNIFICANT
         blocks = blocks_of(estimator, z)
         errors = log_errors(likelihood, best, np.flatnonzero(bounded), blocks)
     log_errors_by_name = dict(zip(guess, errors.tolist(), strict=True))
     values, found = likelihood.values_at(best), likelihood.filter_at(best)
     result = Fit(values, log_errors_by_name, found, -likelihood(best), blocks.name)
-    for text in _doubts(result, z, guess, bounded):
+    for text in _warnings(result, z, guess, bounded):
         checks.warn(f"fit: {text}")
     return result
 
@@ -164,7 +164,8 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
 class NegativeLogLikelihood:
     """-log L of measurements z as a function of a point, the natural logarithms of the parameters of `make`.
 
-    counts (N,) marks the rows whose innovations count, None if all do. Values are kept, since a search returns to them.
+    counts (N,) marks the rows that enter the sum; all do where it is None. Values are cached, since a search returns to
+    the same points.
     """
 
     make: Callable[..., LinearModel | Filter]
@@ -180,10 +181,10 @@ class NegativeLogLikelihood:
 
     def filter_at(self, point: Array) -> Filter:
         """Return the filter with these parameters."""
-        return _filter(self.make, self.values_at(point))
+        return _filter_of(self.make, self.values_at(point))
 
     def _terms(self, point):
-        """Return NIS, log det S and the count of the numbers of each row, (N, M), infinite where there are none."""
+        """Return NIS, log det S and the count of the numbers of each row (N, M); infinite if the model fails."""
         if self.bar is not None:
             self.bar.update()
         try:
@@ -206,22 +207,22 @@ class NegativeLogLikelihood:
         return self.computed[key]
 
     def with_best_scale(self, point: Array, first: int = 0) -> tuple[float, float]:
-        """Return the log c that makes z most probable with c Q, c R and c P0, and -log L then: the profile likelihood.
+        """Return the log c of the largest likelihood with c Q, c R and c P0, and -log L there: the profile likelihood.
 
-        Gains and estimates stay as they are, and all S become c S. So, for `count` numbers that were measured,
+        Gains and estimates do not depend on c, and each S becomes c S. So, with `count` measured numbers,
 
             -log L(c) = [Σ NIS / c + Σ log det S + count (log c + log 2π)] / 2
 
-        is least at c = Σ NIS / count. The sums begin with the row `first`.
+        has its minimum at c = Σ NIS / count. The sums begin at the row `first`.
         """
         nis, log_det, count = (float(each[first:].sum()) for each in self._terms(point))
         if count == 0 or not math.isfinite(nis):
             return 0.0, math.inf
-        log_c = math.log(max(nis / count, LEAST_SCALE))
+        log_c = math.log(max(nis / count, MIN_SCALE))
         return log_c, 0.5 * (log_det + count * (log_c + 1 + math.log(2 * math.pi)))
 
 
-def _filter(make, values):
+def _filter_of(make, values):
     made = make(**values)
     if isinstance(made, LinearModel):
         return KalmanFilter(made)
@@ -229,21 +230,21 @@ def _filter(make, values):
     return made
 
 
-def _best_ratio(likelihood, origin, n):
-    """Return a point near the lowest one, by a search along the ratio of two parameters, as q and r, or None.
+def _search_along_ratio(likelihood, origin, n):
+    """Return a point near the minimum, by a search over the ratio of two parameters such as q and r, or None.
 
-    It needs c times both to give c Q and c R. `with_best_scale` then gives the best c for each ratio. That scales P0
-    too, so the first rows are left out, and Newton's method goes on from there.
+    It applies where c times both parameters gives c Q and c R. Then `with_best_scale` gives the best c of each ratio.
+    Since that scales P0 too, the first rows are skipped, and Newton's method refines the point.
     """
     if len(origin) != 2 or not _covariances_scale(likelihood, origin):
         return None
-    first = min(ROWS_OF_A_START * n, len(likelihood.z) // 4)
+    first = min(START_ROWS_PER_STATE * n, len(likelihood.z) // 4)
     point = along_a_line(partial(likelihood.with_best_scale, first=first), origin, np.array([0.5, -0.5]))
     return point if math.isfinite(likelihood(point)) and _covariances_scale(likelihood, point) else None
 
 
 def _covariances_scale(likelihood, point):
-    """Tell whether twice all parameters give a Kalman filter with twice Q and R, and else change nothing but P0."""
+    """Tell whether doubling all parameters doubles Q and R of a Kalman filter and changes nothing else but P0."""
     one, two = (likelihood.filter_at(each) for each in (point, point + math.log(2)))
     if not (isinstance(one, KalmanFilter) and isinstance(two, KalmanFilter)) or (one.r is None) != (two.r is None):
         return False
@@ -254,7 +255,7 @@ def _covariances_scale(likelihood, point):
 
 
 class Blocks(NamedTuple):
-    """Parts of tracks with scores taken as independent: the block of each row (N, M), their number, and a name."""
+    """Parts of tracks whose scores count as independent: the block of each row (N, M), their number, and a name."""
 
     of_rows: np.ndarray
     count: int
@@ -262,14 +263,14 @@ class Blocks(NamedTuple):
 
 
 def blocks_of(estimator: Filter, z: Array) -> Blocks:
-    """Return the Blocks of measurements z: in each track the same number of them, of equal numbers of fixes."""
+    """Return the Blocks of measurements z: the same number in each track, with equal numbers of fixes."""
     N, _, M = z.reshape(len(z), z.shape[1], -1).shape
     seen = np.isfinite(z).any(axis=1).reshape(N, M)
     fixes = seen.sum()
-    if fixes < 2 * FEWEST_BLOCKS:
+    if fixes < 2 * MIN_BLOCKS:
         return Blocks(np.zeros((N, M), int), 1, "curvature")
-    # The least number of parts of a track that makes as many blocks in all as are wanted, or more.
-    wanted = np.clip(fixes * _usual_step(estimator, seen) / SECONDS_OF_A_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS)
+    # The smallest number of parts of each track that makes at least the wanted number of blocks.
+    wanted = np.clip(fixes * _median_step(estimator, seen) / BLOCK_SECONDS, MIN_BLOCKS, MAX_BLOCKS)
     parts = math.ceil(wanted / M)
     before: np.ndarray = np.cumsum(seen, axis=0) - seen  # the fixes of a track before each row, (N, M)
     part = before * parts // np.maximum(seen.sum(axis=0), 1)
@@ -280,7 +281,7 @@ def blocks_of(estimator: Filter, z: Array) -> Blocks:
     return Blocks(of_rows.reshape(N, M), count, name)
 
 
-def _usual_step(estimator, seen):
+def _median_step(estimator, seen):
     """Return the median step between the fixes, seen (N, M), of a track in seconds."""
     t = np.broadcast_to(estimator.times_of(len(seen)).reshape(len(seen), -1), seen.shape)
     steps = np.concatenate([np.diff(t_of_one[seen_of_one]) for t_of_one, seen_of_one in zip(t.T, seen.T, strict=True)])
@@ -288,10 +289,10 @@ def _usual_step(estimator, seen):
 
 
 def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blocks: Blocks) -> Array:
-    """Return the standard errors of the logarithms (d,) of the parameters `known`, infinite for the others.
+    """Return the standard errors (d,) of the logarithms of the parameters `known`, infinite for the others.
 
-    They are the roots of the diagonal of H⁻¹ J H⁻¹, the sandwich: H are the second derivatives of -log L, J is the
-    covariance of its gradient, as it shows in the scores of the blocks.
+    They are the square roots of the diagonal of the sandwich H⁻¹ J H⁻¹: H holds the second derivatives of -log L, and J
+    is the covariance of its gradient, estimated from the scores of the blocks.
     """
 
     def of_blocks(point):
@@ -305,56 +306,56 @@ def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blo
         _, scores, H = differences(of_blocks, best[known])  # (d, B) and (d, d, B) of B blocks
         H = H.sum(axis=-1)
         J = H if blocks.count == 1 else covariance_of_scores(scores)
-        errors[known] = np.sqrt(_variances(H, J))
+        errors[known] = np.sqrt(_sandwich_diagonal(H, J))
     return errors
 
 
 def covariance_of_scores(scores: Array) -> Array:
-    """Return J (d, d) from the scores of blocks (d, B), which sum to zero, with Student's factor for few blocks."""
+    """Return J (d, d) from the scores (d, B) of B blocks, which sum to zero; Student's factor allows for a small B."""
     count = scores.shape[1]
     student = stdtrit(count - 1, 0.975) / ndtri(0.975)
     return student**2 * count / (count - 1) * scores @ scores.T
 
 
-def _variances(H, J):
-    """Return the diagonal of H⁻¹ J H⁻¹ (d,) for matrices (d, d), infinite for what a flat direction of H moves."""
+def _sandwich_diagonal(H, J):
+    """Return the diagonal (d,) of H⁻¹ J H⁻¹, infinite for parameters with a component along a flat direction of H."""
     if not (np.isfinite(H).all() and np.isfinite(J).all()):
         return np.full(len(H), math.inf)
     curvatures, directions = np.linalg.eigh(H)
-    flat = curvatures <= FLAT * max(curvatures[-1], 0)
+    flat = curvatures <= FLAT_CURVATURE * max(curvatures[-1], 0)
     kept = directions[:, ~flat]
     inverse = kept / curvatures[~flat] @ kept.T
     moved = np.linalg.norm(directions[:, flat], axis=1)
-    return np.where(moved > APART, math.inf, np.diag(inverse @ J @ inverse))
+    return np.where(moved > MAX_FLAT_COMPONENT, math.inf, np.diag(inverse @ J @ inverse))
 
 
-def _doubts(found, z, guess, bounded):
-    """Yield a sentence for each parameter that is not known, and for whatever looks wrong."""
+def _warnings(found, z, guess, bounded):
+    """Yield a warning for each undetermined parameter, and for whatever else looks wrong."""
     for (name, error), has_a_limit in zip(found.log_errors.items(), bounded, strict=True):
         if not has_a_limit:
             yield f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known"
         elif error > UNKNOWN:
             yield f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters"
-    if (distance := _distance_of_the_start(found.filter, z)) > FAR:
+    if (distance := _distance_of_x0(found.filter, z)) > DOUBTFUL_START_DISTANCE:
         away = f"{distance:.0f} standard deviations from what x0 and P0 expect"
         yield f"the first measurements are {away}: the fit explains the distance as motion or noise"
     suspicions = metrics.suspicious(found.filter, z)
     yield from (suspicions[kind] for kind in ("far off", "same time") if kind in suspicions)
-    if "far off" in suspicions:  # then the values are those of one fix
+    if "far off" in suspicions:  # one fix has decided all values
         return
     for name, error in found.log_errors.items():
         times = found.values[name] / guess[name]
-        if error < UNKNOWN and not 1 / OTHER_UNITS < times < OTHER_UNITS:
+        if error < UNKNOWN and not 1 / SUSPICIOUS_RATIO < times < SUSPICIOUS_RATIO:
             units = "are z and t in the units of the guess (metres and seconds, not degrees, kilometres, milliseconds)?"
             yield f"{name}: {found.values[name]:.3g} is {times:.0e} times its guess: {units}"
 
 
-def _distance_of_the_start(estimator, z):
-    """Return how far x0 is from the best start of a track, in standard deviations; the largest of all tracks.
+def _distance_of_x0(estimator, z):
+    """Return the distance of x0 from the best initial state of a track, in standard deviations: the largest of all.
 
-    The innovations are linear in the start: e = e_0 - G d for x0 + d. With P0 = 0 and at unit covariance, least squares
-    gives d and its covariance V, and what is left of e its scale c: a fit to a far start makes S too large, but all of
-    S alike. The distance is the root of dᵀ (P0 + c V)⁻¹ d. It is zero for a filter that is no Kalman filter.
+    The innovations are linear in the initial state: e = e_0 - G d for x0 + d. With P0 = 0 and at unit covariance, least
+    squares gives d and its covariance V. The residuals give the scale c of V: a fit to a far start makes every S too
+    large by the same factor. The distance is the root of dᵀ (P0 + c V)⁻¹ d; for other filters than Kalman it is zero.
     """
     if not isinstance(estimator, KalmanFilter):
         return 0.0
@@ -377,10 +378,11 @@ def _distance_of_the_start(estimator, z):
 
 
 def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:
-    """Return the filter with Q times a factor under which its own band holds a share `level` of the measurements.
+    """Return the filter with its Q scaled so that its own prediction band holds a share `level` of the measurements.
 
-    The likelihood looks one fix ahead; some seconds ahead a fitted filter's own band is often too narrow. Here the
-    quantile of |error| / sigma of `metrics.ahead`, all axes together, becomes that of the normal distribution.
+    The likelihood looks one fix ahead, and the band of a fitted filter is often too narrow some seconds ahead. Here Q
+    is scaled until the quantile of |error| / sigma of `metrics.ahead`, over all axes, is that of the normal
+    distribution.
 
     Parameters
     ----------
@@ -401,7 +403,7 @@ def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: flo
     Raises
     ------
     ValueError
-        As `metrics.ahead`, and where no Q gives such a band, since R or an unknown start alone is more than the errors.
+        As `metrics.ahead`, and if no Q gives such a band, since R or P0 alone makes it wider than the errors.
 
     Examples
     --------
@@ -417,12 +419,12 @@ def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: flo
     level = checks.level(level)
     normal = float(ndtri((1 + level) / 2))
     log_c = 0.0
-    for _ in range(MOST_RESCALINGS):
+    for _ in range(MAX_RESCALINGS):
         scaled = replace(estimator, model=estimator.model.with_noise_times(math.exp(log_c)))
         a = bands.ahead(scaled, z, seconds)
-        reached = max(float(np.nanquantile(np.abs(a.errors / a.sigma), level)), LEAST_SCALE)
+        reached = max(float(np.nanquantile(np.abs(a.errors / a.sigma), level)), MIN_SCALE)
         change = 2 * math.log(reached / normal)
-        if abs(change) < CLOSE:
+        if abs(change) < RESCALE_TOLERANCE:
             return scaled
         log_c += change
     checks.refuse("estimator", "a filter whose process noise decides how wide its band is", "one where it does not")

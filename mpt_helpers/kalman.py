@@ -25,7 +25,7 @@ from ._engine.columns import Epochs, KalmanColumns
 from ._engine.digits import require_digits
 from ._engine.shared import Step
 from .equations import masked, unit_measurements
-from .model import LinearModel, missed_by_halves
+from .model import LinearModel, half_step_gap
 
 # The relative difference between a step and two half steps above which the filter warns of an inaccurate transition.
 MISSED_ELSEWHERE = 1e-3
@@ -86,6 +86,8 @@ class KalmanFilter(RecursiveFilter):
 
     t: Array | None
     r: Array | None
+
+    optimal = True
 
     def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
@@ -169,7 +171,7 @@ class KalmanFilter(RecursiveFilter):
         steps = np.concatenate([np.full_like(t[:1], self.model.dt), np.diff(t, axis=0)])
         lengths = steps[steps > 0]
         for dt in {lengths.min(), lengths.max()} if lengths.size else ():
-            missed = max(missed_by_halves(self.model.transition, dt))
+            missed = max(half_step_gap(self.model.transition, dt))
             if MISSED_ELSEWHERE < missed < np.inf:
                 of = f"over {dt:.3g} s the transition's F and Q are not those of two half steps"
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
@@ -177,8 +179,6 @@ class KalmanFilter(RecursiveFilter):
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""
-        if type(self).next_step is not KalmanFilter.next_step:  # a subclass has a step of its own
-            return super().advance(row, x, P)
         of_whole_rows, of_others = self._columns
         seen = row[1]
         if of_others is not of_whole_rows and (seen != seen[:1]).any():

@@ -38,6 +38,8 @@ class LainiotisFilter(RecursiveFilter):
 
     """
 
+    optimal = True
+
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter.
 
@@ -53,8 +55,6 @@ class LainiotisFilter(RecursiveFilter):
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) of stacks (M, n, n), as in RecursiveFilter, all at once."""
-        if type(self).next_step is not LainiotisFilter.next_step:  # a subclass has a step of its own
-            return super().next_steps(P, seen)
         return lainiotis_step(P, self._constants(seen))
 
     def _constants(self, seen):

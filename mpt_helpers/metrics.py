@@ -1,4 +1,4 @@
-"""Errors of estimates, and the tests of a filter's consistency: innovations, NIS, NEES, likelihood."""
+"""Errors of estimates, and tests of a filter's consistency: innovations, NIS, NEES, likelihood."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ __all__ = [
     "suspicious",
 ]
 
-# Bounds of `suspicious`, from ten recorded tracks. The median NIS was 0.04 to 120 times its expected value, and below
-# 1e-4 times with degrees, kilometres or milliseconds in place of metres and seconds.
+# Bounds of `suspicious`, from ten recorded tracks. The median NIS was 0.04 to 120 times that of a consistent filter. It
+# was below 1e-4 times with degrees, kilometres or milliseconds in place of metres and seconds.
 FAR_TOO_SMALL, FAR_TOO_LARGE = 2e-4, 1e4
-# The largest NIS was below 1.3e3 times the median, and above 7e4 times with one fix 10,000 km away.
+# The largest NIS was below 1.3e3 times the median; with one fix 10,000 km away it was above 7e4 times.
 OUTLIER = 1e4
-# Successive innovations were correlated by less than 0.3 in nine of ten fits, and by up to 1 with q and r exchanged.
-# They are clipped at 4.4 times their median size, which is 3 sigma.
-CORRELATED, CLIPPED = 0.5, 4.4
-MEDIAN_OF_A_SQUARE = float(2 * gammaincinv(0.5, 0.5))  # of a normal number of variance 1
+# The correlation of successive innovations was below 0.3 in nine of ten fits, and up to 1 with q and r exchanged.
+# Innovations are clipped at 4.4 times their median size, which is 3 sigma.
+CORRELATED, CLIP = 0.5, 4.4
+MEDIAN_OF_A_SQUARE = float(2 * gammaincinv(0.5, 0.5))  # the square of a normal variable of variance 1
 
 
 def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
@@ -68,10 +68,11 @@ def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
     0.5
 
     """
-    a, b = (checks.real_numbers(name, each, "an array of numbers") for name, each in (("a", a), ("b", b)))
+    a = checks.real_numbers("a", a, "an array of numbers").astype(float)
+    b = checks.real_numbers("b", b, "an array of numbers").astype(float)
     if a.shape != b.shape:
         checks.refuse("a", f"the shape of b, {b.shape}", a.shape)
-    gap = np.abs(np.subtract(a, b, dtype=float)).max()
+    gap = np.abs(a - b).max()
     if gap == 0:
         return 0.0
     with np.errstate(divide="ignore"):
@@ -129,7 +130,7 @@ def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
     Parameters
     ----------
     estimator : Filter
-        Any filter but a predictor and a FIR filter, which have no innovations.
+        Any filter except predictors and FIR filters, which have no innovations.
     z : array_like (N, m) or (N, m, M)
         Measurements, NaN where one is missing.
 
@@ -147,12 +148,12 @@ def innovations(estimator: Filter, z: ArrayLike) -> Innovations:
            [1.239]])
 
     """
-    _, many, values, S = _of(estimator, z)
+    _, many, values, S = _checked_innovations(estimator, z)
     return Innovations(*one_or_many(values, S, many))
 
 
-def _of(estimator, z):
-    """Return z (N, m, M), whether it came with an axis of tracks, its innovations, and S (N, m, m, M or 1)."""
+def _checked_innovations(estimator, z):
+    """Return z (N, m, M), whether it was given with an axis of tracks, its innovations, and S (N, m, m, M or 1)."""
     checks.instance("estimator", estimator, Filter)
     z, many = estimator.as_tracks(z)
     checks.no_infinity(z)
@@ -164,7 +165,7 @@ def _of(estimator, z):
 
 def unit_innovations(estimator: Filter, z: ArrayLike) -> tuple[Array, Array, Array]:
     """Return innovations at unit covariance, (N, m, M), 0 where z is missing, and (N, M) log det S and their count."""
-    _, _, values, S = _of(estimator, z)
+    _, _, values, S = _checked_innovations(estimator, z)
     return *_at_unit_covariance(values, S), np.isfinite(values).sum(axis=1)
 
 
@@ -178,9 +179,9 @@ def _at_unit_covariance(values, C):
 
 
 def nis(estimator: Filter, z: ArrayLike) -> Array:
-    """Return the normalised innovation squared, νᵀ S⁻¹ ν, of each epoch.
+    """Return the normalised innovation squared (NIS), νᵀ S⁻¹ ν, of each epoch.
 
-    For a consistent filter it is chi-square with as many degrees of freedom as there are measurements in the epoch.
+    For a consistent filter it is chi-square distributed, with one degree of freedom for each measurement of the epoch.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ def nis(estimator: Filter, z: ArrayLike) -> Array:
     Returns
     -------
     ndarray (N,) or (N, M)
-        NIS, NaN where nothing was measured.
+        The NIS, NaN where nothing was measured.
 
     Examples
     --------
@@ -206,11 +207,12 @@ def nis(estimator: Filter, z: ArrayLike) -> Array:
 
 
 def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
-    """Return the logarithm of the probability density of the measurements, from the innovations.
+    """Return the log-likelihood of the measurements, from the innovations.
 
         log p(z) = -1/2 Σ [νᵀ S⁻¹ ν + log det S + m log 2π]
 
-    For a filter of constant gain it is a quasi-likelihood: after the start or a gap its innovations are correlated.
+    For a filter of constant gain it is a quasi-likelihood: its innovations are correlated after the start and after
+    gaps.
 
     Parameters
     ----------
@@ -220,7 +222,7 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
     Returns
     -------
     float or ndarray (M,)
-        One number, or one for each track.
+        log p, for each track if there are many.
 
     Examples
     --------
@@ -236,14 +238,14 @@ def log_likelihood(estimator: Filter, z: ArrayLike) -> Any:
 
 
 def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
-    """Return warnings, by kind, where measurements look wrong, or the filter looks wrong for them.
+    """Return warnings, by kind, if the measurements or the filter look wrong.
 
-    - "units": the median NIS of a measured number is less than 2e-4 or more than 1e4 times what it should be;
-    - "far off": the NIS of one number is more than 1e4 times the median one;
-    - "correlated": successive innovations are correlated, as where q and r are exchanged;
+    - "units": the median NIS, of single numbers, is below 2e-4 or above 1e4 times that of a consistent filter;
+    - "far off": the NIS of one number is more than 1e4 times the median;
+    - "correlated": successive innovations are correlated, as when q and r are exchanged;
     - "same time": two rows measure the same axis at the same time.
 
-    The medians leave out numbers that repeat the one before.
+    Numbers that repeat the previous one do not count for the medians.
 
     Parameters
     ----------
@@ -253,7 +255,7 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     Returns
     -------
     dict
-        A sentence for each kind; empty if all is well.
+        A sentence for each kind of warning; empty if there is none.
 
     Examples
     --------
@@ -267,7 +269,7 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     {'far off': 'row 70 of z is far off: its NIS is 2e+08 times the median one'}
 
     """
-    z, _, values, S = _of(estimator, z)
+    z, _, values, S = _checked_innovations(estimator, z)
     unit = values / np.sqrt(np.einsum("kjj...->kj...", S))
     repeats = np.zeros(z.shape, bool)
     repeats[1:] = z[1:] == z[:-1]
@@ -283,7 +285,7 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
             k, _, track = np.unravel_index(np.nanargmax(squares), squares.shape)
             row = f"row {k} of z" if z.shape[2] == 1 else f"row {k} of track {track} of z"
             found["far off"] = f"{row} is far off: its NIS is {largest:.0e} times the median one"
-        clipped = np.clip(np.nan_to_num(unit / math.sqrt(median)), -CLIPPED, CLIPPED)
+        clipped = np.clip(np.nan_to_num(unit / math.sqrt(median)), -CLIP, CLIP)
         correlation = float((clipped[1:] * clipped[:-1]).sum() / np.square(clipped).sum())
         if abs(correlation) > CORRELATED:
             size = "small" if correlation > 0 else "large"
@@ -299,26 +301,26 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
 
 
 def nees(errors: ArrayLike, P: ArrayLike) -> Array:
-    """Return the normalised estimation error squared, eᵀ P⁻¹ e, of each step.
+    """Return the normalised estimation error squared (NEES), eᵀ P⁻¹ e, of each step.
 
-    Its mean is n where the errors have mean zero and covariance P.
+    Its mean is n if the errors have mean zero and covariance P.
 
     Parameters
     ----------
     errors : array_like (N, n) or (N, n, M)
-        Errors of the states, for one track or for M.
+        Errors of the states of one track or of M tracks.
     P : array_like (n, n), (N, n, n) or (N, n, n, M)
         The covariance that the filter reports.
 
     Returns
     -------
     ndarray (N,) or (N, M)
-        NEES.
+        The NEES.
 
     Raises
     ------
     ValueError
-        For a P that is not symmetric and positive definite.
+        For errors that are not finite, and a P that is not symmetric and positive definite.
 
     Examples
     --------
@@ -348,9 +350,9 @@ def nees(errors: ArrayLike, P: ArrayLike) -> Array:
 
 
 def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the central band of the mean of independent chi-square variables.
+    """Return the central interval of the mean of independent chi-square variables.
 
-    The mean NEES (dof n) or NIS (dof m) over the runs of a consistent filter lies in it with probability `level`.
+    For a consistent filter, the mean NEES (dof n) or NIS (dof m) over the runs lies in it with probability `level`.
 
     Parameters
     ----------
@@ -362,7 +364,7 @@ def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, fl
     Returns
     -------
     tuple of float
-        The edges of the band.
+        The ends of the interval.
 
     Examples
     --------
@@ -384,7 +386,7 @@ class ErrorMoments(NamedTuple):
     Attributes
     ----------
     mean, covariance : ndarray (N, n), (N, n, n)
-        Those of each step.
+        Mean and covariance at each step.
 
     """
 
@@ -395,7 +397,7 @@ class ErrorMoments(NamedTuple):
 def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: int = 0) -> ErrorMoments:
     """Return the mean and the covariance of the actual error of a steady-state filter.
 
-    The measurements are those of another model, `truth`, with another x0, P0, Q or R. The error is
+    The measurements come from another model, `truth`, with another x0, P0, Q or R. The error is
 
         e(k+1) = A e(k) + (I - B H) w(k) - B v(k+1),   e(0) = x(0) - x(0/0),   e(k+s/k) = Fˢ e(k) + noise
 
@@ -404,7 +406,7 @@ def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: 
     steady, truth : SteadyStateFilter, LinearModel
         The filter, and the model of the measurements, with the F and H of the filter's model.
     N, steps : int
-        Number of steps, and the number s of steps that the filter's state is predicted ahead.
+        Number of steps, and the number s of steps that the estimate is predicted ahead.
 
     Returns
     -------

@@ -18,12 +18,12 @@ from .equations import square_root
 
 # dt in s -> F and Q of a step of that length.
 Transition = Callable[[float], tuple[Array, Array]]
-# Largest relative difference between two half steps of a transition and one whole step: a Q computed as a difference
-# of large numbers should keep six digits.
-MISSED = 1e-6
-# Entries of F below this fraction of the largest one are judged as if they had this size, since rounding leaves 1e-16
-# in place of a zero. (Not those of Q: over short steps an entry may rightly be 1e-18 of the largest.)
-LEAST_OF_F = 1e-9
+# Largest relative difference between two half steps of a transition and one whole step. A Q that is computed as a
+# difference of large numbers must keep six digits.
+HALF_STEP_TOLERANCE = 1e-6
+# Entries of F smaller than this fraction of the largest one are judged as if they had this size, since rounding turns a
+# zero into 1e-16. (Not so for Q: over short steps, an entry may rightly be 1e-18 of the largest.)
+F_FLOOR = 1e-9
 TINY = np.finfo(float).tiny
 
 
@@ -40,26 +40,28 @@ class LinearModel(Immutable):
     Parameters
     ----------
     F, H : array_like (n, n), (m, n)
-        Transition over one step, left out where a `transition` is given, and measurement matrix.
+        Transition matrix of one step, and measurement matrix. F is left out where a `transition` is given.
     Q, R : array_like (n, n), (m, m)
-        Covariances of the process noise of one step (the papers' G Q Gᵀ, left out like F) and of the measurement noise.
+        Covariances of the process noise of one step (the papers' G Q Gᵀ) and of the measurement noise. Q is left out
+        where a `transition` is given.
     x0, P0 : array_like (n,), (n, n), optional
         Mean and covariance of x(0), zero where not given, as in the papers.
     dt : float or timedelta, optional
-        Length of a step in s; 1 s is assumed where the seconds of a model without it are asked for.
+        Length of a step in s. Without it, a step counts as 1 s where seconds are needed.
     transition : callable, optional
-        transition(dt) returns F and Q of a step of dt seconds, for tracks with times of their own. Two steps of dt / 2
-        must be one of dt. A function of a module, or a frozen dataclass with `__call__`, can be pickled.
+        transition(dt) returns F and Q of a step of dt seconds, as arrays, for tracks with times of their own. Two steps
+        of dt / 2 must equal one of dt. For a model that can be pickled, use a function of a module, or a frozen
+        dataclass with `__call__`.
 
     Raises
     ------
     ValueError, TypeError
         For matrices that do not fit together, an R that is not positive definite, a Q or P0 that is not a covariance, a
-        transition that is not callable or disagrees with F or Q, and another dt without a transition.
+        transition that is not one or stands beside F or Q, and in `replace`, another dt that does not fit F and Q.
 
     Examples
     --------
-    A velocity that is forgotten within 20 s (an Ornstein-Uhlenbeck process), for steps of any length:
+    A velocity with a correlation time of 20 s (an Ornstein-Uhlenbeck process), for steps of any length:
 
     >>> import mpt_helpers as mpt
     >>> def forgetful(dt, tau=20.0, q=0.04):
@@ -143,20 +145,20 @@ class LinearModel(Immutable):
         """
         if self.transition is None:
             checks.refuse("model", "a transition, for steps of any length", "an F and a Q of one length only")
-        return _steps(self.transition, checks.lengths("dt", dt))
+        return _F_and_Q(self.transition, checks.lengths("dt", dt))
 
     def with_noise_times(self, factor: float) -> LinearModel:
-        """Return the model with another process noise, over steps of any length that it knows.
+        """Return the model with its process noise scaled: Q times a factor, over steps of any length.
 
         Parameters
         ----------
         factor : float
-            What Q is multiplied by, not negative.
+            The factor, not negative.
 
         Returns
         -------
         LinearModel
-            The model with factor Q.
+            The scaled model.
 
         Examples
         --------
@@ -197,7 +199,7 @@ def _one_step(F, Q, dt, transition, before):
         return F, Q, None
     if dt is None:
         checks.refuse("dt", "to be given beside transition", None, TypeError)
-    F_made, Q_made = _checked(transition, dt)
+    F_made, Q_made = _checked_step(transition, dt)
     if not (F_is_given or Q_is_given):
         return F_made, Q_made, transition
     if transition is not transition_before:
@@ -205,8 +207,8 @@ def _one_step(F, Q, dt, transition, before):
     return F if F_is_given else F_made, Q if Q_is_given else Q_made, None
 
 
-def _checked(transition, dt):
-    """Return F and Q of one step of dt after checking the transition."""
+def _checked_step(transition, dt):
+    """Check a transition and return its F and Q of one step of dt."""
     need = "a function of dt that returns F and Q as arrays"
     if not callable(transition):
         checks.refuse("transition", need, f"{transition!r:.60}", TypeError)
@@ -218,13 +220,13 @@ def _checked(transition, dt):
     F_0, Q_0 = transition(0.0)
     if not np.array_equal(F_0, np.eye(n)) or np.any(Q_0):
         checks.refuse("transition", "F = I and Q = 0 over a step of zero", "others")
-    missed = max(missed_by_halves(transition, dt))
-    if missed > MISSED:
+    missed = max(half_step_gap(transition, dt))
+    if missed > HALF_STEP_TOLERANCE:
         checks.refuse("transition", "two steps of dt / 2 to be one of dt", f"{missed:.2g} of their size between them")
     return F, Q
 
 
-def _steps(transition, dt):
+def _F_and_Q(transition, dt):
     """Return F and Q of one or many steps; a transition that takes a single dt is called once for each length."""
     if np.ndim(dt) == 0 or getattr(transition, "takes_arrays", False):
         return transition(dt)
@@ -234,25 +236,25 @@ def _steps(transition, dt):
     return np.array(F)[which], np.array(Q)[which]
 
 
-def missed_by_halves(transition: Transition, dt: float) -> tuple[float, float]:
-    """Return how far two steps of dt / 2 are from one of dt, in F and in Q, relative to the size of each entry."""
+def half_step_gap(transition: Transition, dt: float) -> tuple[float, float]:
+    """Return the largest relative differences of F and of Q between two steps of dt / 2 and one of dt."""
     with np.errstate(over="ignore", invalid="ignore"):
         (half, noise), (F, Q) = transition(dt / 2), transition(dt)
         F_twice, Q_twice = half @ half, half @ noise @ half.T + noise
         half, noise = np.abs(half), np.abs(noise)
-        F_size, Q_size = half @ half, half @ noise @ half.T + noise  # of the terms that are added
-        F_size = np.maximum(F_size, LEAST_OF_F * F_size.max())
+        F_size, Q_size = half @ half, half @ noise @ half.T + noise  # the sizes of the terms that are added
+        F_size = np.maximum(F_size, F_FLOOR * F_size.max())
         return _relative(F_twice - F, F_size), _relative(Q_twice - Q, Q_size)
 
 
 def _relative(missed, size):
-    """Return the largest relative difference, infinite where a number is not finite."""
+    """Return the largest of |missed| / size; it is infinite if a number is not finite."""
     return float(np.nan_to_num(np.abs(missed) / np.maximum(size, TINY), nan=np.inf, posinf=np.inf).max())
 
 
 def _matrices(rows):
-    """Return matrices (..., a, b) from a list of a rows with b entries each, which are numbers or arrays (...)."""
-    if not any(np.ndim(entry) for row in rows for entry in row):  # one step: broadcasting would take four times as long
+    """Return matrices (..., a, b) from a rows of b entries, which are numbers or arrays (...)."""
+    if not any(np.ndim(entry) for row in rows for entry in row):  # for one step, broadcasting takes four times as long
         return np.array(rows, float)
     entries = np.broadcast_arrays(*[np.asarray(entry, float) for row in rows for entry in row])
     return np.moveaxis(np.array(entries).reshape(len(rows), len(rows[0]), *entries[0].shape), (0, 1), (-2, -1))
@@ -290,20 +292,20 @@ class ConstantAcceleration:
 
 @dataclass(frozen=True)
 class SideBySide:
-    """The transition of states that follow one another, with no term between them: block diagonal."""
+    """The transitions of several axes side by side, as one of block-diagonal F and Q."""
 
     transitions: tuple[Transition, ...]
     takes_arrays: ClassVar = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
-        F, Q = zip(*(_steps(transition, dt) for transition in self.transitions), strict=True)
+        F, Q = zip(*(_F_and_Q(transition, dt) for transition in self.transitions), strict=True)
         return _on_diagonal(F), _on_diagonal(Q)
 
 
 @dataclass(frozen=True)
 class Scaled:
-    """A transition with its F, and `factor` times its Q."""
+    """A transition with the same F, and `factor` times the Q."""
 
     transition: Transition
     factor: float
@@ -311,7 +313,7 @@ class Scaled:
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
-        F, Q = _steps(self.transition, dt)
+        F, Q = _F_and_Q(self.transition, dt)
         return F, self.factor * np.asarray(Q)
 
 
@@ -328,8 +330,8 @@ def _on_diagonal(parts):
 def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
     """Return the papers' model of one axis of a GSM phone (2014 Eq. 3, model B of 2015 Section 2).
 
-    Its H measures the next position. For measurements of the position itself take `constant_velocity`: with this model
-    they come out one step late.
+    Its H measures the next position. If the measurements are of the present position, use `constant_velocity`: with
+    this model the estimates would be one step late.
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
 
@@ -338,7 +340,7 @@ def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: A
     dt : float or timedelta
         Time step in s.
     q : float
-        Variance of the velocity's change in a step in m²/s², not negative.
+        Variance of the change of velocity in one step in m²/s², not negative.
     r : float
         Variance of a measurement in m², positive.
     x0, P0 : array_like (n,), (n, n), optional
@@ -365,14 +367,14 @@ def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: A
 def constant_velocity(
     dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
 ) -> LinearModel:
-    """Return the model of one axis with nearly constant velocity, whose position is measured (2016 Eq. 5).
+    """Return the model of one axis with nearly constant velocity and measured position (2016 Eq. 5).
 
         F = [1 dt; 0 1],   H = [1 0],   Q = [dt³/3 dt²/2; dt²/2 dt] q,   R = r
 
     Parameters
     ----------
     dt, q, r, x0, P0 : float, array_like
-        As for `gsm_axis`, but q is the spectral density of the noise that drives the velocity, in m²/s³.
+        As for `gsm_axis`, but q is the spectral density of the white acceleration, in m²/s³.
 
     Returns
     -------
@@ -394,9 +396,9 @@ def constant_velocity(
 def constant_acceleration(
     dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None
 ) -> LinearModel:
-    """Return the model of one axis with nearly constant acceleration, whose position is measured.
+    """Return the model of one axis with nearly constant acceleration and measured position (2016 Eq. 6).
 
-    2016 Eq. 6 with the Q of Section 5.2, which is the right one: Eq. 6 prints dt³/3 for dt³/6 in its first row.
+    Q is that of Section 5.2: Eq. 6 itself misprints dt³/6 in its first row as dt³/3.
 
         F = [1 dt dt²/2; 0 1 dt; 0 0 1],   H = [1 0 0],   R = r
         Q = [dt⁵/20 dt⁴/8 dt³/6; dt⁴/8 dt³/3 dt²/2; dt³/6 dt²/2 dt] q
@@ -404,7 +406,7 @@ def constant_acceleration(
     Parameters
     ----------
     dt, q, r, x0, P0 : float, array_like
-        As for `gsm_axis`, but q is the spectral density of the noise that drives the acceleration, in m²/s⁵.
+        As for `gsm_axis`, but q is the spectral density of the white jerk, in m²/s⁵.
 
     Returns
     -------
@@ -519,7 +521,7 @@ def _axes_of(transition):
 
 
 def exact_motion(model: LinearModel, x0: ArrayLike) -> LinearModel:
-    """Return the model of a track that starts at x0 exactly and has no process noise; measurements keep their noise.
+    """Return the model of a track that starts exactly at x0 and has no process noise, with noisy measurements.
 
     Parameters
     ----------
@@ -578,7 +580,7 @@ def mean_track(model: LinearModel, N: int) -> Array:
 
 
 def simulate(model: LinearModel, N: int, rng: Any, tracks: int | None = None) -> tuple[Array, Array]:
-    """Draw true tracks and their measurements from a model (2014 Eq. 1).
+    """Simulate true tracks and their measurements (2014 Eq. 1).
 
     Parameters
     ----------

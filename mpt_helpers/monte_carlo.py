@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from . import _checks as checks
 
-# Runs that share a stream of random numbers and are drawn together. Changing this changes the results of a seed.
+# Number of runs that share a stream of random numbers. With another number, a seed gives other results.
 BLOCK = 200
 RESULT = f"a result of M = {BLOCK} columns, (..., M)"
 
@@ -28,21 +28,21 @@ def study(
 ) -> np.ndarray:
     """Return the results of many runs of an experiment.
 
-    Each block of 200 runs has its own stream of the seed, so that no result depends on the workers, and the first runs
-    of a longer study are those of a shorter one.
+    Each block of 200 runs draws from its own stream, made from the seed. So the results do not depend on the number of
+    workers, and a longer study begins with the runs of a shorter one.
 
     Parameters
     ----------
     experiment : callable
-        experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M runs; M
-        is 200.
+        experiment(rng, M) draws from a numpy Generator and returns an array (..., M), one column for each of M = 200
+        runs.
     runs : int
-        Number of runs; columns beyond it are dropped.
+        Number of runs; the last block is cut to it.
     seed : int
         Seed of the random numbers, not negative.
     workers : int or callable
-        Number of threads, or a callable like `map` that keeps the order, as that of a `concurrent.futures` executor or
-        of a dask cluster. For processes, the experiment must be picklable.
+        Number of threads, or a callable like `map` that keeps the order: the `map` of a `concurrent.futures` executor,
+        for example, or one that uses a dask cluster. For processes, the experiment must be picklable.
 
     Returns
     -------
@@ -75,9 +75,9 @@ def study(
 
 
 def _let_the_process_keep_memory():
-    """Make glibc reuse freed arrays of up to 32 MB, the size of this one, for the next block.
+    """Make glibc keep freed arrays of up to 32 MB, the size of this one, for the next block.
 
-    Otherwise it returns them to the system, and each block has them mapped and zeroed anew.
+    Otherwise it returns them to the system, which maps and zeroes them anew for each block.
     """
     np.empty(2**25 - 2**16, np.uint8)
 
@@ -95,7 +95,7 @@ def _run_block(experiment, stream):
 
 @contextmanager
 def _mapper(workers):
-    """Yield a callable like `map`. On exit, also after an error, blocks that have not begun are cancelled."""
+    """Yield a callable like `map`. On exit, also after an error, blocks that have not started are cancelled."""
     if callable(workers):
         yield workers
     elif checks.count("workers", workers) == 1:
@@ -105,4 +105,4 @@ def _mapper(workers):
         try:
             yield executor.map
         finally:
-            executor.shutdown(cancel_futures=True)  # also those that `map` had not yet handed out when interrupted
+            executor.shutdown(cancel_futures=True)  # `map` itself does not cancel them when it is interrupted

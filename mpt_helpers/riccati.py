@@ -1,8 +1,8 @@
 """Steady-state covariances, from the Riccati equations of the Kalman filter (REKF) and of the Lainiotis filter (RELF).
 
-`rekf` refines scipy's solution, and `relf` uses the doubling algorithm. The two are independent, so that their
-agreement is a real check. Each checks its solution against its own equation. Models without a steady state are detected
-by the rank test of Popov, Belevitch and Hautus (PBH).
+`rekf` refines scipy's solution; `relf` uses the doubling algorithm. The two are independent, so their agreement is a
+real check. Each checks its solution against its own equation. Models without a steady state are detected by the rank
+test of Popov, Belevitch and Hautus (PBH).
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from .model import LinearModel
 
 __all__ = ["rekf", "relf"]
 
-# A mode closer than this to being undetectable or unstabilizable, relative to the matrix, counts as such: it is the
+# A mode counts as undetectable or unstabilizable if it is closer to it than this, relative to the matrix: that is the
 # rounding error of an eigenvalue of F.
 MODE_ROUNDING = 1e-12
 # Rounding splits a double eigenvalue by 1e-8 of it, a triple one by 6e-6. Computed eigenvalues closer than this may be
-# one multiple eigenvalue: their mean, as accurate as a simple eigenvalue, is tested too.
-ONE_EIGENVALUE = 1e-4
+# one multiple eigenvalue. Then their mean, which is as accurate as a simple eigenvalue, is tested too.
+SAME_EIGENVALUE = 1e-4
 # Rounding moves a double eigenvalue on the unit circle by up to the square root of the machine precision.
 ON_CIRCLE = 1 - np.sqrt(np.finfo(float).eps)
-# Largest residual of a solution P in its equation, relative to the standard deviations: six digits hold.
+# Largest residual of a solution P in its equation, relative to the standard deviations: P has six correct digits.
 RESIDUAL = 1e-6
-# Largest rounding error of a variance relative to it: with more, less than one digit would hold.
-RESOLVED = 0.1
-# Each round doubles the number of steps: 2^64 are more than any filter needs to converge.
-ROUNDS = 64
+# Largest rounding error of a variance, relative to it: beyond, not even one digit is correct.
+MAX_ROUNDING_SHARE = 0.1
+# Number of times that the number of steps is doubled: any filter converges in 2^64 steps.
+DOUBLINGS = 64
 
 
 def rekf(model: LinearModel) -> Array:
@@ -59,7 +59,7 @@ def rekf(model: LinearModel) -> Array:
     Raises
     ------
     ValueError
-        For a model without a steady state, naming the condition that fails and the mode of F.
+        For a model without a steady state; the message names the condition that fails and the mode of F.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def relf(model: LinearModel) -> Array:
 
 
 def _steady_state(model, solve):
-    """Return the P that solve(model) finds, if it solves its equation; else raise a ValueError that says why."""
+    """Return the solution that solve(model) finds, or raise a ValueError that says why there is none."""
     checks.instance("model", model, LinearModel)
     nearest = "F is stable, so there is one in exact numbers"
     with np.errstate(all="ignore"):  # where double precision does not resolve the steady state
@@ -129,7 +129,7 @@ def _steady_state(model, solve):
 
 
 def _solve_rekf(model):
-    # scipy needs states and measurements of unit variance: it is silently wrong where R is very small or very large. It
+    # scipy needs states and measurements of unit variance: its result is silently wrong for very small or large R. It
     # loses digits where the filter converges slowly, so its solution is refined.
     unit = _units(model)
     F = model.F * unit / unit[:, None]
@@ -141,22 +141,24 @@ def _solve_rekf(model):
     P = P + change
     sigma = np.sqrt(np.maximum(np.diag(P), 1))  # no less than 1, the noise of n steps in these units
     solved = (np.abs(change) <= RESIDUAL * np.outer(sigma, sigma)).all()
-    # A state that no noise drives is known exactly in the end; its standard deviation is rounded by eps in these units.
+    # A state without process noise is known exactly in the end; the rounding of its standard deviation is eps in these
+    # units.
     known = np.diag(P) <= np.finfo(float).eps ** 2
     P = np.where(known[:, None] | known, 0.0, (P + P.T) / 2)
     return P * unit[:, None] * unit, solved
 
 
 def require_resolved(model: LinearModel, P: Array) -> None:
-    """Raise a ValueError if doubles hold no digit of P (n×n), a steady-state estimation error covariance.
+    """Raise a ValueError if rounding leaves no digit of P (n×n), a steady-state estimation error covariance.
 
-    A step of the Kalman filter must leave P nearly as it is, and the rounding of that step must be small beside P. In
-    (I - K H) P_p (I - K H)ᵀ two things are rounded, with sigma² the variances of P_p and eps the machine precision:
+    A step of the Kalman filter must leave P nearly unchanged, and the rounding error of that step must be small
+    compared with P. In (I - K H) P_p (I - K H)ᵀ there are two rounding errors, with sigma² the variances of P_p and eps
+    the machine precision:
 
         P_p      by at most eps sigma_i sigma_j, which adds         eps (|I - K H| sigma)²
         I - K H  by at most D = eps (I + |K| |H|), which adds       (D sigma)²
 
-    The term that is linear in D is D P with the best gain, which is small beside P.
+    The term that is linear in D is D P for the optimal gain, which is small compared with P.
     """
     P_p = predicted_covariance(model, P)
     K = gain(P_p, model.H, model.R)
@@ -166,21 +168,21 @@ def require_resolved(model: LinearModel, P: Array) -> None:
     D = eps * (identity + np.abs(K) @ np.abs(model.H))
     rounding = eps * (np.abs(identity - K @ model.H) @ sigma) ** 2 + (D @ sigma) ** 2
     change = np.abs(corrected_covariance(P_p, K, model.H, model.R) - P)
-    allowed = RESOLVED * np.sqrt(np.outer(variance, variance)) + eps * np.outer(sigma, sigma)
-    if (change > allowed).any() or (rounding > RESOLVED * variance).any():
-        raise ValueError("model: needs a steady state that double precision can resolve; in a variance no digit holds")
+    allowed = MAX_ROUNDING_SHARE * np.sqrt(np.outer(variance, variance)) + eps * np.outer(sigma, sigma)
+    if (change > allowed).any() or (rounding > MAX_ROUNDING_SHARE * variance).any():
+        raise ValueError("model: needs a steady state that double precision can resolve; a variance has no digit right")
 
 
 def _newton_step(P, F, H, Q):
-    """Return the Newton correction of P, a solution of the REKF with R = I: the sum of Aⁱ D Aᵀⁱ over i.
+    """Return the Newton correction of P, an approximate solution of the REKF with R = I: the sum of Aⁱ D Aᵀⁱ over i.
 
-    D is the residual of P in the equation. After j rounds `total` has 2^j terms, and `A` is the power 2^j.
+    D is the residual of P. After j rounds `total` has 2^j terms, and `A` is the power 2^j.
     """
     identity = np.eye(len(H))
     K = gain(P, H, identity)
     A = F - F @ K @ H
     total = F @ corrected_covariance(P, K, H, identity) @ F.T + Q - P
-    for _ in range(ROUNDS):
+    for _ in range(DOUBLINGS):
         A, total = A @ A, total + A @ total @ A.T
     return (total + total.T) / 2
 
@@ -188,7 +190,7 @@ def _newton_step(P, F, H, Q):
 def _solve_relf(model):
     Fn, _, _, Pn, On, _, _ = lainiotis_matrices(model)
     F_i, P, O_i = Fn, Pn, On  # of 2^i steps
-    for _ in range(ROUNDS):
+    for _ in range(DOUBLINGS):
         A = lainiotis_transition(P, F_i, O_i)
         longer = P + A @ P @ F_i.T
         longer = (longer + longer.T) / 2
@@ -199,7 +201,7 @@ def _solve_relf(model):
     A = lainiotis_transition(P, Fn, On)
     sigma = np.sqrt(np.diag(P))
     terms = np.abs(Pn) + np.abs(A) @ np.abs(P) @ np.abs(Fn.T)
-    rounding = 100 * np.finfo(float).eps * terms  # of all rounds, roughly; for a variance of zero the only tolerance
+    rounding = 100 * np.finfo(float).eps * terms  # roughly that of all rounds; the only tolerance of a zero variance
     missed = np.abs(Pn + A @ P @ Fn.T - P)
     solved = (missed <= RESIDUAL * np.outer(sigma, sigma) + rounding).all()
     forgets_the_start = np.abs(np.linalg.eigvals(A)).max() < 1
@@ -207,7 +209,7 @@ def _solve_relf(model):
 
 
 def _units(model):
-    """Return how far the noise of n steps moves each state, rounded to a power of two, so that scaling is exact."""
+    """Return the standard deviation of each state after n steps of noise, as a power of two: scaling by it is exact."""
     variance = np.diag(predicted_covariance(model, model.Q, model.n - 1))
     moved = variance > 0
     exponent = np.log2(variance, out=np.zeros(model.n), where=moved) / 2
@@ -216,17 +218,14 @@ def _units(model):
 
 
 def _margins(model):
-    """Yield, for each mode of F on or outside the unit circle, its distance from violating a condition, and which one.
-
-    This is the PBH rank test.
-    """
+    """Yield the margin and the words of both conditions of the PBH rank test, for each mode that is not stable."""
     unit = _units(model)
     F = model.F * unit / unit[:, None]
     H = np.array([_at_the_size_of(F, row) for row in model.H * unit])  # the unit of a measurement changes nothing
     G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
-    means = [modes[np.abs(modes - mode) <= ONE_EIGENVALUE * abs(mode)].mean() for mode in modes]
-    for mode in [*means, *modes]:  # eigenvalues close to each other may be one or several: both are tested
+    means = [modes[np.abs(modes - mode) <= SAME_EIGENVALUE * abs(mode)].mean() for mode in modes]
+    for mode in [*means, *modes]:  # close eigenvalues may be one or several: both cases are tested
         if abs(mode) >= ON_CIRCLE:
             at = f"at the mode {mode.real if np.isreal(mode) else mode:.6g} of F"
             shifted = mode * np.eye(model.n) - F
@@ -241,6 +240,6 @@ def _distance_from_rank_loss(pencil):
 
 
 def _at_the_size_of(F, matrix):
-    """Return the matrix scaled to the largest entry of F, so that the rank test depends on no unit."""
+    """Return the matrix scaled to the largest entry of F, so that the rank test does not depend on units."""
     size = np.abs(matrix).max()
     return matrix * (np.abs(F).max() / size) if size else matrix

@@ -1,7 +1,7 @@
-"""The search for the lowest point of -log L, for `fitting`.
+"""Minimisation of -log L, for `fitting`.
 
 A point (d,) is the vector of the natural logarithms of d parameters, so that a distance is the logarithm of a factor.
-The search looks along lines, over many decades, and goes on from the best point by Newton's method.
+Searches along lines, over many decades, find a point near the minimum; Newton's method refines it.
 """
 
 import math
@@ -9,26 +9,27 @@ import math
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-# Tolerance of the search along a line; Newton's method continues from there.
-NEAR_ENOUGH = 0.1
-# A difference of log L below this is not significant: log L falls by as much at one standard error.
-NOTHING = 0.5
-# A direction whose curvature is below this fraction of the largest one is flat: it is the rounding error of the second
+# Tolerance of the search along a line; Newton's method refines the point.
+LINE_TOLERANCE = 0.1
+# Smaller differences of log L are not significant: it falls by this much at one standard error.
+SIGNIFICANT = 0.5
+# A direction is flat if its curvature is below this fraction of the largest: that is the rounding error of the second
 # differences.
-FLAT = 1e-6
+FLAT_CURVATURE = 1e-6
 
-# A search along a line begins with factors of 1e-24 to 1e24, continues with factors around the best of them, and then
-# between its neighbours: an r that the fixes hardly determine can be a factor of 100 away from where it has no effect.
-LINE = math.log(1e4) * np.arange(-6, 7)
+# A search along a line first tries factors of 1e-24 to 1e24, then factors around the best of them, and at last searches
+# between the neighbours of that one. An r that the fixes hardly determine may be only a factor of 100 above the values
+# that have no effect.
+COARSE = math.log(1e4) * np.arange(-6, 7)
 AROUND = math.log(10) * np.arange(-2, 3)
 
 
-def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH, nothing=NOTHING):
-    """Return the lowest point origin + s direction (d,) that is found: the best of a few far apart, and then near it.
+def along_a_line(rated, origin, direction, reach=COARSE, close=LINE_TOLERANCE, nothing=SIGNIFICANT):
+    """Return the lowest point origin + s direction (d,) that a search finds, coarse at first.
 
-    rated(point) returns a shift and a value: the value is that of the point with the shift added to all its components.
-    reach are the values of s that are tried first; the last s is found to `close`. Values that differ by less than
-    `nothing` count as equal, and of these the nearest is gone on from.
+    rated(point) returns a shift and the value of the point with this shift added to all its components. `reach` are the
+    first values of s, and the last s is accurate to `close`. Values that differ by less than `nothing` count as equal;
+    of these the nearest is taken.
     """
     known = {}
 
@@ -41,7 +42,7 @@ def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH, nothin
     for places in (reach, AROUND):
         places = s + places
         values = np.array([value(each) for each in places])
-        alike = values <= values.min() + nothing  # several where r has no effect, for example: the nearest is best
+        alike = values <= values.min() + nothing  # several where r has no effect, for example
         s = float(places[np.argmin(np.where(alike, np.abs(places - s), np.inf))])
     bounds = [each if math.isfinite(value(each)) else s for each in (s + AROUND[1], s + AROUND[-2])]
     found = float(minimize_scalar(value, bounds=bounds, method="bounded", options={"xatol": close}).x)
@@ -49,38 +50,38 @@ def along_a_line(rated, origin, direction, reach=LINE, close=NEAR_ENOUGH, nothin
     return origin + s * direction + known[round(s, 9)][0]
 
 
-# Each round of `lowest` but the last finds a lower point; one or two are usual.
-MOST_ROUNDS = 10
+# Rounds of `lowest`: each but the last finds a lower point. One or two are usual.
+MAX_ROUNDS = 10
 
 
 def lowest(function, point):
-    """Return the lowest point (d,) that is found: along each parameter in turn, then by Newton's method.
+    """Return the lowest point (d,) that is found along each parameter in turn, and then by Newton's method.
 
-    It starts again while there is a lower point far along a parameter: if q is far too small, r explains the motion,
-    and only after that is a larger q better.
+    It starts again while there is a lower point far along a parameter. If q is far too small, for example, a larger r
+    explains the motion first, and only then is a larger q better.
     """
     units = np.eye(len(point))
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         for unit in units:
             point = along_a_line(lambda each: (0.0, function(each)), point, unit)
-        point = by_newton(function, point)
-        if min(function(point + s * unit) for unit in units for s in LINE) > function(point) - NOTHING:
+        point = newton(function, point)
+        if min(function(point + s * unit) for unit in units for s in COARSE) > function(point) - SIGNIFICANT:
             break
     return point
 
 
-# Newton's steps are at most a factor of e long. They end below NEAR, a hundredth of the standard error of a parameter
-# that a thousand measurements determine to a few percent.
-LONGEST_STEP, MOST_STEPS, MOST_HALVINGS, NEAR = 1.0, 30, 8, 1e-4
+# Newton's steps change a parameter by a factor of e at most. They end below MIN_STEP: a hundredth of the standard error
+# of a parameter that a thousand measurements determine to a few percent.
+MAX_STEP, MAX_NEWTON_STEPS, MAX_HALVINGS, MIN_STEP = 1.0, 30, 8, 1e-4
 
 
-def by_newton(function, point):
+def newton(function, point):
     """Return the lowest point (d,) that Newton's method finds."""
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         value, gradient, H = differences(function, point)
-        step = step_downhill(gradient, H)
-        for _ in range(MOST_HALVINGS):
-            if np.abs(step).max() < NEAR:
+        step = newton_step(gradient, H)
+        for _ in range(MAX_HALVINGS):
+            if np.abs(step).max() < MIN_STEP:
                 return point
             if function(point + step) < value:
                 break
@@ -91,39 +92,40 @@ def by_newton(function, point):
     return point
 
 
-def step_downhill(gradient, H):
-    """Return the step (d,) to where the gradient (d,) vanishes, by the second derivatives H (d, d).
+def newton_step(gradient, H):
+    """Return Newton's step (d,) from the gradient (d,) and the second derivatives H (d, d).
 
-    It leads downhill where the curvature is negative, leaves flat directions alone, and is limited in length.
+    It goes downhill also where the curvature is negative, does not move along flat directions, and is limited in
+    length.
     """
-    if not (np.isfinite(H).all() and np.isfinite(gradient).all()):  # next to a point that has no likelihood
+    if not (np.isfinite(H).all() and np.isfinite(gradient).all()):  # next to a point without a likelihood
         return np.zeros(len(H))
     curvatures, directions = np.linalg.eigh(H)
     sizes = np.abs(curvatures)
-    bent = sizes > FLAT * sizes.max()
+    bent = sizes > FLAT_CURVATURE * sizes.max()
     along = directions.T @ gradient
     step = -directions[:, bent] @ (along[bent] / sizes[bent])
-    return step * min(1.0, LONGEST_STEP / max(np.abs(step).max(), NEAR))
+    return step * min(1.0, MAX_STEP / max(np.abs(step).max(), MIN_STEP))
 
 
-# Differences of log L are taken between points 2 % of a parameter apart. The rounding of the second ones,
-# 1e-16 |log L| / step², is below 1e-6 of them up to a million measurements. The bias of the first ones, step² / 6 of
-# the third, moves the maximum by less than 1e-4.
-DIFFERENCE = 0.02
+# Derivatives of log L are differences between points 2 % of a parameter apart. Up to a million measurements, rounding
+# moves the second derivatives, by 1e-16 |log L| / h², by less than 1e-6 of them. The bias of the first derivatives,
+# h² / 6 times the third, moves the maximum by less than 1e-4.
+SPACING = 0.02
 
 
 def differences(function, point):
     """Return function(point) (...), its gradient (d, ...) and second derivatives (d, d, ...), by central differences.
 
-    The axes (...) are those of the function: none of -log L, one of the shares of blocks in it.
+    The shape (...) is that of the function's value: () for -log L, (B,) for the shares of B blocks in it.
     """
-    d, h = len(point), DIFFERENCE
+    d, h = len(point), SPACING
     unit = h * np.eye(d)
     here = function(point)
     up = np.array([function(point + each) for each in unit])
     down = np.array([function(point - each) for each in unit])
     H = np.empty((d, d, *np.shape(here)))
-    with np.errstate(invalid="ignore"):  # beside points that have no likelihood
+    with np.errstate(invalid="ignore"):  # next to points without a likelihood
         for i in range(d):
             H[i, i] = (up[i] - 2 * here + down[i]) / h**2
             for j in range(i):

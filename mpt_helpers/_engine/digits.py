@@ -24,6 +24,9 @@ def is_vague(model, P0, r=None):
     Raises ValueError for a P0 above LARGEST.
     """
     F, H, Q, R = model.F, model.H, model.Q, model.R
+    if r is not None:
+        smallest = np.where(r > 0, r, np.inf).min(axis=(0, *range(2, r.ndim)))
+        R = np.diag(np.where(np.isfinite(smallest), smallest, np.diag(R)))
 
     def largest_S(noise, steps):
         G, largest = unit_measurements(H, noise)[0], 0.0
@@ -34,10 +37,8 @@ def is_vague(model, P0, r=None):
 
     first_S = largest_S(R, steps=1)
     if not first_S < LARGEST:
-        checks.refuse("P0", f"variances of what is measured below {LARGEST:g} R", f"{first_S:.2g} R")
-    if r is not None:
-        smallest = np.where(r > 0, r, np.inf).min(axis=(0, *range(2, r.ndim)))
-        R = np.diag(np.minimum(np.diag(R), smallest))
+        noise = "R" if r is None else "the smallest r"
+        checks.refuse("P0", f"variances of what is measured below {LARGEST:g} {noise}", f"{first_S:.2g} {noise}")
     return largest_S(H @ Q @ H.T + R, steps=len(F)) > VAGUE  # within n steps each state shows that ever does
 
 

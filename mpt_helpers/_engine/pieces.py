@@ -32,8 +32,6 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # The largest number of runs. Where pieces do not fit together, each runs again from where the preceding one ended; if
 # they do not fit after the last run, the track is filtered uncut.
 MOST_PASSES = 3
-# The largest number of rows with a measurement that `_from_a_vague_start` computes, each from the first row on.
-MOST_OF_A_START = 300
 # Smaller eigenvalues of a correlation matrix count as this one: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
 
@@ -158,17 +156,11 @@ def starts(advance, pieces, x0, P0):
     zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, W = x0.shape
-    _, m, _, width = pieces[0].shape
-    C = width // W
-    # Each piece from a zero that is known exactly. Beside its c tracks run n more, which have no measurements and start
-    # at one of the unit vectors each: they end at T, and have the innovations -L.
-    x, P, z = np.zeros((n, c + n, width)), np.zeros((n, n, width)), np.zeros((m, c + n, width))
-    x[:, c:] = np.eye(n)[..., None]
     innovations = []
-    for z_k, *conditions in _one_by_one(pieces):
-        z[:, :c] = z_k
-        x, P, e = advance((z, *conditions), x, P)
-        innovations.append(e)
+    for after in _from_exact_zero(advance, pieces, n):
+        innovations.append(after[2])
+    x, P, _ = after
+    C = P.shape[-1] // W
     x, P, e = (uncut(each[None], C, W) for each in (x, P, np.concatenate(innovations)))  # a row for each piece
     L, y = _compressed(-e[:, :, c:], e[:, :, :c])
     rows = np.concatenate([x[:, :, :c], y], axis=1), x[:, :, c:], P, L
@@ -176,6 +168,21 @@ def starts(advance, pieces, x0, P0):
     x[0], P[0] = x0, P0
     run_rows(over_a_piece, rows, x0, P0, x[1:], P[1:])
     return cut(x, K=1)[0], cut(P, K=1)[0]
+
+
+def _from_exact_zero(advance, rows, n):
+    """Run rows of c tracks from a zero that is known exactly, and yield x (n, c + n, W), P and the innovations of each.
+
+    Beside the c tracks run n more, which have no measurements and start at one of the unit vectors each: they end at T,
+    and have the innovations -L of `starts`.
+    """
+    _, m, c, W = rows[0].shape
+    x, P, z = np.zeros((n, c + n, W)), np.zeros((n, n, W)), np.zeros((m, c + n, W))
+    x[:, c:] = np.eye(n)[..., None]
+    for z_k, *conditions in _one_by_one(rows):
+        z[:, :c] = z_k
+        x, P, e = advance((z, *conditions), x, P)
+        yield x, P, e
 
 
 def over_a_piece(row, x, P):
@@ -202,23 +209,21 @@ def _from_a_vague_start(advance, rows, x0, P0, x, P):
     """Write the first rows as `run_rows` does, and return how many, x and P after the last.
 
     Taken row by row, the first updates from a vague start would lose the digits of P0 / R, and without process noise
-    never regain them. So row k is computed as the end of one piece of the rows 0 to k. This goes on until each sensor
-    of each track has measured 2 n times, or will not again. A row in which nothing is measured is a prediction, which
-    loses no digits.
+    never regain them. So the rows 0 to k are one piece, which grows by a row at a time, and row k is its end. This goes
+    on until each sensor of each track has measured 2 n times, or will not again.
     """
-    n, _, W = x0.shape
+    n, c, W = x0.shape
     seen = rows[1]
     counts = np.cumsum(seen, axis=0)
     settled = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=(1, 2))
-    measured = np.cumsum(seen.any(axis=(1, 2)))
-    K = min(1 + np.sum(~settled & (measured < MOST_OF_A_START)), len(x))
-    x_k, P_k = x0, P0
-    for k, row in enumerate(_one_by_one(_of_each(rows, lambda array: array[:K]))):
+    K = min(1 + np.sum(~settled), len(x))
+    L, y = np.zeros((0, n, W)), np.zeros((0, c, W))
+    first_rows = _of_each(rows, lambda array: array[:K])
+    for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, first_rows, n)):
         if seen[k].any():
-            piece = _of_each(rows, lambda array, k=k: array[: k + 1])
-            x_k, P_k = (each[..., -W:] for each in starts(advance, piece, x0, P0))
-        else:
-            x_k, P_k, _ = advance(row, x_k, P_k)
+            L, y = _compressed(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
+        piece = np.concatenate([x_piece[:, :c], y]), x_piece[:, c:], P_piece, L
+        x_k, P_k, _ = over_a_piece(piece, x0, P0)
         x[k] = x_k
         if P is not None:
             P[k] = P_k
@@ -226,17 +231,16 @@ def _from_a_vague_start(advance, rows, x0, P0, x, P):
 
 
 def _compressed(L, y):
-    """Return p <= n rows L (C, p, n, W) and y (C, p, c, W) with the same information: y = L x + noise of unit variance.
+    """Return y = L x + noise of unit variance as p <= n rows of the same information.
 
-    The given L and y have a row for each innovation of a piece. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays
-    white, and the part of y that Qᵀ drops is noise alone, independent of the rest. Lᵀ L and Lᵀ y hold the same
-    information, but sums of squares lose digits that R keeps. The order of the rows changes only the rounding. The last
-    rows come first, as they are the largest where x grows: of 240 vague starts with gaps, half were then wrong by less
-    than 5e-5 of a sigma, and a twentieth by more than 2e-3.
+    The given L (..., n, W) and y (..., c, W) have a row for each innovation of a piece. With L = Q R,
+    Qᵀ y = R x + Qᵀ noise: the noise stays white, and the part of y that Qᵀ drops is noise alone, independent of the
+    rest. Lᵀ L and Lᵀ y hold the same information, but sums of squares lose digits that R keeps. The order of the rows
+    changes only the rounding: the last rows come first, as they are the largest where x grows.
     """
-    L, y = (np.moveaxis(each[:, ::-1], -1, 1) for each in (L, y))  # stacks of matrices
+    L, y = (np.moveaxis(each, -1, 0)[..., ::-1, :] for each in (L, y))  # stacks of matrices
     Q, R = np.linalg.qr(L)
-    return np.moveaxis(R, 1, -1), np.moveaxis(Q.swapaxes(-1, -2) @ y, 1, -1)
+    return tuple(np.moveaxis(each[..., ::-1, :], 0, -1) for each in (R, Q.swapaxes(-1, -2) @ y))
 
 
 def agree(x, P, x_next, P_next):

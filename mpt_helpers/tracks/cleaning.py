@@ -104,7 +104,7 @@ class Band(NamedTuple):
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Source:
     """The file that a track is from.
 
@@ -122,9 +122,11 @@ class Source:
     said: list[str]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Cleaned:
     """A recorded track without its faults; printed, it is its report.
+
+    It is equal to itself only, and can be a key: compare the arrays of two of them.
 
     Attributes
     ----------
@@ -132,7 +134,7 @@ class Cleaned:
         Times in s.
     z : ndarray (N, m)
         Positions in m as recorded, NaN where there is none.
-    pieces : ndarray of int (N,)
+    segments : ndarray of int (N,)
         The segment of each fix, 0, 1, ..., and -1 where it is refused or there is none.
     x, P : ndarray (N, 2 m), (N, 2 m, 2 m)
         Smoothed position and velocity of each axis, [east, v_east, north, v_north], and their covariance; NaN where a
@@ -162,7 +164,7 @@ class Cleaned:
 
     t: Array
     z: Array
-    pieces: NDArray[np.intp]
+    segments: NDArray[np.intp]
     x: Array
     P: Array
     q: float
@@ -183,7 +185,7 @@ class Cleaned:
     @property
     def mask(self) -> NDArray[np.bool_]:
         """The mask of the fixes that are kept, (N,)."""
-        return self.pieces >= 0
+        return self.segments >= 0
 
     @property
     def refused(self) -> NDArray[np.intp]:
@@ -193,7 +195,7 @@ class Cleaned:
     @property
     def stretches(self) -> int:
         """The number of segments."""
-        return int(self.pieces.max()) + 1
+        return int(self.segments.max()) + 1
 
     @property
     def unusual(self) -> list[str]:
@@ -276,7 +278,7 @@ class Cleaned:
     def starts(self) -> NDArray[np.intp]:
         """The rows where a segment begins after a jump, not after a pause."""
         kept = np.flatnonzero(self.mask)
-        firsts = kept[np.unique(self.pieces[kept], return_index=True)[1]]
+        firsts = kept[np.unique(self.segments[kept], return_index=True)[1]]
         recording = np.searchsorted(self.recordings, firsts, side="right")
         return firsts[1:][np.diff(recording) == 0]
 
@@ -384,7 +386,7 @@ def clean(
     return Cleaned(
         t=t,
         z=z,
-        pieces=segments,
+        segments=segments,
         x=x,
         P=P,
         q=noise.q,
@@ -453,7 +455,7 @@ def band_of(line: Line, noise: Noise, scale: Scale, seconds: float) -> Band | No
     kf = filter_of(first, scale, line.t, line.relative, line.z.shape[1])
     t = line.t[np.isfinite(line.z).any(axis=1)]
     due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - bands.TIME_ROUNDING))] - t
-    if np.mean(due <= bands.LATEST * seconds) < CHECKED:
+    if np.mean(due <= bands.LATEST_CHECK * seconds) < CHECKED:
         seconds = float(np.quantile(np.diff(t), 0.5, method="higher"))
     try:
         a = bands.ahead(kf, line.z, seconds)

@@ -22,11 +22,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg.lapack import dposv
 
 from .. import _checks as checks
 from .. import metrics
 from .._checks import Array
-from ..equations import corrected_covariance, predicted_covariance
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
@@ -138,80 +138,85 @@ def segments_of(kf, z, begins, limit, patience):
     return number
 
 
-class _Row(NamedTuple):
-    """The step before a row, F and Q, and its measurement z = H x + noise of unit variance: H (m, n), z (m,).
+class _Track:
+    """The rows of a track z (N, m) for a Kalman filter. A state is x (n,) and P (n, n).
 
-    A missing measurement has a row of zeros in H, and a zero in z.
+    Row k is one step by F, Q and a measurement z = H x + noise of unit variance. A missing measurement has a row of
+    zeros in H, and a zero in z.
     """
 
-    F: Array
-    Q: Array
-    H: Array
-    z: Array
-
-
-class _Track:
-    """The rows of a track z (N, m) for a Kalman filter. A state is x (n,) and P (n, n)."""
-
     def __init__(self, kf, z):
+        self.kf, self.z = kf, z
         model, self.seen = kf.model, np.isfinite(z)
-        self.model, self.z, self.t, self.r = model, z, kf.t, kf.r
         self.fixes = self.seen.any(axis=1)
-        R = kf.epochs_of(z[..., None]).noise(model.R)[..., 0]
+        epochs = kf.epochs_of(z[..., None])
+        R = epochs.noise(model.R)[..., 0]
         root = np.linalg.cholesky(np.where(self.seen[:, :, None] & self.seen[:, None], R, np.eye(model.m)))
-        H = np.linalg.solve(root, self.seen[..., None] * model.H)
-        unit_z = np.linalg.solve(root, np.where(self.seen, z, 0.0)[..., None])[..., 0]
-        F, Q = [model.F] * len(z), [model.Q] * len(z)
-        if self.t is not None:
-            self.dt = np.diff(self.t.ravel(), prepend=self.t.flat[0] - model.dt)
-            F, Q = model.over(self.dt)
-        self.rows = list(map(_Row, F, Q, H, unit_z))
-        self.unit = np.eye(model.m)
+        self.H = list(np.linalg.solve(root, self.seen[..., None] * model.H))
+        self.unit_z = list(np.linalg.solve(root, np.where(self.seen, z, 0.0)[..., None])[..., 0])
+        self.F, self.Q = [model.F] * len(z), [model.Q] * len(z)
+        self.dt = epochs.dt
+        if self.dt is not None:
+            self.F, self.Q = map(list, model.over(self.dt[:, 0]))
+        self.unit_of_state, self.unit_of_fix = np.eye(model.n), np.eye(model.m)
 
     def start(self, k):
         """Return the state after a first fix, of row k: x0 and P0 moved there."""
-        row = self.rows[k]._replace(F=self.model.F, Q=self.model.Q)
-        x, P = row.F @ self.model.x0, predicted_covariance(row, self.model.P0)
-        return self._corrected(row, x + np.linalg.pinv(row.H) @ (row.z - row.H @ x), P)[0]
+        model = self.kf.model
+        x, P = model.F @ model.x0, model.F @ model.P0 @ model.F.T + model.Q
+        x = x + np.linalg.pinv(self.H[k]) @ (self.unit_z[k] - self.H[k] @ x)
+        return self._corrected((x, P), k)[0]
 
     def without_fix(self, state, k):
         """Return the state after row k if nothing is measured there."""
-        x, P = state
-        return self.rows[k].F @ x, predicted_covariance(self.rows[k], P)
+        (x, P), F = state, self.F[k]
+        return F @ x, F @ P @ F.T + self.Q[k]
 
     def with_fix(self, state, k):
         """Return the state after row k, the NIS of its fix, and the covariance of its innovation at unit noise."""
-        return self._corrected(self.rows[k], *self.without_fix(state, k))
+        return self._corrected(self.without_fix(state, k), k)
 
-    def _corrected(self, row, x, P):
-        PH = P @ row.H.T
-        S = row.H @ PH + self.unit
-        inverse = np.linalg.inv(S)
-        K, innovation = PH @ inverse, row.z - row.H @ x
-        nis = float(innovation @ inverse @ innovation)
-        if not 0 <= nis < math.inf:
+    def _corrected(self, state, k):
+        (x, P), H = state, self.H[k]
+        HP = H @ P
+        S = HP @ H.T + self.unit_of_fix
+        innovation = self.unit_z[k] - H @ x
+        # For matrices of this size LAPACK's own routine takes a third of the time of np.linalg.
+        _, solved, fails = dposv(S, np.column_stack([HP, innovation]))
+        nis = float(innovation @ solved[:, -1])
+        if fails or not 0 <= nis < math.inf:
             checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
-        return (x + K @ innovation, corrected_covariance(P, K, row.H, self.unit)), nis, S
+        K = solved[:, :-1].T
+        keep = self.unit_of_state - K @ H
+        return (x + K @ innovation, keep @ P @ keep.T + K @ K.T), nis, S
 
     def rows_without_fault(self, state, k, stop, limit):
         """Return how many rows from k on, before row `stop`, stand before the first one with a fault."""
-        kf, z = self._part(state, k, stop)
-        faults = np.flatnonzero(metrics.nis(kf, z) > limit)
-        return int(faults[0]) if len(faults) else len(z)
+        faults = np.flatnonzero(metrics.nis(self._from(state, k, stop), self.z[k:stop]) > limit)
+        return int(faults[0]) if len(faults) else stop - k
 
     def after_rows(self, state, k, stop):
         """Return the state after the rows from k to `stop`, with all their fixes."""
-        kf, z = self._part(state, k, stop)
-        x, P = kf.estimates(z)
+        x, P = self._from(state, k, stop).estimates(self.z[k:stop])
         return x[-1], P[-1]
 
-    def _part(self, state, k, stop):
-        """Return the filter that goes on from a state before row k, and the rows k to `stop`, which it is for."""
-        model = replace(self.model, x0=state[0], P0=state[1])
-        t, r = (None if each is None else each[k:stop] for each in (self.t, self.r))
-        if t is not None:
-            model = replace(model, F=None, Q=None, dt=max(self.dt[k], LEAST_STEP))  # that of the first step
-        return KalmanFilter(model, t, r), self.z[k:stop]
+    def _from(self, state, k, stop):
+        """Return the filter of the rows k to `stop`, from a state before them."""
+        model = replace(self.kf.model, x0=state[0], P0=state[1])
+        dt, r = (None if each is None else each[k:stop] for each in (self.dt, self.kf.r))
+        return _WithSteps(model, dt, r)
+
+
+class _WithSteps(KalmanFilter):
+    """A Kalman filter with steps dt (N, 1) in s in place of times, with which the first step is the model's."""
+
+    def __init__(self, model, dt, r):
+        super().__init__(model, r=r)
+        object.__setattr__(self, "dt", dt)
+
+    def epochs_of(self, z):
+        """Return z (N, m, 1) with the steps and variances of its epochs."""
+        return replace(super().epochs_of(z), dt=self.dt)
 
 
 class _Start(NamedTuple):
@@ -226,7 +231,7 @@ def _in_sequence(track, begins, limit, patience):
     found = []
     for begin, stop in pairwise(sorted({0, *begins, len(track.z)})):
         if begin not in begins:
-            origin = _Start([], (track.model.x0, track.model.P0))
+            origin = _Start([], (track.kf.model.x0, track.kf.model.P0))
             found += _of_recording(track, origin, begin, stop, limit, patience)
             continue
         whole = begin + np.flatnonzero(track.seen[begin:stop].all(axis=1))  # only these tell where all axes begin

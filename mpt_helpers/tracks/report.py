@@ -231,7 +231,8 @@ def _at_rest(line, position, speed):
     """Tell which rows of a line lie in a minute at rest.
 
     The fixes of a receiver at rest drift at the speed of a slow walk, but stay in one place: within a minute they
-    spread no farther than MOVING would carry them, and half of their speeds are below twice MOVING.
+    spread no farther than MOVING would carry them, and half of their speeds are below twice MOVING. A rest may be
+    shorter: of each minute it lasts from the first to the last of these speeds.
     """
     rest = np.zeros(len(position), dtype=bool)
     size = int(REST / REST_STEP) + 1
@@ -243,8 +244,12 @@ def _at_rest(line, position, speed):
             continue
         windows = [sliding_window_view(np.interp(grid, t, each), size) for each in (*position[own].T, speed[own])]
         extent = np.linalg.norm([np.ptp(each, axis=1) for each in windows[:-1]], axis=0)
-        still = (extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING)
-        among = np.convolve(still, np.ones(size))[: len(grid)] > 0.5  # grid points inside such a minute
+        still = np.flatnonzero((extent < MOVING * REST) & (np.median(windows[-1], axis=1) < 2 * MOVING))
+        slow = windows[-1][still] < 2 * MOVING
+        begins = still + np.argmax(slow, axis=1)
+        ends = still + size - np.argmax(slow[:, ::-1], axis=1)
+        count = np.bincount(begins, minlength=len(grid) + 1) - np.bincount(ends, minlength=len(grid) + 1)
+        among = np.cumsum(count) > 0  # grid points inside such a rest
         rest[own] = among[np.minimum(np.searchsorted(grid, t), len(grid) - 1)]
     return rest
 

@@ -112,7 +112,7 @@ def csv_bytes(c: Cleaned) -> bytes:
     """Return the smoothed track of a file in metres as a table, with a line of names."""
     rows = np.flatnonzero(segment_of_rows(c) >= 0)
     seconds = c.source.recording.time[c.source.rows[rows]] / 1e6
-    table = np.column_stack([seconds, c.x[rows][:, [0, 2, 1, 3]], c.pieces[rows] < 0])
+    table = np.column_stack([seconds, c.x[rows][:, [0, 2, 1, 3]], c.segments[rows] < 0])
     file, head = io.StringIO(), "# smoothed by mpt_helpers\ntime,x,y,v_x,v_y,refused"
     np.savetxt(file, table, ["%.6f", *["%.4f"] * 4, "%d"], delimiter=",", header=head, comments="")
     return file.getvalue().encode()

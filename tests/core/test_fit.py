@@ -98,7 +98,7 @@ THREE_HUNDRED = mpt.simulate(axis(0.04, 0.5), 300, np.random.default_rng(4))[1]
 def test_the_ratio_is_searched_along_only_where_both_parameters_scale_all_covariances(name):
     make, scales = MAKES[name]
     likelihood = fitting.NegativeLogLikelihood(make, ["q", "r"], THREE_HUNDRED)
-    assert (fitting._best_ratio(likelihood, np.zeros(2), n=2) is not None) == scales
+    assert (fitting._search_along_ratio(likelihood, np.zeros(2), n=2) is not None) == scales
 
 
 @pytest.mark.parametrize("name", [name for name, (_, scales) in MAKES.items() if scales])
@@ -107,7 +107,7 @@ def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(name, m
     make, _ = MAKES[name]
     z = THREE_HUNDRED[:150] if name != "a filter with r" else THREE_HUNDRED
     found = quiet_fit(make, z, q=1.0, r=1.0)
-    monkeypatch.setattr(fitting, "_best_ratio", lambda *_: None)
+    monkeypatch.setattr(fitting, "_search_along_ratio", lambda *_: None)
     by_simplex = quiet_fit(make, z, q=1.0, r=1.0)
     assert found.log_likelihood == pytest.approx(by_simplex.log_likelihood, abs=1e-5)
     if np.isfinite(max(found.log_errors.values())):
@@ -160,8 +160,8 @@ def test_variances_are_those_of_the_sandwich(seed, d):
     A, B = rng.standard_normal((2, d, d + 2))
     H, J = A @ A.T, B @ B.T
     inverse = np.linalg.inv(H)
-    np.testing.assert_allclose(fitting._variances(H, J), np.diag(inverse @ J @ inverse), rtol=1e-6)
-    np.testing.assert_allclose(fitting._variances(H, H), np.diag(inverse), rtol=1e-6)
+    np.testing.assert_allclose(fitting._sandwich_diagonal(H, J), np.diag(inverse @ J @ inverse), rtol=1e-6)
+    np.testing.assert_allclose(fitting._sandwich_diagonal(H, H), np.diag(inverse), rtol=1e-6)
 
 
 @settings(max_examples=25, deadline=None)
@@ -176,7 +176,9 @@ def test_a_flat_direction_leaves_the_variances_beside_it(seed):
     order = rng.permutation(3)
     inverse = np.linalg.inv(H[:2, :2])
     due = np.append(np.diag(inverse @ J[:2, :2] @ inverse), np.inf)[order]
-    np.testing.assert_allclose(fitting._variances(H[np.ix_(order, order)], J[np.ix_(order, order)]), due, rtol=1e-6)
+    np.testing.assert_allclose(
+        fitting._sandwich_diagonal(H[np.ix_(order, order)], J[np.ix_(order, order)]), due, rtol=1e-6
+    )
 
 
 @settings(max_examples=50, deadline=None)
@@ -217,7 +219,7 @@ def test_a_parameter_is_not_known_where_a_flat_direction_moves_it_by_a_hundredth
     flat[i] = share
     A = rng.standard_normal((d, d + 2))
     across = np.eye(d) - np.outer(flat, flat)
-    due = np.isinf(fitting._variances(across @ A @ A.T @ across, np.eye(d)))
+    due = np.isinf(fitting._sandwich_diagonal(across @ A @ A.T @ across, np.eye(d)))
     np.testing.assert_array_equal(due, [share > 0.01 if j == i else True for j in range(d)])
 
 
@@ -281,7 +283,7 @@ def test_the_usual_step_is_the_median_one_between_the_fixes_of_each_track(seed, 
                 steps += [] if last is None else [now - last]
                 last = now
     expected = sorted(steps)[len(steps) // 2] / 2 + sorted(steps)[(len(steps) - 1) // 2] / 2 if steps else 0.0
-    assert fitting._usual_step(kf, seen) == pytest.approx(expected)
+    assert fitting._median_step(kf, seen) == pytest.approx(expected)
 
 
 def test_an_hour_between_two_stretches_makes_no_empty_block():
@@ -370,7 +372,7 @@ def test_the_distance_of_a_start_is_that_of_least_squares_with_the_scale_of_what
         left = y - A @ d
         V = V * (left @ W @ left) / (seen.sum() - 2)
         due.append(np.sqrt(d @ np.linalg.inv(one.P0 + V) @ d))
-    assert fitting._distance_of_the_start(mpt.KalmanFilter(one, t=t), z) == pytest.approx(max(due), rel=1e-6)
+    assert fitting._distance_of_x0(mpt.KalmanFilter(one, t=t), z) == pytest.approx(max(due), rel=1e-6)
 
 
 @pytest.mark.parametrize(("rows", "far"), [(6, 50), (20, 200)])
@@ -459,7 +461,7 @@ def test_a_fit_asks_for_the_units(change, dt, names):
 
 
 def test_a_fit_of_one_bad_fix_says_which_and_nothing_of_units():
-    z = track()
+    z = track()[:200]
     z[70] = 1e7
     said = said_by(lambda: mpt.fit(plane, z, q=0.2, r=4.0))
     assert any(each.startswith("fit: row 70 of z is far off") for each in said)
@@ -500,7 +502,7 @@ def test_a_rescaled_filter_keeps_its_times_and_variances():
 
 
 def test_what_cannot_be_rescaled_is_refused():
-    _, z = mpt.simulate(plane(0.2, 4.0), 300, np.random.default_rng(8))
+    _, z = mpt.simulate(plane(0.2, 4.0), 60, np.random.default_rng(8))
     with pytest.raises(ValueError, match="estimator: needs a filter whose process noise decides"):
         fitting.rescaled(mpt.KalmanFilter(plane(0.2, 1e6)), z, 10)
     with pytest.raises(TypeError, match="estimator: needs a KalmanFilter"):

@@ -11,6 +11,9 @@ from mpt_helpers.metrics import chi_square_band, innovations, log_likelihood, ne
 
 def test_relative_gap_and_rms():
     assert relative_gap([[1.0, 2.0]], [[1.0, -4.0]]) == pytest.approx(6 / 4)
+    assert (
+        relative_gap(np.array([-1], np.int8), np.array([-128], np.int8)) == 127 / 128
+    )  # its absolute value is no int8
     assert [relative_gap([0.0], [0.0]), relative_gap([1.0], [0.0])] == [0.0, np.inf]
     assert rms([3.0, 4.0]) == pytest.approx(np.sqrt(12.5))
     np.testing.assert_allclose(rms([[3.0, 4.0], [0.0, 2.0]], axis=0), [np.sqrt(4.5), np.sqrt(10)])

@@ -213,7 +213,7 @@ def test_the_relf_of_two_sensors_is_that_of_the_better_one():
 
 def test_a_relf_that_does_not_solve_its_equation_is_refused(monkeypatch):
     """As when the doubling ends too soon."""
-    monkeypatch.setattr(riccati, "ROUNDS", 1)
+    monkeypatch.setattr(riccati, "DOUBLINGS", 1)
     with pytest.raises(ValueError, match="needs a steady state that double precision can resolve"):
         riccati.relf(AXIS)
 

@@ -435,6 +435,10 @@ REFUSED_TIMES = {
     "join, r": (lambda: mpt.JoinFilter(timed(), timed(r=[[1, 1]])), "second: needs a filter of the same variances"),
     "step backwards": (lambda: timed().step(ZERO, ONE, [0, 0], dt=-1), "dt: needs a number"),
     "step of gsm": (lambda: timed(AXIS).step(np.zeros(2), np.eye(2), [0], dt=1), "dt: needs a model with a transition"),
+    "step, P between axes": (
+        lambda: mpt.Separate(timed(), timed()).step(np.zeros(8), np.eye(8) + 0.1, [0] * 4),
+        "P: needs a block diagonal covariance, got one between the states of different filters",
+    ),
     "step, swapped": (lambda: timed().step(ONE, ZERO, [0, 0]), r"x: needs a \(4,\) array"),
     "step, NaN in x": (lambda: timed().step(np.nan * ZERO, ONE, [0, 0]), "x: needs a .* NaN"),
     "step, NaN in P": (lambda: mpt.LainiotisFilter(AXIS).step(np.zeros(2), np.nan * np.eye(2), [0]), "P: needs a .*"),
@@ -788,6 +792,17 @@ def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):
     else:
         with pytest.raises(ValueError, match="P: needs a covariance with a prediction whose variances doubles hold"):
             each.coefficients(6)
+
+
+def test_a_vague_start_is_compared_with_the_variances_that_are_used():
+    """The model's R, 1e-12, would make P0 too vague; the variances of the measurements replace it."""
+    model = mpt.LinearModel(F=[[1]], H=[[1]], Q=[[0.01]], R=[[1e-12]], P0=[[1e20]])
+    z = np.ones((5, 1))
+    found = mpt.KalmanFilter(model, r=np.ones((5, 1))).estimates(z)
+    exact = mpt.KalmanFilter(replace(model, R=np.eye(1))).estimates(z)
+    np.testing.assert_allclose(found.P, exact.P, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"P0: needs variances of what is measured below 1e\+29 the smallest r"):
+        mpt.KalmanFilter(model, r=np.full((5, 1), 1e-12)).filter(z)
 
 
 def test_a_variance_below_zero_is_refused():

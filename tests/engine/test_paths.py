@@ -268,8 +268,6 @@ class FadingFilter(RecursiveFilter):
 
     alpha: float
 
-    optimal = False
-
     def next_step(self, P, seen):
         F, Q = self.model.F, self.model.Q
         H, R = masked(self.model.H, self.model.R, seen)
@@ -278,10 +276,18 @@ class FadingFilter(RecursiveFilter):
         return (np.eye(len(F)) - K @ H) @ F, K, corrected_covariance(P, K, H, R)
 
 
-class Textbook(FadingFilter):
-    """With alpha = 1 it is the Kalman filter, and has all that one has."""
+@dataclass(frozen=True, eq=False)
+class OfConstantGain(RecursiveFilter):
+    """A filter of one's own that keeps the gain of the steady state, which P0 is."""
 
-    optimal = True
+    def next_step(self, P, seen):
+        K = self.gain * seen.all()
+        F, Q, H, R = self.model.F, self.model.Q, self.model.H, self.model.R
+        return (np.eye(len(F)) - K @ H) @ F, K, corrected_covariance(F @ P @ F.T + Q, K, H, R)
+
+    @property
+    def gain(self):
+        return mpt.SteadyStateFilter.from_kalman(self.model).B
 
 
 @settings(max_examples=12)
@@ -301,17 +307,45 @@ def test_a_filter_of_ones_own_is_one_method(case, rows, alpha):
             x, P = fading.step(x, P, z_k)
             np.testing.assert_allclose(x, loops[i].x[k], **SAME)
             np.testing.assert_allclose(P, loops[i].P[k], **SAME)
-    with pytest.raises(
-        TypeError, match="smooth: needs a filter whose P is that of the best estimate, got a FadingFilter"
-    ):
-        fading.smooth(case.z)
+    if alpha > 1:
+        with pytest.raises(TypeError, match="smooth: needs a filter of optimal gain, got a FadingFilter"):
+            fading.smooth(case.z)
     with patch.object(partition, "rows_per_piece", lambda N, tracks: min(N, rows)):
         both = fading.estimates(case.z)
         agree(both.x, both.P, loops, near={"rtol": 1e-5, "atol": 1e-5})  # pieces fit together to 1e-6 sigma
-        if alpha == 1:
-            textbook = Textbook(model, alpha)
-            all_that_a_filter_says_is(loops, textbook, case.z)
-            agree(*textbook.smooth(case.z), smoothed(case, loops), near=SMOOTHED)
+        if alpha == 1:  # it is the Kalman filter, and has all that one has
+            all_that_a_filter_says_is(loops, fading, case.z)
+            agree(*fading.smooth(case.z), smoothed(case, loops), near=SMOOTHED)
+
+
+class FourTimesP:
+    """A step of one's own, to be put before that of a filter."""
+
+    def next_step(self, P, seen):
+        return super().next_step(4 * P, seen)
+
+
+@pytest.mark.parametrize("filter_of", [mpt.KalmanFilter, mpt.LainiotisFilter])
+def test_a_step_of_ones_own_may_come_from_a_second_parent(filter_of):
+    """The faster ways are those of the filter's step, not of this one."""
+
+    class Bold(FourTimesP, filter_of):
+        pass
+
+    bold = Bold(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.eye(2)))
+    z, x, P = np.array([[1.0], [np.nan], [3.0]]), np.zeros(2), bold.P0
+    for x_k, z_k in zip(bold.filter(z), z, strict=True):
+        x, P = bold.step(x, P, z_k)
+        np.testing.assert_allclose(x_k, x, **SAME)
+    assert not bold.optimal
+
+
+def test_a_constant_gain_of_ones_own_is_not_smoothed():
+    """From P0, the steady P, its gain is the Kalman gain; after a gap it is not."""
+    axis = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)
+    own = OfConstantGain(replace(axis, P0=mpt.SteadyStateFilter.from_kalman(axis).P))
+    with pytest.raises(TypeError, match="smooth: needs a filter of optimal gain, got a OfConstantGain"):
+        own.smooth(np.array([[1.0], [np.nan], [3.0]]))
 
 
 @given(cases(timed=True), cases(timed=True), st.integers(0, 3))

@@ -25,7 +25,7 @@ def track():
     return mpt.KalmanFilter(model()), z
 
 
-def test_a_clean_track_is_one_piece(track):
+def test_a_clean_track_is_one_segment(track):
     kf, z = track
     np.testing.assert_array_equal(mpt.gated(kf, z), 0)
 
@@ -39,13 +39,13 @@ def test_single_outliers_are_refused_and_nothing_else(track):
     assert number.max() == 0
 
 
-def test_a_jump_that_stays_begins_a_piece_at_its_first_fix(track):
+def test_a_jump_that_stays_begins_a_segment_at_its_first_fix(track):
     kf, z = track
     z[200:] += 500.0
     np.testing.assert_array_equal(mpt.gated(kf, z), np.repeat([0, 1], 200))
 
 
-def test_a_jump_whose_first_fix_is_an_outlier_begins_a_piece_without_it(track):
+def test_a_jump_whose_first_fix_is_an_outlier_begins_a_segment_without_it(track):
     kf, z = track
     z[200:] += 500.0
     z[200] -= 90.0
@@ -179,6 +179,34 @@ def test_many_rows_at_once_are_judged_as_one_after_the_other(seed, monkeypatch):
     assert sum(map(len, at_once)) < 397
 
 
+def forgetful(dt, tau=20.0, q=0.04):
+    """A velocity that is forgotten within tau seconds; Q loses its digits over steps below 1e-4 s."""
+    a, b = np.exp(-dt / tau), -np.expm1(-dt / tau)
+    Q_sv = tau**2 * b**2 / 2
+    Q = [[tau**2 * (dt - tau * (b + b**2 / 2)), Q_sv], [Q_sv, tau * b * (1 + a) / 2]]
+    return np.array([[1, tau * b], [0, a]]), q * np.array(Q)
+
+
+@pytest.mark.parametrize(
+    ("made", "same_time"),
+    [
+        (model(), slice(696, 700)),
+        (mpt.LinearModel(transition=forgetful, dt=1.0, H=[[1, 0]], R=[[0.5]], P0=np.eye(2)), slice(499, 501)),
+    ],
+)
+def test_many_rows_at_once_may_begin_at_a_step_of_zero(made, same_time):
+    """The last four fixes have one time; or a transition that has no digits for steps near zero."""
+    t = np.arange(700.0)
+    t[same_time] = t[same_time.start]
+    begin = same_time.start + 1  # 200 fixes after the fault
+    _, z = mpt.simulate(mpt.constant_velocity(dt=1.0, q=0.04, r=0.5), 700, np.random.default_rng(3))
+    z = z * np.ones(made.m)
+    z[begin - gate.ONE_BY_ONE - 1] += 500.0
+    z[same_time] = z[same_time.start]
+    number = mpt.gated(mpt.KalmanFilter(made, t=t), z)
+    np.testing.assert_array_equal(np.flatnonzero(number == -1), [begin - gate.ONE_BY_ONE - 1])
+
+
 @pytest.mark.parametrize(
     ("kf", "z", "given", "said"),
     [
@@ -219,7 +247,7 @@ def test_what_has_no_gate_is_refused_by_name(kf, z, given, said):
         mpt.gated(kf, z, **given)
 
 
-def test_nothing_to_see_is_no_piece():
+def test_nothing_to_see_is_no_segment():
     np.testing.assert_array_equal(mpt.gated(mpt.KalmanFilter(model()), np.full((5, 2), np.nan)), -1)
 
 

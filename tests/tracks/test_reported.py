@@ -309,6 +309,26 @@ def test_a_stop_is_found_beside_errors_that_last(rho, sigma):
     assert found["kilometres"] == pytest.approx(v.sum() / 1000, rel=0.02)
 
 
+def test_a_walk_with_stops_of_half_a_minute_to_two_has_its_length_and_its_time_in_motion():
+    """Fixes with an error that lasts for half a minute; the time before a stop and after it counted as rest."""
+    rng = np.random.default_rng(1)
+    t = np.arange(3600.0)
+    stops, begin = np.zeros(3600, dtype=bool), 100
+    while begin < 3600:
+        end = begin + int(rng.uniform(30, 120))
+        stops[begin:end] = True
+        begin = end + int(rng.uniform(100, 300))
+    heading = np.cumsum(rng.normal(0, 0.03, 3600))
+    v = np.where(stops, 0.0, 1.4)
+    true = np.cumsum(np.column_stack([np.sin(heading), np.cos(heading)]) * v[:, None], axis=0)
+    error = 1.5 * rng.standard_normal((3600, 2))
+    for k in range(1, 3600):
+        error[k] = np.exp(-1 / 30) * error[k - 1] + np.sqrt(1 - np.exp(-2 / 30)) * error[k]
+    found = clean(t, true + error).summary()
+    assert found["moving_seconds"] == pytest.approx((~stops).sum(), rel=0.05)
+    assert found["kilometres"] == pytest.approx(v.sum() / 1000, rel=0.03)
+
+
 def test_a_player_who_runs_about_in_a_small_place_is_no_stop():
     t = np.arange(600.0)
     z = 8 * np.column_stack([np.sin(t / 3), np.sin(t / 4)]) + np.random.default_rng(2).normal(0, 0.3, (600, 2))
@@ -382,3 +402,10 @@ def test_the_time_in_motion_of_a_glider_is_known_although_its_speed_is_not():
     found = clean(t, z + np.random.default_rng(4).normal(0, 3.0, z.shape)).summary()
     assert found["speed_error_km_h"] > 3.6 * 0.5
     assert found["moving_seconds"] == pytest.approx(1797, abs=6)
+
+
+def test_a_cleaned_track_is_equal_to_itself_only():
+    c, again = (clean(*SHORT[::2]) for _ in range(2))
+    assert c == c
+    assert c != again
+    assert len({c, again}) == 2

@@ -452,9 +452,9 @@ def test_radians_are_asked_for_and_the_date_is_told(tmp_path):
 def test_so_many_refused_fixes_are_called_no_faults():
     z, _, _ = positions()
     c = tracks.clean(np.arange(300.0), z)
-    c.pieces[100:130] = -1
+    c.segments[100:130] = -1
     assert c.unusual == []
-    c.pieces[130] = -1
+    c.segments[130] = -1
     words = "10% of the fixes are refused. So many are hardly faults: are digits missing, or is the noise large?"
     assert words in in_one_line(c.report())
 
@@ -589,33 +589,34 @@ def test_errors_of_q_hold_on_half_an_hour_that_is_calm_and_wild_by_turns():
     assert 0.8 < np.std(np.log(q), ddof=1) / mpt.metrics.rms(errors) < 1.35
 
 
-def pieces_of(rng, N):
-    """The stretch of each of N fixes: 2 to 5 of them, with refused fixes inside and between."""
-    pieces = np.sort(rng.integers(0, rng.integers(2, 6), N))
-    pieces = np.unique(pieces, return_inverse=True)[1]
-    for k in range(pieces.max() + 1):
-        own = np.flatnonzero(pieces == k)
-        pieces[own[2:][rng.random(len(own[2:])) < 0.3]] = -1
-    return pieces
+def segments_of(rng, N):
+    """The segment of each of N fixes: 2 to 5 of them, with refused fixes inside and between."""
+    segments = np.sort(rng.integers(0, rng.integers(2, 6), N))
+    segments = np.unique(segments, return_inverse=True)[1]
+    for k in range(segments.max() + 1):
+        own = np.flatnonzero(segments == k)
+        segments[own[2:][rng.random(len(own[2:])) < 0.3]] = -1
+    return segments
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_stretches_on_one_line_begin_where_the_one_before_has_ended_an_hour_later(seed):
+def test_segments_on_one_line_begin_where_the_one_before_has_ended_an_hour_later(seed):
     """Moved as a whole, and told from which fixes their start is known."""
     rng = np.random.default_rng(seed)
     N = int(rng.integers(30, 80))
-    t, z, pieces = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 2)).cumsum(axis=0), pieces_of(rng, N)
+    t, z = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 2)).cumsum(axis=0)
+    segments = segments_of(rng, N)
     relative = rng.uniform(0.5, 2.0, (N, 2)) if seed % 2 else None
     noise, scale = cleaning.Noise(1.0, 1.0, False), cleaning.Scale(1.0, 2.0, 1e-6)
-    line = line_of(t, z, pieces, noise, scale, relative)
+    line = line_of(t, z, segments, noise, scale, relative)
     before = None
-    for k in range(pieces.max() + 1):
-        own = np.flatnonzero(pieces == k)
+    for k in range(segments.max() + 1):
+        own = np.flatnonzero(segments == k)
         here = np.flatnonzero(line.number == k)
         span = np.arange(own[0], own[-1] + 1)
         np.testing.assert_array_equal(line.rows[here], span)
         np.testing.assert_allclose(np.diff(line.t[here]), np.diff(t[span]), rtol=1e-9, atol=1e-9)
-        kept = pieces[span] >= 0
+        kept = segments[span] >= 0
         np.testing.assert_allclose((line.z[here] - line.moved[here])[kept], z[span][kept], atol=1e-9)
         assert np.isnan(line.z[here][~kept]).all()
         assert np.ptp(line.moved[here], axis=0).max() == 0
@@ -630,17 +631,17 @@ def test_stretches_on_one_line_begin_where_the_one_before_has_ended_an_hour_late
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_way_and_the_time_in_motion_are_those_within_stretches(seed):
-    """What lies between two stretches is no way, and the time of a pause is no motion."""
+def test_the_way_and_the_time_in_motion_are_those_within_segments(seed):
+    """What lies between two segments is no way, and the time of a pause is no motion."""
     rng = np.random.default_rng(seed)
     N = int(rng.integers(30, 80))
-    pieces = pieces_of(rng, N)
+    segments = segments_of(rng, N)
     t, x, P = np.cumsum(rng.uniform(0.5, 3.0, N)), rng.standard_normal((N, 4)), np.zeros((N, 4, 4))
     P[:, 1, 1] = rng.uniform(0.01, 0.2, N)
     inside = np.zeros(N, bool)
     metres = seconds = 0.0
-    for k in range(pieces.max() + 1):
-        own = np.flatnonzero(pieces == k)
+    for k in range(segments.max() + 1):
+        own = np.flatnonzero(segments == k)
         inside[own[0] : own[-1] + 1] = True
         for row in range(own[0] + 1, own[-1] + 1):
             metres += np.hypot(x[row, 0] - x[row - 1, 0], x[row, 2] - x[row - 1, 2])
@@ -648,7 +649,7 @@ def test_the_way_and_the_time_in_motion_are_those_within_stretches(seed):
     speed = np.hypot(x[inside, 1], x[inside, 3])
     x[~inside] = np.nan
     noise, scale = cleaning.Noise(1.0, 1.0, False), cleaning.Scale(1.0, 2.0, 1e-6)
-    line = line_of(t, x[:, ::2], pieces, noise, scale)
+    line = line_of(t, x[:, ::2], segments, noise, scale)
     c = SimpleNamespace(t=t, x=x, P=P, line=line, source=None)
     expected = [metres / 1000, seconds, 3.6 * np.median(speed[speed > 0.5]), 3.6 * np.quantile(speed, 0.999)]
     expected.append(3.6 * np.sqrt(np.median(P[inside, 1, 1])))
@@ -656,8 +657,8 @@ def test_the_way_and_the_time_in_motion_are_those_within_stretches(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_q_and_r_of_a_long_track_are_those_of_stretches_that_begin_with_two_fixes(seed, monkeypatch):
-    """As many stretches as fit, from the first fix to the last; the first two fixes of each tell where it begins."""
+def test_q_and_r_of_a_long_track_are_those_of_segments_that_begin_with_two_fixes(seed, monkeypatch):
+    """As many segments as fit, from the first fix to the last; the first two fixes of each tell where it begins."""
     rng = np.random.default_rng(seed)
     most, each, N = 60, 12, int(rng.integers(61, 300))
     monkeypatch.setattr(lines, "MOST_FITTED", most)
