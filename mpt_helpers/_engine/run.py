@@ -72,7 +72,7 @@ def _on_columns(estimator, epochs, x, covariances):
 def _require_held(held):
     """Raise a ValueError where the covariances exceeded double precision."""
     if not held:
-        need = "covariances within double precision (shorter gaps, or measurements of more similar precision)"
+        need = "covariances within double precision (shorter gaps, a smaller P0, more similar variances)"
         checks.refuse("z", need, "an overflow or a negative variance")
 
 
