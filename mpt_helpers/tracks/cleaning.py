@@ -42,6 +42,7 @@ from .line import (
     log_errors,
     on_one_line,
     scale_of,
+    with_upper_limit,
 )
 from .readers import Recording
 
@@ -142,7 +143,8 @@ class Cleaned:
     q, r : float
         Process noise (m²/s³) and variance of a fix (m²), the same for all axes.
     log_errors : dict
-        Standard errors of their logarithms, infinite for an r that is the rounding of the numbers.
+        Standard errors of their logarithms. That of r is infinite where r is no estimate, but the rounding of the
+        numbers, or an upper limit: on a sparse track the motion hides the noise of the fixes.
     rounding : bool
         Whether r is the rounding of the numbers: the recorder has smoothed the positions, and their noise is not seen.
     band : Band or None
@@ -376,6 +378,7 @@ def clean(
         noise = fitted(line, noise, scale, near=before is not None)
     say("smoothing")
     line = line_of(segments)
+    noise = with_upper_limit(line, noise, scale)
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]

@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from .. import _checks as checks
 from .. import fitting
 from .._checks import Array
 from ..kalman import KalmanFilter
 from ..model import constant_velocity, stack
-from ..search import AROUND, along_a_line
+from ..search import AROUND, SIGNIFICANT, along_a_line
 
 # Segments are put an hour or more apart, so that one tells nothing of the next. In T seconds without a fix the variance
 # of a velocity grows by q T, which must reach the square of FORGOTTEN usual speeds. But that of a position, q T³ / 3,
@@ -26,16 +27,23 @@ MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
 RATIOS = math.log(1e-8), math.log(1e6)
 ALL_OVER = math.log(100) * np.arange(-3.5, 4)
 RATIO_FOUND = 0.02
+# An upper limit of r is looked for up to so many decades above r.
+DECADES = 14
 # Robust sizes: the value that a tenth exceeds. Of the squares of normal numbers it is 2.71 variances.
 TENTH, OF_TENTH = 0.9, 2.7055
 
 
 class Noise(NamedTuple):
-    """q (m²/s³) and r (m²), the same for all axes, and whether r is the least possible, the rounding of the numbers."""
+    """q (m²/s³) and r (m²), the same for all axes.
+
+    rounding: whether r is the least possible, the rounding of the numbers
+    limit: whether r is only an upper limit
+    """
 
     q: float
     r: float
     rounding: bool
+    limit: bool = False
 
 
 class Scale(NamedTuple):
@@ -214,9 +222,31 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
     return Noise(float(q), scale.rounding, True)
 
 
+def with_upper_limit(line: Line, noise: Noise, scale: Scale) -> Noise:
+    """Return the Noise with the largest r that fits as well, where ten times r does so; else as it is.
+
+    On a sparse track the motion between two fixes hides the noise of the fixes. The likelihood is flat down to r = 0,
+    and a covariance from any r of these would be too small.
+    """
+    likelihood = likelihood_of(_sample(line), scale)
+    at, ten, unit = np.log([noise.q, noise.r]), math.log(10), np.array([0.0, 1.0])
+    least = likelihood.with_best_scale(at)[1]
+
+    def fits_worse(s):
+        return likelihood.with_best_scale(at + s * unit)[1] - least - SIGNIFICANT
+
+    worse = next((k * ten for k in range(1, DECADES + 1) if fits_worse(k * ten) > 0), None)
+    if worse is None or worse == ten:
+        return noise
+    s = brentq(fits_worse, worse - ten, worse, xtol=RATIO_FOUND)
+    log_c = likelihood.with_best_scale(at + s * unit)[0]
+    q, r = np.exp(at + s * unit + log_c)
+    return Noise(float(q), float(r), rounding=False, limit=True)
+
+
 def log_errors(line: Line, noise: Noise, scale: Scale) -> dict[str, float]:
-    """Return the standard errors of log q and log r, as `fit` does; infinite for an r that is the rounding."""
-    known = np.arange(1 if noise.rounding else 2)
+    """Return the standard errors of log q and log r, as `fit` does; infinite for an r that is no estimate."""
+    known = np.arange(1 if noise.rounding or noise.limit else 2)
     blocks = fitting.blocks_of(from_an_unknown_start(line, *noise[:2], scale), line.z[:, :1])
     blocks = blocks._replace(of_rows=np.repeat(blocks.of_rows, line.z.shape[1], axis=1))  # one for all axes of a fix
     errors = fitting.log_errors(likelihood_of(line, scale), np.log([noise.q, noise.r]), known, blocks)
