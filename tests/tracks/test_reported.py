@@ -76,6 +76,17 @@ def test_bursts_at_one_wrong_position_are_refused_and_no_good_fix_is(kind, posit
     assert c.r == pytest.approx(4.0, rel=0.2)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_wrong_fixes_at_the_end_of_a_tunnel_are_refused(seed):
+    """Those after 45 s without a fix are no further off than the motion allows, but the track jumps back from them."""
+    t, _, z = ride(seed=seed)
+    z[345:349] += 60.0, -80.0
+    left = (t < 300) | (t >= 345)
+    c = clean(t[left], z[left])
+    np.testing.assert_array_equal(c.refused, np.arange(300, 304))
+    assert c.stretches == 1
+
+
 @pytest.mark.parametrize("rows", [(0, 40), (100, 160), (560, 600)])
 def test_a_wrong_position_while_the_mobile_rests_is_refused(rows):
     t, true, z = ride()
@@ -408,6 +419,7 @@ def test_a_cleaned_track_is_equal_to_itself_only():
     c, again = (clean(*SHORT[::2]) for _ in range(2))
     assert c == c
     assert c != again
+    assert c.band != again.band
     assert len({c, again}) == 2
 
 
