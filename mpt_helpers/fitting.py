@@ -144,7 +144,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         origin = np.log(list(guess.values()))
         if not math.isfinite(likelihood(origin)):
             metrics.log_likelihood(estimator, z)  # raises, and says why
-            checks.refuse("start", "parameters under which z has a likelihood", guess)
+            checks.refuse("start", "parameters at which log L is finite", guess)
         near = _search_along_ratio(likelihood, origin, estimator.model.n)
         best = lowest(likelihood, origin) if near is None else newton(likelihood, near)
         # If log L does not fall as a parameter goes towards zero, z gives only an upper limit of it.
@@ -335,7 +335,7 @@ def _warnings(found, z, guess, bounded):
         if not has_a_limit:
             yield f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known"
         elif error > UNKNOWN:
-            yield f"{name}: the likelihood is flat, so z does not tell it, or not apart from the other parameters"
+            yield f"{name}: the likelihood is flat, so z does not determine it, or only together with other parameters"
     if (distance := _distance_of_x0(found.filter, z)) > DOUBTFUL_START_DISTANCE:
         away = f"{distance:.0f} standard deviations from what x0 and P0 expect"
         yield f"the first measurements are {away}: the fit explains the distance as motion or noise"

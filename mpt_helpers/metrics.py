@@ -289,8 +289,8 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
         correlation = float((clipped[1:] * clipped[:-1]).sum() / np.square(clipped).sum())
         if abs(correlation) > CORRELATED:
             size = "small" if correlation > 0 else "large"
-            why = f"q is too {size} beside r (are the two exchanged?), or the mobile moves in another way"
-            found["correlated"] = f"innovations are correlated by {correlation:.2f} with the ones before them: {why}"
+            why = f"q is too {size} for r (are the two exchanged?), or the model of motion is wrong"
+            found["correlated"] = f"successive innovations have a correlation of {correlation:.2f}: {why}"
     seen = np.isfinite(z)
     stopped = np.diff(estimator.times_of(len(z)).reshape(len(z), -1), axis=0) == 0  # (N-1, 1 or M)
     again = (stopped & (seen[1:] & seen[:-1]).any(axis=1)).any(axis=1)
@@ -331,7 +331,7 @@ def nees(errors: ArrayLike, P: ArrayLike) -> Array:
     """
     errors = checks.real_numbers("errors", errors, "numbers").astype(float)
     P = checks.real_numbers("P", P, "numbers").astype(float)
-    if errors.ndim not in (2, 3) or not np.isfinite(errors).all():  # NaN would count nothing
+    if errors.ndim not in (2, 3) or not np.isfinite(errors).all():  # a NaN would count as no error
         need = "an (N, n) or (N, n, M) array of finite numbers"
         checks.refuse("errors", need, f"shape {errors.shape}, or NaN or infinity")
     many = errors.ndim == 3
@@ -426,7 +426,7 @@ def error_moments(steady: SteadyStateFilter, truth: LinearModel, N: int, steps: 
     checks.instance("steady", steady, SteadyStateFilter)
     checks.instance("truth", truth, LinearModel)
     if not all(np.array_equal(getattr(truth, name), getattr(steady.model, name)) for name in "FH"):
-        checks.refuse("truth", "the F and H of the filter's model", "others")
+        checks.refuse("truth", "the F and H of the filter's model", "another F or H")
     steps = checks.count("steps", steps, least=0)
     mean, P = [], []
     e, C = truth.x0 - steady.model.x0, truth.P0

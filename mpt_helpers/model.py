@@ -84,8 +84,8 @@ class LinearModel(Immutable):
     P0: Array
     dt: float | None
     transition: Transition | None
-    # F, Q, the dt that they are for, and the transition: `replace` hands them on, and what is still the same object in
-    # the new model was not given anew.
+    # F, Q, the dt that they are for, and the transition. `replace` hands them on: an F that is still the same object
+    # has not been given anew.
     _made: tuple[Array, Array, float | None, Transition | None] = field(repr=False, compare=False)
 
     def __init__(
@@ -219,7 +219,7 @@ def _checked_step(transition, dt):
     F, Q = (checks.array("transition", each, (n, n)) for each in both)
     F_0, Q_0 = transition(0.0)
     if not np.array_equal(F_0, np.eye(n)) or np.any(Q_0):
-        checks.refuse("transition", "F = I and Q = 0 over a step of zero", "others")
+        checks.refuse("transition", "F = I and Q = 0 over a step of zero", "another F or Q")
     missed = max(half_step_gap(transition, dt))
     if missed > HALF_STEP_TOLERANCE:
         checks.refuse("transition", "two steps of dt / 2 to be one of dt", f"{missed:.2g} of their size between them")

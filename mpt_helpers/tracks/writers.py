@@ -13,8 +13,9 @@ import numpy as np
 from .geodesy import axes_at, earth_centred
 from .readers import moment_of
 
-Cleaned = Any  # that of `cleaning`, whose methods call this module
-# A fix of a GPX file, its tag and the rest of it; or a comment or text, in which there is none. Quotes may hold a >.
+Cleaned = Any  # the class of `cleaning`, which imports this module
+# A fix of a GPX file: its start tag, and the rest. Comments and CDATA come first, since they hold no fix; a value may
+# contain a >.
 FIX = re.compile(
     rb"""<!--.*?--> | <!\[CDATA\[.*?\]\]>
     | (?P<tag> <(?P<prefix>(?:[\w.-]+:)?)trkpt(?=[\s/>])(?:[^>"']|"[^"]*"|'[^']*')*> )
@@ -24,7 +25,7 @@ FIX = re.compile(
 
 
 def segment_of_rows(c: Cleaned) -> np.ndarray:
-    """Return the segment of every row that lies in one, refused ones too, and -1 of others."""
+    """Return the segment that each row lies in, refused rows included, and -1 outside of segments."""
     number = np.full(len(c.t), -1)
     number[c.line.rows] = c.line.number
     return number
@@ -60,7 +61,7 @@ def gpx_bytes(c: Cleaned) -> bytes:
     lat, lon = degrees_of(c, c.x[:, :4:2])
     data = c.source.recording.data
     count = sum(found["tag"] is not None for found in FIX.finditer(data))
-    if count != len(c.source.recording.time):  # a table, or a GPX file that is cut, of which nothing else is kept
+    if count != len(c.source.recording.time):  # a table, or a GPX file that is cut off: only its fixes are kept
         return _plain_gpx(c, lat, lon)
     starts = set(c.starts.tolist())
     fixes, row_of = itertools.count(), {int(fix): row for row, fix in enumerate(c.source.rows)}
@@ -82,7 +83,7 @@ def _with_number(tag, name, value):
 
 
 def _signed(data):
-    """Return a GPX file with a line that says what made it, after the declaration."""
+    """Return a GPX file with a comment after its declaration that names this package."""
     said = b"<!-- smoothed by mpt_helpers: refused fixes lie on the smoothed line, or are left out -->\n"
     declaration = re.match(rb"\s*(\xef\xbb\xbf)?<\?xml.*?\?>\s*", data, re.DOTALL)
     at = declaration.end() if declaration else 0
@@ -90,7 +91,7 @@ def _signed(data):
 
 
 def _plain_gpx(c, lat, lon):
-    """Return the rows that lie in segments as a GPX file of their own, a segment of the file for each."""
+    """Return the rows inside of segments as a new GPX file, with one trkseg for each segment."""
     recording, number = c.source.recording, segment_of_rows(c)
     lines = ['<?xml version="1.0" encoding="UTF-8"?>']
     lines.append('<gpx version="1.1" creator="mpt_helpers" xmlns="http://www.topografix.com/GPX/1/1"><trk>')

@@ -78,7 +78,7 @@ def draw_late():
     plots.finish(ax["error"], "", "reported minus true position (m)")
     plots.finish(ax["surprises"], "second", "surprises of the paper's filter, over their σ; grey: ± 2")
     fig.suptitle(
-        "The paper's filter is off by nine times its stated σ.\nOver a minute its own test sees nothing.",
+        "Fed with positions of now, the paper's filter\nis nine σ off. In a minute its test sees nothing.",
         weight="bold",
     )
     return fig

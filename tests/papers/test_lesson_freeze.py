@@ -158,13 +158,15 @@ def test_a_line_through_two_measurements_is_a_start_for_a_good_sensor_only(sigma
     exact = lesson.errors_from_two_measurements(sigma**2)
     np.testing.assert_allclose(rms, exact, rtol=0.02)  # known to 0.5 %
     if sigma == 10:
-        says("Its first speed is wrong by 14 m/s")
+        says("The first speed is wrong by 14 m/s")
         assert round(np.sqrt(2) * sigma) == 14
-        assert f"frozen: typically off by up to {exact.max():.0f} m\n" in shown(CELLS["two"])
-        says("The metres, the 60 m and the table of gaps are exact")
+        assert f"frozen: its typical error peaks at {exact.max():.0f} m\n" in shown(CELLS["two"])
+        says("The metres, the 60 m and the table of gaps are typical errors computed exactly")
+        says("its typical error peaks at 60 m, and that of the list at 10 m")
+        assert "the list: its typical error peaks at 10 m" in shown(CELLS["two"])
         assert round(exact.max()) == 60
     else:
-        says("A good guess, as that of the dash-dotted filter, is nearly enough with our sensor.")
+        says("With our sensor a frozen filter that begins on the first two measurements is nearly as good.")
         assert exact.max() < 1.2 * sigma
 
 
@@ -176,11 +178,11 @@ def test_the_steps_to_freeze(taught):
 
 
 def test_the_operations():
-    says("By the paper's count a full Kalman step takes 69 operations and a frozen one 10.")
+    says("By the paper's count a full Kalman step takes 69 operations and a frozen one, in matrices, 10.")
     assert burden.total(burden.kalman(2, 1)) == 69
     assert burden.total(burden.steady_state(2, 1)) == 10
     says("59 of 69 operations a step as a paper of 2016 counts")
-    says("`drive` takes seven, its counter aside.")
+    says("Written out, as in `drive`, it takes seven, the counter aside.")
     _, _, loop = source(CELLS["filter"]).partition("def drive")
     sums = [each for each in ast.walk(ast.parse("def drive" + loop)) if isinstance(each, ast.BinOp)]
     counting = {"k + 1", "len(listed) - 1"}
@@ -191,7 +193,7 @@ def test_the_error_of_a_prediction_holds_once_the_list_has_ended(taught):
     """At 20 m/s, which the list is not told, with a car that is pushed as Q says."""
     says("it is typically off by 0.23 m now, and by 1.1 m five seconds ahead")
     says("Tell the driver twice the typical error: here 2.2 m at five seconds.")
-    says("Once the list has ended, $P$ says how wrong the filter is")
+    says("Once the list has ended, the last $P$ says how wrong the filter is")
     says("Do not use the forecast before the list has ended: until then its error is larger than stated.")
     far, pushed = taught["motion"](2, 5, 0.01)
     made, error = [], np.diag([0.0, 400.0])  # the mean error of the speed, squared
@@ -207,9 +209,12 @@ def test_the_error_of_a_prediction_holds_once_the_list_has_ended(taught):
 
 def test_a_miss_costs_a_frozen_gain_little_and_ten_much(taught):
     """The table's errors are those of simulated cars; ours after ten, of the package's own filters."""
-    says("one costs 1 %, but after ten its error five seconds ahead is up to 2.2 times that of a filter which computes")
+    says(
+        "three cost 6 %, but after ten its error five seconds ahead is up to 2.2 times that of a filter which computes"
+    )
     ratio = taught["largest_ratio"](10, 2, 0.01)
     assert round(ratio, 1) == 2.2
+    assert round(taught["largest_ratio"](3, 2, 0.01), 2) == 1.06
     model = VELOCITY
     rng = np.random.default_rng(5)
     runs = 2000

@@ -137,11 +137,9 @@ def test_axes_that_are_linked():
     says("So for equal axes a correlation of 0.5 costs 2 % in each coordinate")
     for link in ("errors", "changes"):
         assert round(lesson.losses_apart([1, 1, 1], **{link: 0.5})[0, 0]) == 2
-    says("With one half between the errors, they state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
+    says("the small filters state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says(
-        "With 0.9 where 0.3 is true, it states a σ of 4.4 m after the silence where 10.9 m is true, more than axes kept"
-    )
+    says("told 0.9 where 0.3 is true, it states a σ of 4.4 m after the silence where 10.9 m is true, and axes kept")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
@@ -210,7 +208,7 @@ def test_the_frozen_step_is_that_of_the_package(settled, stacked):
 
 
 def test_errors_that_last_are_not_stated():
-    says("If 0.99 of each error stays for the next second, this filter states a σ of 0.23 m where 0.33 m is true, no")
+    says("If errors fade by only 1 % a second, this filter states a σ of 0.23 m where 0.33 m is true: it gains nothing")
     last = lesson.sigma_if_errors_last(0.99, steps=5000)
     assert round(last, 2) == 0.33
     assert last > np.sqrt(0.1)
@@ -227,3 +225,22 @@ def test_a_corner_puts_the_filter_off(settled):
         off = (np.eye(2) - K @ lesson.AXIS.H) @ (F @ off - G * change)
         found.append(-off[0, 0])
     assert [round(each, 1) for each in found] == [0.3, 0.7, 0.7, 0.6]
+
+
+def test_a_gain_that_has_not_moved_in_ten_times_as_many_steps_is_settled(taught):
+    says("Run ten times as many steps as it took to settle, and freeze if the gain has not moved by a hundredth.")
+    rng, frozen = np.random.default_rng(0), 0
+    for _ in range(30):
+        dt, q, r = 10 ** rng.uniform([-2, -4, -3], [1, 2, 3])
+        F, G = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt**2 / 2], [dt]])
+        model = mpt.LinearModel(F=F, H=[[1.0, 0.0]], Q=q * G @ G.T, R=[[r]], P0=np.diag([1e6, 4.0]))
+        P = np.concatenate([model.P0[None], mpt.KalmanFilter(model).covariances(20_000)])
+        rest = 1 + np.argmax(np.isclose(P[1:], P[:-1], rtol=1e-3, atol=0).all(axis=(1, 2)))
+        if 10 * rest >= len(P):
+            continue
+        at_rest, later = P[rest, :, 0], P[10 * rest, :, 0]
+        if np.abs(later / at_rest - 1).max() < 0.01:
+            frozen += 1
+            limit = mpt.SteadyStateFilter.from_kalman(model).B[:, 0]
+            np.testing.assert_allclose(later / r, limit, rtol=1e-4)
+    assert frozen > 15

@@ -211,7 +211,7 @@ def test_two_receivers_in_turn_are_asked_about(apart, asked, tmp_path):
     t, _, z = ride()
     z[::2, 1] += apart
     c = mpt.track(gpx(tmp_path / "two.gpx", t, *degrees(z)))
-    assert ("every other fix lies on a way of its own" in " ".join(c.report().split())) == asked
+    assert ("every other fix lies on a path of its own" in " ".join(c.report().split())) == asked
 
 
 @pytest.mark.parametrize("step", [0.7, 1.5, 2.5])
