@@ -224,7 +224,7 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
 
 
 def with_upper_limit(line: Line, noise: Noise, scale: Scale) -> Noise:
-    """Return the Noise with the upper limit of r if the likelihood is flat up to ten times r, else the same Noise.
+    """Return the Noise with the upper limit of r if r may be a thousandth or ten times as large, else the same Noise.
 
     On a sparse track the motion between two fixes hides their noise: the likelihood is flat down to r = 0. The search
     may end at any r there, and a covariance that follows from a small one would claim a precision that nothing shows.
@@ -237,8 +237,10 @@ def with_upper_limit(line: Line, noise: Noise, scale: Scale) -> Noise:
     def fits_worse(s):
         return likelihood.with_best_scale(at + s * unit)[1] - least - SIGNIFICANT
 
-    worse = next((k * ten for k in range(1, DECADES + 1) if fits_worse(k * ten) > 0), None)
-    if worse is None or worse == ten:
+    if fits_worse(-3 * ten) > 0 or fits_worse(ten) > 0:
+        return noise
+    worse = next((k * ten for k in range(2, DECADES + 1) if fits_worse(k * ten) > 0), None)
+    if worse is None:
         return noise
     s = brentq(fits_worse, worse - ten, worse, xtol=RATIO_FOUND)
     log_c = likelihood.with_best_scale(at + s * unit)[0]
