@@ -28,7 +28,7 @@ KINDS = (
 )
 SIGNS = "{'N': 1, 'S': -1, 'E': 1, 'W': -1}"
 # How cells may look, and how to make numbers or times of their COLUMN.
-WAYS = (
+CONVERSIONS = (
     (r"\d{13,}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms'), 'us' or 'ns'; of digits format='%Y%m%d%H%M%S'"),
     (r"\d{5}\.\d+", "days of a spreadsheet? pandas.to_datetime(COLUMN, unit='D', origin='1899-12-30')"),
     (
@@ -45,7 +45,7 @@ WAYS = (
 )
 # Several mobiles: a column changes its value at least so often, has so many fixes of each value, and these lie so much
 # farther from the line between their neighbours in time than from that between their neighbours of the same value.
-CHANGES, OF_EACH, FARTHER = 10, 5, 2.5
+FEWEST_CHANGES, FIXES_OF_EACH, FARTHER = 10, 5, 2.5
 
 
 def refuse_other_kinds(path: Path, data: bytes) -> None:
@@ -56,9 +56,9 @@ def refuse_other_kinds(path: Path, data: bytes) -> None:
             raise ValueError(f"{path}: needs a GPX or CSV file, got {kind}: {way.replace('FILE', path.name)}")
 
 
-def way_of(column: str, text: str) -> str:
+def conversion_of(column: str, text: str) -> str:
     """Return a cell of a column, and the way to convert the column."""
-    way = next(way for looks, way in WAYS if re.fullmatch(looks, text.strip()))
+    way = next(way for looks, way in CONVERSIONS if re.fullmatch(looks, text.strip()))
     return f"{text!r:.40}: {way.replace('COLUMN', f'frame[{column!r}]')}"
 
 
@@ -85,7 +85,7 @@ def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int
     for column, cells in others.items():
         values, value = np.unique([cells[row] for row in rows], return_inverse=True)
         changes = np.diff(value) != 0
-        if changes.sum() < CHANGES or len(values) * OF_EACH > len(rows):
+        if changes.sum() < FEWEST_CHANGES or len(values) * FIXES_OF_EACH > len(rows):
             continue
         mixed = np.append(changes, False) | np.append(False, changes)
         apart = _off_the_line(time, position, in_turn)[mixed]
@@ -102,7 +102,7 @@ def take_turns(time: Array, position: Array) -> bool:
 
     Rounded times of one mobile have the same effect, but move no fix farther than the mobile goes in two steps.
     """
-    if len(time) < CHANGES:
+    if len(time) < FEWEST_CHANGES:
         return False
     apart = np.median(_off_the_line(time, position, np.arange(len(time))))
     own = np.median(_off_the_line(time, position, np.argsort(np.arange(len(time)) % 2, kind="stable")))

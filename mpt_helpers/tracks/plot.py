@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .report import KM_H, numbers_of_the_way
+from .report import KM_H, distance_and_speeds
 from .writers import degrees_of, segment_of_rows, velocities_of
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _draw_map(ax, c, line, refused, start):
     ax.set_xlabel("east (km)")
     name = "track" if c.source is None else Path(c.source.path).name.encode(errors="replace").decode()
     name = name if len(name) <= 26 else f"{name[:23]}..."
-    title = f"{name}: {numbers_of_the_way(c)['kilometres']:.1f} km"
+    title = f"{name}: {distance_and_speeds(c)['kilometres']:.1f} km"
     ax.set_title(title, loc="left", parse_math=False)  # a name may have $ in it
     ax.set_ylabel("north (km)")
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import Array
-from .doubts import refuse_other_kinds, refuse_several, refuse_signs, way_of
+from .doubts import conversion_of, refuse_other_kinds, refuse_several, refuse_signs
 
 NO_TIME = -(2**63)  # a missing time, in microseconds; it is also the integer of numpy's NaT
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -68,10 +68,10 @@ def read(path: Path, columns: Mapping[str, str] | None = None) -> Recording:
     """Return the Recording of a GPX or CSV file, plain or gzipped. Raises ValueError for another file."""
     data, said = _contents(path)
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        return _of_csv(path, data.decode("utf-8-sig", errors="replace"), columns, said)
+        return _read_csv(path, data.decode("utf-8-sig", errors="replace"), columns, said)
     if columns:
         raise ValueError(f"{path}: is a GPX file, which has no columns to name, got {dict(columns)!r:.80}")
-    return _of_gpx(path, data, said)
+    return _read_gpx(path, data, said)
 
 
 def _contents(path):
@@ -96,7 +96,7 @@ def _contents(path):
     return data, said
 
 
-def _of_gpx(path, data, said):
+def _read_gpx(path, data, said):
     """Return the Recording of a GPX file, whose names may have a prefix; if it is cut off, of its complete fixes."""
     fixes, segments = [], 0
     parser, builder = expat.ParserCreate(), TreeBuilder()
@@ -124,7 +124,7 @@ def _of_gpx(path, data, said):
         raise ValueError(f"{path}: needs a recorded track, got no trkpt: routes and waypoints have no times")
     segment, lat, lon, time, height, hdop = map(list, zip(*fixes, strict=True))
     lat, lon = _numbers(path, "lat", lat), _numbers(path, "lon", lon)
-    time = _moments(path, "time", time, np.array([_time_of(text) for text in time]), "ISO 8601")
+    time = _whole_microseconds(path, "time", time, np.array([_microseconds(text) for text in time]), "ISO 8601")
     height, hdop = (np.array([_number(text) for text in texts]) for texts in (height, hdop))
     accuracy = np.full(len(time), math.nan)
     return Recording(time, lat, lon, None, height, hdop, accuracy, np.array(segment), tuple(said), data)
@@ -139,7 +139,7 @@ def _number(text):
     return value if math.isfinite(value) else math.nan
 
 
-def _time_of(text):
+def _microseconds(text):
     """Return the time in an ISO 8601 text, in microseconds, or NaN; without a zone it is UTC."""
     try:
         moment = datetime.fromisoformat(text.strip().replace("/", "-"))
@@ -149,16 +149,15 @@ def _time_of(text):
     return since // timedelta(microseconds=1) if abs(since) < timedelta(seconds=LATEST) else math.nan
 
 
-def _there(texts):
-    """Tell which cells of a column are not empty (N,)."""
-    return np.array([text.strip().lower() not in MISSING for text in texts], dtype=bool)
+def _is_empty(text):
+    return text.strip().lower() in MISSING
 
 
 def _checked(name, column, texts, values, need):
     """Return the values of a column, or refuse it as another format: many cells, or one with a comma, are unread."""
-    unread = [texts[row] for row in np.flatnonzero(np.isnan(values) & _there(texts))]
+    unread = [texts[row] for row in np.flatnonzero(np.isnan(values)) if not _is_empty(texts[row])]
     if len(unread) > MANY * len(texts) or any("," in text for text in unread):
-        raise ValueError(f"{name}: needs {need} in column {column!r}, got {way_of(column, unread[0])}")
+        raise ValueError(f"{name}: needs {need} in column {column!r}, got {conversion_of(column, unread[0])}")
     return values
 
 
@@ -167,13 +166,13 @@ def _numbers(name, column, texts):
     return _checked(name, column, texts, np.array([_number(text) for text in texts]), "decimal numbers")
 
 
-def _moments(name, column, texts, times, need="ISO 8601, Unix seconds, or seconds from 0"):
+def _whole_microseconds(name, column, texts, times, need="ISO 8601, Unix seconds, or seconds from 0"):
     """Return times of a column (N,), NaN where there is none, in whole microseconds."""
     times = _checked(name, column, texts, times, need)
     return np.where(np.isnan(times), NO_TIME, times).astype(np.int64)
 
 
-def _of_csv(path, text, columns, said):
+def _read_csv(path, text, columns, said):
     """Return the Recording of a CSV with a line of names; lines before it that begin with # are skipped."""
     lines = filter(str.strip, re.split(r"[\r\n]+", text))
     lines = list(itertools.dropwhile(lambda line: line.startswith("#"), lines)) or ["nothing"]
@@ -187,11 +186,12 @@ def _of_csv(path, text, columns, said):
     in_turn = zip(lines, [names, *rows], strict=False)
     wrong = [line for line, row in in_turn if line.count('"') % 2 or (len(names) > 1 and any(row[len(names) :]))]
     if wrong:
-        way = "pandas.read_csv(FILE, quoting=3, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
+        skip = "pandas.read_csv(FILE, quoting=3, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
+        way = f"are commas decimal, too? Then put ; between cells. Otherwise {skip}"
         need = f"{len(names)} cells in each line, as in {lines[0]!r:.60}, and quotes that close"
-        raise ValueError(f"{path}: needs {need}, got {wrong[0]!r:.60}: are commas decimal, too? Otherwise {way}")
+        raise ValueError(f"{path}: needs {need}, got {wrong[0]!r:.60}: {way}")
     cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
-    return _of_table(str(path), [name.strip() for name in names], cells, columns, said)
+    return _from_table(str(path), [name.strip() for name in names], cells, columns, said)
 
 
 def _is_cut(rows):
@@ -206,16 +206,16 @@ def read_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Recordin
     time = columns.get("time", "time") if isinstance(columns, Mapping) else "time"
     if time not in names and (frame.index.name == time or _kind(frame.index) in ("M", "m")):
         names, values, columns = [*names, "the index"], [*values, frame.index], {**(columns or {}), "time": "the index"}
-    return _of_table("frame", names, values, columns, [], frame.index)
+    return _from_table("frame", names, values, columns, [], frame.index)
 
 
 def _kind(values):
     return getattr(getattr(values, "dtype", None), "kind", "")
 
 
-def _of_table(name, names, values, columns, said, index=None):
+def _from_table(name, names, values, columns, said, index=None):
     """Return the Recording of a table of named columns of numbers, times or texts."""
-    found = _found(name, names, {} if columns is None else columns)
+    found = _named_columns(name, names, {} if columns is None else columns)
     texts = {column: list(map(str, each)) for column, each in zip(names, values, strict=True)}
     numbers = {what: _numbers(name, column, texts[column]) for what, column in found.items() if what != "time"}
     time, dated = _times(name, found["time"], values[names.index(found["time"])], texts[found["time"]])
@@ -233,7 +233,7 @@ def _of_table(name, names, values, columns, said, index=None):
     return Recording(time, lat, lon, metres, *more, one, tuple(said), dated=dated, index=index)
 
 
-def _found(name, names, columns):
+def _named_columns(name, names, columns):
     """Return {what: its column} of a table: the names of COLUMNS, or those given instead."""
     if not isinstance(columns, Mapping) or not set(columns) <= set(COLUMNS):
         need = f"names of some of {', '.join(COLUMNS)}, as {{'time': 'when'}}"
@@ -263,15 +263,15 @@ def _times(name, column, values, texts):
         return np.asarray(values, dtype=f"{kind}8[us]").astype(np.int64), kind == "M"
     times = np.array([_number(text) for text in texts])
     known = times[np.isfinite(times)]
-    if len(known) > 0.5 * _there(texts).sum():
+    if len(known) > 0.5 * sum(not _is_empty(text) for text in texts):
         seconds = np.where(_are_seconds(known) & (np.abs(times) < LATEST), times, math.nan)
-        return _moments(name, column, texts, np.round(seconds * 1e6)), False
-    times = np.array([_time_of(text) for text in texts])
+        return _whole_microseconds(name, column, texts, np.round(seconds * 1e6)), False
+    times = np.array([_microseconds(text) for text in texts])
     zoned = [text for text, time in zip(texts, times, strict=True) if math.isfinite(time) and ZONE.search(text)]
     if 0 < len(zoned) < np.isfinite(times).sum():
         way = f"pandas.to_datetime(frame[{column!r}], utc=True, format='ISO8601') where the others are UTC"
         raise ValueError(f"{name}: needs a zone in all times or none, got one in {zoned[0]!r:.40} only: {way}")
-    return _moments(name, column, texts, times), True
+    return _whole_microseconds(name, column, texts, times), True
 
 
 def _are_seconds(times):

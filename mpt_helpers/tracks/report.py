@@ -26,10 +26,10 @@ DOUBTFUL = 0.05  # share of rows: if the speed of more cannot be told from MOVIN
 REST, REST_STEP = 60.0, 2.0  # s: a rest lasts at least a minute, and is searched on a grid
 KM_H = 3.6
 COLUMNS = 100  # of a terminal
-TOGETHER = "\u00a0"  # a blank at which no line is broken
-A_FEW = 0.3  # error of a logarithm: below it given in per cent, below UNKNOWN as a factor, else not at all
-LISTED = 5  # at most so many times of faults
-OF_THE_BAND = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
+NO_BREAK = "\u00a0"  # a blank at which no line is broken
+SMALL_ERROR = 0.3  # error of a logarithm: below it given in per cent, below UNKNOWN as a factor, else not at all
+MOST_LISTED = 5  # at most so many times of faults
+BAND_FIELDS = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
 # Recorded speeds lie between those of a snail and of a fighter jet. If fixes are RARELY seconds apart and slow, their
 # times are probably in milliseconds.
 VERY_FAST, VERY_SLOW, SLOW_AND_RARE, RARELY = 400.0, 0.02, 0.4, 100.0  # m/s, m/s, m/s, s
@@ -39,9 +39,9 @@ MANY = 0.1  # share of the fixes: if more are refused, they are hardly all fault
 def text(c: Cleaned) -> str:
     """Return the report of a Cleaned; questions come before the numbers that they cast doubt on."""
     lines = [_heading(c), *(f"note: {each}" for each in _notes(c))]
-    lines += [*_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
+    lines += [*_faults(c), _motion(c), _precision(c), _prediction(c), _distance(c)]
     filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
-    return "\n".join(filled).replace(TOGETHER, " ")
+    return "\n".join(filled).replace(NO_BREAK, " ")
 
 
 def summary(c: Cleaned) -> dict[str, Any]:
@@ -58,8 +58,8 @@ def summary(c: Cleaned) -> dict[str, Any]:
         "r": c.r,
         "r_is_rounding": c.rounding,
         "log_errors": {name: error if math.isfinite(error) else None for name, error in c.log_errors.items()},
-        "ahead": None if c.band is None else {name: getattr(c.band, name) for name in OF_THE_BAND},
-        **numbers_of_the_way(c),
+        "ahead": None if c.band is None else {name: getattr(c.band, name) for name in BAND_FIELDS},
+        **distance_and_speeds(c),
         "notes": _notes(c),
     }
 
@@ -151,7 +151,8 @@ def _moments(c, rows):
     seconds = c.t[rows][(c.t[rows] >= t.min()) & (c.t[rows] <= t.max())] - t.min()  # without rows of a wrong time
     if not len(seconds):
         return "at impossible times"
-    return f"{', '.join(map(_clock, seconds[:LISTED]))}{', ...' if len(seconds) > LISTED else ''} after the start"
+    listed = ", ".join(map(_clock, seconds[:MOST_LISTED]))
+    return f"{listed}{', ...' if len(seconds) > MOST_LISTED else ''} after the start"
 
 
 def _motion(c):
@@ -178,11 +179,11 @@ def _precision(c):
 
 
 def _symbol(name, value, unit):
-    return TOGETHER.join([name, "=", _digits(value), unit])
+    return NO_BREAK.join([name, "=", _digits(value), unit])
 
 
 def _known(log_error):
-    if log_error < A_FEW:
+    if log_error < SMALL_ERROR:
         return f"known to {log_error:.0%}"
     return f"known to a factor of {math.exp(log_error):.1f}" if log_error < UNKNOWN else "hardly known"
 
@@ -200,7 +201,7 @@ def _prediction(c):
     )
 
 
-def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
+def distance_and_speeds(c: Cleaned) -> dict[str, float | None]:
     """Return the length (km), the seconds in motion or None, the median speed in motion, the top speed and their error.
 
     The top speed is the 99.9 % quantile; speeds are in km/h. Lengths and speeds are those on the Earth where the track
@@ -259,8 +260,8 @@ def _at_rest(line, position, speed):
     return rest
 
 
-def _way(c):
-    way = numbers_of_the_way(c)
+def _distance(c):
+    way = distance_and_speeds(c)
     moving = way["moving_seconds"]
     motion = "" if moving is None else f", in motion for {_clock(moving)}"
     return (

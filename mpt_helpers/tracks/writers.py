@@ -62,7 +62,7 @@ def gpx_bytes(c: Cleaned) -> bytes:
     data = c.source.recording.data
     count = sum(found["tag"] is not None for found in FIX.finditer(data))
     if count != len(c.source.recording.time):  # a table, or a GPX file that is cut off: only its fixes are kept
-        return _plain_gpx(c, lat, lon)
+        return _new_gpx(c, lat, lon)
     starts = set(c.starts.tolist())
     fixes, row_of = itertools.count(), {int(fix): row for row, fix in enumerate(c.source.rows)}
 
@@ -73,16 +73,16 @@ def gpx_bytes(c: Cleaned) -> bytes:
         if row is None or math.isnan(lat[row]):
             return b""
         between = b"</%strkseg><%strkseg>" % (found["prefix"], found["prefix"]) if row in starts else b""
-        return between + _with_number(_with_number(found["tag"], b"lat", lat[row]), b"lon", lon[row]) + found["rest"]
+        return between + _with_value(_with_value(found["tag"], b"lat", lat[row]), b"lon", lon[row]) + found["rest"]
 
-    return _signed(FIX.sub(smoothed, data))
+    return _with_comment(FIX.sub(smoothed, data))
 
 
-def _with_number(tag, name, value):
+def _with_value(tag, name, value):
     return re.sub(rb"(\s%s\s*=\s*)(\"[^\"]*\"|'[^']*')" % name, rb'\g<1>"%.8f"' % value, tag, count=1)
 
 
-def _signed(data):
+def _with_comment(data):
     """Return a GPX file with a comment after its declaration that names this package."""
     said = b"<!-- smoothed by mpt_helpers: refused fixes lie on the smoothed line, or are left out -->\n"
     declaration = re.match(rb"\s*(\xef\xbb\xbf)?<\?xml.*?\?>\s*", data, re.DOTALL)
@@ -90,7 +90,7 @@ def _signed(data):
     return data[:at] + said + data[at:]
 
 
-def _plain_gpx(c, lat, lon):
+def _new_gpx(c, lat, lon):
     """Return the rows inside of segments as a new GPX file, with one trkseg for each segment."""
     recording, number = c.source.recording, segment_of_rows(c)
     lines = ['<?xml version="1.0" encoding="UTF-8"?>']
@@ -105,7 +105,7 @@ def _plain_gpx(c, lat, lon):
             lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
         lines.append("</trkseg>")
     lines.append("</trk></gpx>\n")
-    return _signed("\n".join(lines).encode())
+    return _with_comment("\n".join(lines).encode())
 
 
 def csv_bytes(c: Cleaned) -> bytes:

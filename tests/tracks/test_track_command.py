@@ -653,7 +653,7 @@ def test_the_way_and_the_time_in_motion_are_those_within_segments(seed):
     c = SimpleNamespace(t=t, x=x, P=P, line=line, source=None)
     expected = [metres / 1000, seconds, 3.6 * np.median(speed[speed > 0.5]), 3.6 * np.quantile(speed, 0.999)]
     expected.append(3.6 * np.sqrt(np.median(P[inside, 1, 1])))
-    np.testing.assert_allclose(list(report.numbers_of_the_way(c).values()), expected, rtol=1e-9)
+    np.testing.assert_allclose(list(report.distance_and_speeds(c).values()), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))
