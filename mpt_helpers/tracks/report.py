@@ -169,6 +169,11 @@ def _precision(c):
             "fixes: the recorder had smoothed them already, so how far they are from the true way does not show; they "
             f"count as exact to {sigma} m, the rounding of the numbers ({r})"
         )
+    if math.isinf(c.log_errors["r"]):
+        return (
+            "fixes: how far each is from the line does not show beside the motion between two of them; at most about "
+            f"{sigma} m, east and north each ({r})"
+        )
     known = _known(c.log_errors["r"])
     return f"fixes: each scatters around the line by about {sigma} m, east and north each ({r}, {known})"
 
