@@ -2,28 +2,28 @@
 
 Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, bands, and filters made of filters call
 
-- `as_tracks(z)`: checks z, and makes it (N, m, M);
+- `as_tracks(z)`: checks z and reshapes it to (N, m, M);
 - `run(z, x, covariances)`: writes the estimates to x, and returns the covariances if they are wanted;
 - `innovations_of(z)`: the innovations and their covariances;
-- `epochs_of(z)`: z with the steps and variances of its epochs; `times_of(N)`: the times of the epochs in seconds;
-- `parts`, `leaves`: the filters that a filter is made of, directly and in the end.
+- `epochs_of(z)`: z with the time steps and variances of its epochs; `times_of(N)`: the times of the epochs in s;
+- `parts`: the filters that a filter combines; `leaves`: the same, down to those that combine no others.
 
 Their covariances are (N, n, n, M), or (N, n, n, 1) where all tracks share them.
 
-A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest. This is the way of z
-through `filter`:
+A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest. This is how `filter`
+processes z:
 
-    Filter.filter              makes z (N, m, M)
-    RecursiveFilter.run        makes Epochs: z with its gaps, steps and variances
-    _engine.run.estimates      takes one of two ways:
-      1 shared_steps             tracks without gaps: A_k, B_k and P, made once by `next_step`
-        run_shared               x <- A x + B z, several steps in one product
-      2 Epochs.rows              all others: tracks as columns
-        pieces.run_rows           one row after the other, or a long track in pieces
-          advance                one row: x and P of all tracks, predicted and corrected
+    Filter.filter                  z as (N, m, M)
+    RecursiveFilter.run            Epochs: z with its gaps, time steps and variances
+    _engine.run.estimates          one of two ways:
+      1 shared.make_shared_steps     tracks without gaps: A_k, B_k and P, computed once by `next_step`
+        shared.run_shared            x <- A x + B z, several steps in one product
+      2 columns.Epochs.rows          all others: tracks as columns
+        pieces.run_rows              row by row, or a long track in pieces
+          advance                    one row: predict and correct x and P of all tracks
 
-`advance` calls `next_step` for each track, unless a filter has a faster way: KalmanFilter has one in `_engine.columns`.
-`smooth` and `innovations_of` begin with `estimates`, too.
+The general `advance` calls `next_step` for each track. KalmanFilter has a faster one, in `_engine.columns`. `smooth`
+and `innovations_of` begin with `estimates`, too.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from . import _checks as checks
 from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
-from ._engine.algebra import LinearMap, Motion, whitened
-from ._engine.columns import Epochs
+from ._engine.algebra import whitened
+from ._engine.columns import Epochs, LinearMap, Motion
 from ._engine.digits import is_vague
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
@@ -55,7 +55,7 @@ SAME = 1e-6
 
 
 class Estimates(NamedTuple):
-    """The states of all epochs and their covariances; printed, the shapes of both.
+    """The states of all epochs and their covariances. Its repr shows their shapes.
 
     Attributes
     ----------
@@ -74,9 +74,9 @@ class Estimates(NamedTuple):
 
 
 def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, Array]:
-    """Return values (N, d, M) and covariances (N, d, d, M or 1) of one track without the axis of tracks.
+    """Return values (N, d, M) and covariances (N, d, d, M or 1) without the axis of tracks, if there is one track.
 
-    Of `many` tracks they keep it, and each track gets its covariances.
+    Otherwise the covariances are repeated for each track that shares them.
     """
     if not many:
         return values[..., 0], covariances[..., 0]
@@ -85,7 +85,7 @@ def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, A
 
 
 class Filter(Immutable):
-    """A filter of measurements z of its `model`. A subclass defines `run`, and whatever else it offers.
+    """A filter for measurements z of its `model`. A subclass defines `run`, and what else it supports.
 
     t and r are the times and variances that it was given, or None.
     """
@@ -96,17 +96,17 @@ class Filter(Immutable):
 
     @property
     def parts(self) -> Sequence[Filter]:
-        """The filters that it is made of: empty but for joint and separate filters and predictors."""
+        """The filters that this one combines; empty except for joint and separate filters and predictors."""
         return ()
 
     @property
     def optimal(self) -> bool:
-        """Whether its gain, and that of all its parts, is optimal for its P: then P is the covariance of its error."""
+        """Whether the gain is the Kalman gain for P, of all its parts: then P is the covariance of its error."""
         return bool(self.parts) and all(each.optimal for each in self.parts)
 
     @property
     def steps_ahead(self) -> int:
-        """The number of steps from the last measurement that is used to the state that is estimated."""
+        """The number of steps from the last measurement used to the state that is estimated."""
         return self.parts[0].steps_ahead if self.parts else 0
 
     @property
@@ -209,7 +209,8 @@ class Filter(Immutable):
         Raises
         ------
         TypeError
-            For a filter whose gain is not that of its P: of constant gain, a predictor, a FIR filter.
+            For a filter whose gain is not the Kalman gain for its P (constant gain, or a step of the user's own), a
+            predictor, and a FIR filter.
 
         """
         raise self._not_recursive()
@@ -251,7 +252,7 @@ class Filter(Immutable):
 
     @property
     def leaves(self) -> list[Filter]:
-        """The filters at the bottom of `parts`: itself where it has none."""
+        """The filters at the bottom of the tree of `parts`; the filter itself where it has none."""
         return [leaf for part in self.parts for leaf in part.leaves] or [self]
 
     def times_of(self, N: int) -> Array:
@@ -265,12 +266,12 @@ class Filter(Immutable):
         return (1.0 if self.model.dt is None else self.model.dt) * np.arange(N)
 
     def epochs_of(self, z: Array) -> Epochs:
-        """Return z (N, m, M) with the conditions of its epochs; raises ValueError where those are of other epochs."""
+        """Return z (N, m, M) with its time steps and variances; raises ValueError where their number differs."""
         return Epochs(z, self.motion)
 
     @cached_property
     def motion(self) -> Motion:
-        """The prediction by the model on columns, x <- F x and P <- F P Fᵀ + Q."""
+        """The model's prediction on columns, x <- F x and P <- F P Fᵀ + Q."""
         return Motion(self.model.F, self.model.Q)
 
     @cached_property
@@ -279,26 +280,26 @@ class Filter(Immutable):
         return LinearMap(self.model.H)
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
-        """Write the estimates of z (N, m, M) to x (N, n, M); return their covariances, or None if they are not wanted.
+        """Write the estimates of z (N, m, M) to x (N, n, M), and return their covariances if wanted, else None.
 
-        Raises TypeError if they are, for a filter that has none.
+        Raises TypeError where they are wanted of a filter that has none.
         """
         raise NotImplementedError
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
-        """Return the innovations of z (N, m, M), NaN where z has NaN, and S, (N, m, m, M) or (N, m, m, 1).
+        """Return the innovations of z (N, m, M), NaN where z is NaN, and S, (N, m, m, M) or (N, m, m, 1).
 
         Raises TypeError for a filter that has none.
         """
         raise self._not_recursive()
 
     def as_tracks(self, z: ArrayLike) -> tuple[Array, bool]:
-        """Return measurements as (N, m, M), and whether they came with an axis of tracks, or raise."""
+        """Return z as (N, m, M), and whether it had an axis of tracks; raises for other shapes and types."""
         z = checks.measurements(z, self.model.m)
         return (z, True) if z.ndim == 3 else (z[..., None], False)
 
     def _as_given(self, z, function):
-        """Return the Estimates that function(z (N, m, M)) returns, for one track or many, as z was given."""
+        """Return the Estimates function(z (N, m, M)), with an axis of tracks only if z has one."""
         z, many = self.as_tracks(z)
         checks.no_infinity(z)
         return Estimates(*one_or_many(*function(z), many))
@@ -317,14 +318,14 @@ class Filter(Immutable):
 class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance. A subclass defines `next_step`; all else follows from it.
 
-    A subclass may define faster ways beside its `next_step`: `next_steps` and `advance`. It inherits them from a parent
-    only together with the parent's `next_step`.
+    A subclass may add faster versions, `next_steps` and `advance`. They are inherited only together with `next_step`:
+    a subclass that overrides `next_step` alone falls back to the general ones, which call it.
     """
 
     model: LinearModel
 
     def __init_subclass__(cls) -> None:
-        """Go back to the general ways in a subclass with a `next_step` of its own."""
+        """Restore the general methods where a subclass overrides `next_step` but not its faster versions."""
         super().__init_subclass__()
         for name in ("next_steps", "advance", "optimal"):
             if cls.__mro__.index(_owner(cls, "next_step")) < cls.__mro__.index(_owner(cls, name)):
@@ -335,12 +336,12 @@ class RecursiveFilter(Filter):
 
     @property
     def P0(self) -> Array:
-        """P(0/0), the covariance that the filter starts from: the model's."""
+        """P(0/0), the initial covariance: the model's."""
         return self.model.P0
 
     @cached_property
     def optimal(self) -> bool:
-        """Whether the gain and P of `next_step` are the Kalman filter's, from P(0/0) and from the P of a step later."""
+        """Whether `next_step` has the Kalman gain and the P of it, tested from P(0/0) and from its prediction."""
         return all(self._is_optimal_from(P) for P in (self.P0, predicted_covariance(self.model, self.P0)))
 
     def _is_optimal_from(self, P):
@@ -362,7 +363,7 @@ class RecursiveFilter(Filter):
         P : ndarray (n, n)
             The covariance P(k/k).
         seen : ndarray (m,) of bool
-            Which measurements are there.
+            Which measurements are available.
 
         Returns
         -------
@@ -379,7 +380,7 @@ class RecursiveFilter(Filter):
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k (M, n, n), B_k (M, n, m) and P(k+1/k+1) (M, n, n) of each P(k/k) of a stack (M, n, n).
 
-        It calls `next_step` for each. A subclass may compute all of them at once.
+        This calls `next_step` for each. A subclass may compute all of them at once.
         """
         A, B, P = zip(*(self.next_step(each, seen) for each in P), strict=True)
         return np.array(A), np.array(B), np.array(P)
@@ -387,12 +388,12 @@ class RecursiveFilter(Filter):
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks (see `_engine.columns`).
 
-        Tracks that miss the same measurements are computed together. A subclass may have a faster way.
+        Tracks that miss the same measurements are computed together. A subclass may have a faster version.
         """
         z, seen, F, _, r = row
         if F is not None or r is not None:
             name = "r" if F is None else "t"
-            need = f"an `advance` of {type(self).__name__}: its own `next_step` does not see the {name} of a row"
+            need = f"an `advance` of {type(self).__name__}, as its `next_step` is not given the {name} of a row"
             checks.refuse(name, need, "none")
         innovations = x[:0]
         if self.optimal:
@@ -408,7 +409,7 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def vague(self) -> bool:
-        """Whether P0 is so large that its first epochs need `pieces` for their digits; raises where none is left."""
+        """Whether P0 is so large that the first epochs need more than doubles row by row; raises if beyond any help."""
         return is_vague(self.model, self.P0, self.r) and self.optimal
 
     def coefficients(self, N: int) -> Step:
@@ -435,7 +436,7 @@ class RecursiveFilter(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter. dt and r are for a `next_step` that takes them."""
+        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter. dt and r need a `next_step` that accepts them."""
         x, P = checks.state(x, P, self.model.n)
         z_k, seen = checks.one_measurement(z_k, self.model.m)
         conditions = {}
@@ -447,7 +448,7 @@ class RecursiveFilter(Filter):
             if name not in self._arguments_of_next_step:
                 need = "a filter whose `next_step` takes it, such as KalmanFilter"
                 checks.refuse(name, need, f"a {type(self).__name__}", TypeError)
-        with np.errstate(over="ignore", invalid="ignore"):  # of too long a dt, which is refused
+        with np.errstate(over="ignore", invalid="ignore"):  # a dt that is too long overflows, and is refused
             A, B, P = self.next_step(P, seen, **conditions)
         return A @ x + B @ np.where(seen, z_k, 0), P
 
@@ -458,7 +459,7 @@ class RecursiveFilter(Filter):
     def smooth(self, z: ArrayLike) -> Estimates:
         """Return the states of all epochs given all measurements, and their covariances, as in Filter.
 
-        It is the papers' recursion run backwards (Rauch, Tung and Striebel 1965), with P(k/N) in Joseph's form:
+        This is the Rauch-Tung-Striebel smoother (1965), with P(k/N) in Joseph's form:
 
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
@@ -478,10 +479,10 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def shared_steps(self) -> Callable[[int, int], Any]:
-        """Return `make_shared_steps` of this filter, as a function of N and M that keeps its last result."""
+        """`make_shared_steps` of this filter, as a function of N and M that caches its last result."""
         return lru_cache(maxsize=1)(partial(steps.make_shared_steps, self.next_step, self.P0, self.model.m))
 
 
 def _owner(cls, name):
-    """Return the class whose definition of a name counts in cls."""
+    """Return the class from which cls takes an attribute."""
     return next(each for each in cls.__mro__ if name in vars(each))

@@ -19,7 +19,7 @@ from .lainiotis import LainiotisFilter
 from .model import LinearModel, stack
 from .steady import SteadyStateFilter
 
-# Two filters step from one state as long as both return the same state and P, to this fraction of the size or standard
+# A joint filter steps only while both filters return the same state and P, to this fraction of the size or standard
 # deviation: the gains from the two Riccati equations agree to at least six digits.
 SAME = 1e-6
 
@@ -30,8 +30,8 @@ class JoinFilter(Filter):
 
         x(k/k) = [x_1(k/k) + x_2(k/k)] / 2,   P(k/k) = [P_1(k/k) + P_2(k/k)] / 2
 
-    The papers join the Kalman and the Lainiotis filter, JKLF, and both steady-state filters, JSSKLF. P is the papers'
-    formula: it is the covariance of the mean's error only where both give the same estimate.
+    The papers join the Kalman and Lainiotis filters, JKLF, and the two steady-state filters, JSSKLF. P is the papers'
+    formula. It is the error covariance of the mean only where both filters give the same estimate.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class JoinFilter(Filter):
     ) -> tuple[Array, Array]:
         """Return the mean of both filters' steps from one state, as in Filter.
 
-        Raises TypeError where the two return different states, as with different gains: each would need its own state.
+        Raises TypeError where the two results differ, as with different gains: each filter would need its own state.
         """
         x_1, P_1 = self.first.step(x, P, z_k, dt, r)
         x_2, P_2 = self.second.step(x, P, z_k, dt, r)
@@ -113,7 +113,7 @@ class JoinFilter(Filter):
         return (P_1 + P_2) / 2 if covariances else None
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
-        """Return the means of both: they are linear in the state and in its covariance."""
+        """Return the means of both, as innovations are linear in the state and S is linear in its covariance."""
         values_1, S_1 = self.first.innovations_of(z)
         values_2, S_2 = self.second.innovations_of(z)
         return (values_1 + values_2) / 2, (S_1 + S_2) / 2
@@ -123,7 +123,7 @@ class JoinFilter(Filter):
 class Separate(Filter):
     """One filter for each axis: the papers' model B (2014 Section 5, Eqs. 17-18).
 
-    The states of the filters follow one another, as in `stack`, and each filter takes its own components of z.
+    The state vectors of the filters are stacked, as by `stack`, and each filter takes its own components of z.
 
     Parameters
     ----------
@@ -175,8 +175,7 @@ class Separate(Filter):
     ) -> tuple[Array, Array]:
         """Return one step of each filter with its components of z_k and of r, as in Filter.
 
-        P is block diagonal; raises ValueError for another. A filter that was given no variances takes NaN in r for
-        "none".
+        Raises ValueError for a P that is not block diagonal. A NaN in r means "none" for a filter without variances.
         """
         z_k, _ = checks.one_measurement(z_k, self.model.m)
         x, P = checks.state(x, P, self.model.n)

@@ -41,7 +41,7 @@ def several_steps(F, Q, steps):
 def unit_measurements(H, R):
     """Return H_1 (p×n) and W (p×m) such that W z = H_1 x + unit noise carries the information of z = H x + v.
 
-    The noise v has covariance R (m×m). p = min(m, n): measurements of the same states are combined first. Otherwise the
+    The noise v has covariance R (m×m), and p = min(m, n): redundant measurements are combined first. Otherwise the
     variance of a precise sensor would be added to a much larger H P Hᵀ, and lost to rounding.
 
     >>> H_1, W = unit_measurements(H=np.array([[1.0], [1.0]]), R=np.diag([4.0, 1.0]))
@@ -126,9 +126,9 @@ def lainiotis_matrices(model, H=None, R=None):
 def start_gain(P, C):
     """Return G (n×p) with [I + P O]⁻¹ = I - G Cᵀ for O = C Cᵀ; P (n×n) and C (n×p) may be stacks.
 
-    It is the Kalman gain for measurements Cᵀ x of unit noise, which carry the information O that one epoch, or many,
-    have about the state before them. With G, [I + P O]⁻¹ P takes Joseph's form, which stays accurate where P is large;
-    the explicit inverse loses its digits after long gaps and from vague starts.
+    O is the information that the measurements of one epoch, or of several, contain about the state at their start. G is
+    the Kalman gain for equivalent measurements Cᵀ x of that state with unit noise. It gives [I + P O]⁻¹ P in Joseph's
+    form, which stays accurate where P is large; the explicit inverse loses digits after long gaps and with a vague P.
 
     >>> start_gain(P=np.eye(1), C=np.array([[2.0]]))
     array([[0.4]])
@@ -166,7 +166,7 @@ def lainiotis_transition(P, Fn, On):
 
 
 def masked(H, R, seen):
-    """Return H and R with rows of zeros in H, and of the identity in R, for measurements not in seen (m,)."""
+    """Return H and R with missing measurements, not in seen (m,), masked: rows of zeros in H, of the identity in R."""
     H = H * seen[:, None]
     R = np.where(np.outer(seen, seen), R, np.diag(~seen))
     return H, R

@@ -1,8 +1,8 @@
-"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` is that of many tracks.
+"""The Kalman filter: `next_step` is one step as the papers print it, by filterpy; `advance` steps many tracks at once.
 
-A_k, B_k and P depend on which measurements are missing, not on their values. A missing measurement has a row of zeros
-in H, and in R a one on the diagonal and zeros elsewhere in its row and column: then every equation holds as printed,
-also when all measurements of an epoch are missing.
+A_k, B_k and P depend on which measurements are missing, not on their values. For a missing measurement, H has a row of
+zeros, and R has a one on the diagonal and zeros elsewhere in its row and column. Then every equation holds as printed,
+even when all measurements of an epoch are missing.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from ._engine.shared import Step
 from .equations import masked, unit_measurements
 from .model import LinearModel, half_step_gap
 
-# The relative difference between a step and two half steps above which the filter warns of an inaccurate transition.
-MISSED_ELSEWHERE = 1e-3
+# The filter warns of an inaccurate transition where a step and two half steps differ by more than this fraction.
+MOST_HALF_STEP_GAP = 1e-3
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -37,9 +37,8 @@ class KalmanFilter(RecursiveFilter):
 
         A_k = (I - K_k H) F,   B_k = K_k
 
-    filterpy computes the gains and covariances of single steps, and those that tracks without gaps share. Tracks with
-    gaps, times or variances of their own are filtered side by side instead, as columns of arrays, by the same equations
-    (`_engine.columns`).
+    filterpy computes the gains and covariances of single steps, and those shared by tracks without gaps. Tracks with
+    gaps, times or variances are filtered side by side as columns of arrays, by the same equations (`_engine.columns`).
 
     Parameters
     ----------
@@ -47,7 +46,7 @@ class KalmanFilter(RecursiveFilter):
         The model of motion and measurements.
     t : array_like (N,) or (N, M), optional
         Times of the epochs, for all tracks or for each: seconds, or dates (datetime64, datetimes, a pandas index). They
-        do not decrease, and x0 lies one step dt of the model before t[0]. The model needs a transition.
+        must not decrease. x0 is the state one time step dt of the model before t[0]. The model needs a transition.
     r : array_like (N, m) or (N, m, M), optional
         Variances of the measurements in place of the model's R, such as the accuracy that a receiver states of each
         fix. They are ignored where z is NaN.
@@ -72,15 +71,15 @@ class KalmanFilter(RecursiveFilter):
     array([[1.  , 0.01],
            [4.47, 0.99]])
 
-    The gain of each epoch, here of a track that misses the second:
+    The gain of each epoch is K = P(k/k) Hᵀ R⁻¹ for a diagonal R, with a column of zeros for a missing measurement:
 
-    >>> P = kf.P0
-    >>> for seen in ([True], [False], [True]):
-    ...     A, gain, P = kf.next_step(P, np.array(seen))
-    ...     print(gain.T.round(3))
-    [[0.999 0.01 ]]
-    [[0. 0.]]
-    [[0.976 0.478]]
+    >>> z = np.array([[1.0], [np.nan], [3.1]])
+    >>> seen = ~np.isnan(z)
+    >>> K = kf.covariances(z) @ model.H.T / np.diag(model.R) * seen[:, None]
+    >>> K[..., 0].round(3)
+    array([[0.999, 0.01 ],
+           [0.   , 0.   ],
+           [0.976, 0.478]])
 
     """
 
@@ -119,7 +118,7 @@ class KalmanFilter(RecursiveFilter):
         dt is the length of the step in s, r (m,) are the variances; the model's where not given. Raises ValueError for
         a P that is not a covariance, and for a step whose variances exceed double precision.
         """
-        kf = copy.copy(self._filterpy)  # predict and update set its attributes, and other threads may take a step too
+        kf = copy.copy(self._filterpy)  # predict and update change it, and other threads may take a step, too
         kf.P = P
         W = self._units[1]
         if dt is not None:
@@ -149,7 +148,7 @@ class KalmanFilter(RecursiveFilter):
         return super().step(x, P, z_k, dt, r)
 
     def epochs_of(self, z: Array) -> Epochs:
-        """Return z (N, m, M) with its steps and variances; raises ValueError where those are of other epochs."""
+        """Return z (N, m, M) with its time steps and variances; raises ValueError where their number differs."""
         N, m, M = z.shape
         for name, given, shape in (("t", self.t, (N,)), ("r", self.r, (N, m))):
             if given is not None and given.shape not in (shape, (*shape, M)):
@@ -158,7 +157,7 @@ class KalmanFilter(RecursiveFilter):
         if r is not None:
             r = r.reshape(N, m, -1)
             checks.used_variances("r", np.broadcast_to(r, z.shape)[~np.isnan(z)])
-            # The variance of a missing measurement may be anything: the model's stands for it.
+            # A missing measurement may have any variance: the model's replaces one that is not a positive number.
             r = np.where(np.isfinite(r) & (r > 0), r, np.diag(self.model.R)[:, None])
         return Epochs(z, self.motion, self._steps, r, self.model.over)
 
@@ -172,7 +171,7 @@ class KalmanFilter(RecursiveFilter):
         lengths = steps[steps > 0]
         for dt in {lengths.min(), lengths.max()} if lengths.size else ():
             missed = max(half_step_gap(self.model.transition, dt))
-            if MISSED_ELSEWHERE < missed < np.inf:
+            if MOST_HALF_STEP_GAP < missed < np.inf:
                 of = f"over {dt:.3g} s the transition's F and Q are not those of two half steps"
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
@@ -187,7 +186,7 @@ class KalmanFilter(RecursiveFilter):
 
     @cached_property
     def _columns(self):
-        """Two KalmanColumns: for rows that are whole or missed, and for those that are partly missing."""
+        """Two KalmanColumns: for complete or missed rows, and for partly missing ones."""
         H, R, P0 = self.model.H, self.model.R, self.model.P0
         uncorrelated = np.diag(np.diag(R))
         if self.r is not None or np.array_equal(R, uncorrelated):
@@ -201,9 +200,9 @@ class KalmanFilter(RecursiveFilter):
 
     @cached_property
     def _filterpy(self):
-        # filterpy 2.0: a scalar R would be added to all of S, so R is a matrix; x has one dimension, like z. It gets
-        # measurements of unit noise, since its S = H P Hᵀ + R rounds a precise sensor away beside a large P. Its
-        # function `update` returns the gain only together with a density, which takes most of the time.
+        # filterpy 2.0 would add a scalar R to all entries of S, so R is a matrix. x has one dimension, like z. The
+        # noise has unit variance, since in S = H P Hᵀ + R a precise sensor would be rounded away beside a large P.
+        # filterpy's function `update` returns the gain only together with a density, which takes most of the time.
         H_1, _ = self._units
         kf = filterpy.kalman.KalmanFilter(dim_x=self.model.n, dim_z=len(H_1))
         kf.x = np.zeros(self.model.n)

@@ -17,10 +17,10 @@ class LainiotisFilter(RecursiveFilter):
 
         A_k = F_n [I + P(k/k) O_n]⁻¹,   B_k = K_n + A_k P(k/k) K_m,   P(k+1/k+1) = P_n + A_k P(k/k) F_nᵀ
 
-    F_n, K_n and P_n describe a step from an exactly known x(k/k); O_n and K_m add the information of the measurement
-    about x(k/k). Such steps compose: many steps in a row have matrices of the same form, and every filter here uses
-    that to run a long track in pieces. The results are those of the Kalman filter; tracks with gaps of their own take
-    many times as long.
+    F_n, K_n and P_n describe a step from an exactly known x(k/k); O_n and K_m add the information about x(k/k) in the
+    measurement. Such steps compose: several steps together have matrices of the same form, which the engine uses to run
+    a long track in pieces. The results are those of the Kalman filter, but tracks with different gaps take many times
+    as long.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class LainiotisFilter(RecursiveFilter):
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter.
 
-        Raises ValueError for a P so large that doubles hold no digit of the next one.
+        Raises ValueError for a P so large that double precision leaves no digit of the next one.
         """
         constants = self._constants(seen)
         A, B, P_next = lainiotis_step(P, constants)
@@ -58,7 +58,7 @@ class LainiotisFilter(RecursiveFilter):
         return lainiotis_step(P, self._constants(seen))
 
     def _constants(self, seen):
-        """Return the LainiotisMatrices of rows in which these measurements are there; they are made once."""
+        """Return the LainiotisMatrices of rows with these measurements, computed once."""
         there = tuple(seen.tolist())
         if there not in self._made:
             self._made[there] = lainiotis_matrices(self.model, *masked(self.model.H, self.model.R, seen))

@@ -42,7 +42,7 @@ class Predictor(Filter):
 
     estimator: Filter
     steps: int
-    optimal = False  # P is that of a prediction
+    optimal = False  # P is the covariance of a prediction
 
     def __post_init__(self) -> None:
         checks.instance("estimator", self.estimator, Filter)

@@ -16,14 +16,14 @@ from . import _checks as checks
 from . import riccati
 from ._base import Filter, RecursiveFilter
 from ._checks import Array
-from ._engine.algebra import LinearMap
+from ._engine.columns import LinearMap
 from ._engine.shared import TILE, tiles
 from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
 from .model import LinearModel
 
-# How far A may be from (I - B H) F, relative to the size of the terms: room for the rounding of the solvers.
+# How far A may be from (I - B H) F, relative to the size of the terms: this allows for rounding in the solvers.
 SAME_A = 1e-6
-# The most taps of a FIR filter; beyond this, use the steady-state filter itself.
+# The most taps of a FIR filter; a longer one would be slower than the steady-state filter.
 MOST_TAPS = 1_000_000
 
 
@@ -33,10 +33,10 @@ class SteadyStateFilter(RecursiveFilter):
 
         x(k+1/k+1) = A x(k/k) + B z(k+1),   A = (I - B H) F
 
-    Made by `from_kalman` or `from_lainiotis`, which solve different Riccati equations: their agreement (2014 Eq. 15) is
-    a real check. While nothing is missing, the covariance stays P. It grows through a gap and then returns to P. It is
-    the covariance of the true error if that of x0 is P. A row of z that is partly NaN is refused, since the gain is
-    that of a whole row.
+    `from_kalman` and `from_lainiotis` solve different Riccati equations, so that their agreement (2014 Eq. 15) is a
+    genuine check. The covariance starts at P, grows during a gap, and converges back to P. It is that of the actual
+    error provided that the error of x0 has covariance P. A row of z that is partly NaN is refused, since the constant
+    gain is for a complete row.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class SteadyStateFilter(RecursiveFilter):
     A, B : array_like (n, n), (n, m)
         The coefficients.
     P : array_like (n, n)
-        P(0/0), the covariance of the steady state. It is not checked against A and B: from another P the covariances
-        converge to the steady one.
+        P(0/0), the steady-state covariance. It is not checked against A and B; from another P the covariances converge
+        to the steady one.
 
     Raises
     ------
@@ -71,7 +71,7 @@ class SteadyStateFilter(RecursiveFilter):
     B: Array
     P: Array
 
-    optimal = False  # after a gap P changes and the gain does not
+    optimal = False  # after a gap P has grown, and the gain has not
 
     def __init__(self, model: LinearModel, A: ArrayLike, B: ArrayLike, P: ArrayLike):
         super().__init__(model)
@@ -172,9 +172,9 @@ class SteadyStateFilter(RecursiveFilter):
 
 
 def _require_whole_rows(seen):
-    """Raise a ValueError where a row of seen, (m, ...), is partly true: a constant gain is for a whole row."""
+    """Raise a ValueError where a row of seen, (m, ...), is partly true: a constant gain is for a complete row."""
     if (seen != seen[:1]).any():
-        need = "rows all of numbers or all of NaN, as the gain is constant (KalmanFilter takes others)"
+        need = "rows all of numbers or all of NaN, as the gain is constant (KalmanFilter takes partly missing rows)"
         checks.refuse("z", need, "a row that is partly NaN")
 
 
@@ -231,10 +231,10 @@ class FIRFilter(Filter):
 
         x(k/k) = Σ taps[j] z(k-j),   taps[j] = Aʲ B,   j = 0 ... order - 1
 
-    Measurements before z(1) count as zero, so the first `order` estimates are those of a start at zero; x0 is used only
-    to predict first epochs that are missed. A missed epoch is predicted, F x(k-1/k-1), and its measurement replaced by
-    the predicted one, H F x(k-1/k-1): fed with that, the steady-state filter returns its prediction. The filter has no
-    covariances.
+    Measurements before z(1) are taken as zero, so that the first `order` estimates are those of a start at zero. x0 is
+    used only if the first epochs are missed. The estimate of a missed epoch is the prediction F x(k-1/k-1), and its
+    measurement is replaced by the predicted one, H F x(k-1/k-1), with which the steady-state filter would return its
+    prediction, too. The filter has no covariances.
 
     Parameters
     ----------

@@ -1,26 +1,16 @@
-"""Linear algebra on columns: many small matrices at once.
+"""Two decompositions of many small matrices at once.
 
-The last axis counts the columns, and each column holds a matrix of its own: A (a, b, M) are M matrices (a, b). One call
-of numpy works on all columns, which is much faster than one call for each matrix.
+The last axes count the matrices: S (n, n, M) are M matrices (n, n). One numpy call works on all of them, which is much
+faster than one call per matrix.
 """
 
 import numpy as np
 
 
-def product(A, B):
-    """Return the products A B (a, ...) of matrices A (a, b, M) and vectors B (b, M), or matrices B (b, c, M)."""
-    return np.einsum("ij...,j...->i...", A, B)
-
-
-def transposed(A):
-    """Return the transposed matrices of A (a, b, ...)."""
-    return A.swapaxes(0, 1)
-
-
 def solved(S, X):
     """Return S⁻¹ X (n, c, ...) for covariances S (n, n, ...), which may be singular, and X (n, c, ...).
 
-    A direction of zero variance is known exactly and gets zeros: its pivot is nothing but rounding.
+    A direction of zero variance is known exactly and gets zeros: its pivot is pure rounding.
     """
     n = len(S)
     S, X = S.copy(), X.copy()
@@ -40,8 +30,8 @@ def solved(S, X):
 def whitened(values, C):
     """Return values (d, ...) at unit covariance, and log det C (...), from their covariances C (d, d, ...).
 
-    A value that is NaN is unknown: it becomes zero, and adds nothing to the determinant. One component after the other
-    is decorrelated from the preceding ones. Where C is not positive definite the results are not finite.
+    A NaN is a missing value: it becomes zero and does not contribute to the determinant. Each component in turn is
+    decorrelated from the preceding ones. Where C is not positive definite the results are not finite.
 
     >>> whitened(np.array([3.0, np.nan]), np.array([[4.0, 1.0], [1.0, 1.0]]))
     (array([1.5, 0. ]), array(1.38629436))
@@ -58,52 +48,3 @@ def whitened(values, C):
         values[j] = value / np.sqrt(pivot)
         log_det += np.log(pivot)
     return values, log_det
-
-
-class LinearMap:
-    """x -> T x and P -> T P Tᵀ, with one matrix T (m, n) for all columns or, where m = n, one for each (n, n, ...)."""
-
-    def __init__(self, T):
-        self.matrix = T
-        if T.ndim == 2:
-            # T P Tᵀ is linear in P, so that one product makes it for all columns: vec(T P Tᵀ) = (T ⊗ T) vec(P). Rows
-            # for (a, b) and (b, a) are made equal, so that T P Tᵀ is symmetric to the last bit.
-            m, n = T.shape
-            kron = np.kron(T, T).reshape(m, m, n * n)
-            self._of_vec = ((kron + kron.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
-
-    def __call__(self, x, P):
-        """Return T x and T P Tᵀ."""
-        return self.of_state(x), self.of_covariance(P)
-
-    def of_state(self, x):
-        """Return T x of states x (n, ...), or T P of matrices."""
-        if self.matrix.ndim > 2:
-            return product(self.matrix, x)
-        return (self.matrix @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
-
-    def of_covariance(self, P):
-        """Return T P Tᵀ of symmetric P (n, n, ...)."""
-        if self.matrix.ndim > 2:
-            P = product(self.matrix, transposed(product(self.matrix, P)))
-            return (P + transposed(P)) / 2
-        m = len(self.matrix)
-        return (self._of_vec @ P.reshape(len(P) ** 2, -1)).reshape(m, m, *P.shape[2:])
-
-
-class Motion(LinearMap):
-    """The prediction x -> F x, P -> F P Fᵀ + Q, with F and Q (n, n) of all columns or (n, n, ...) of each."""
-
-    def __init__(self, F, Q):
-        super().__init__(F)
-        self.Q = Q
-
-    def of_covariance(self, P):
-        """Return F P Fᵀ + Q."""
-        predicted = super().of_covariance(P)
-        predicted += self.noise_of(P)
-        return predicted
-
-    def noise_of(self, P):
-        """Return Q, with as many axes as P."""
-        return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - self.Q.ndim))

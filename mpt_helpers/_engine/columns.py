@@ -1,24 +1,24 @@
 """One epoch of many tracks: predict, then correct by each measurement that is there.
 
-Tracks that differ in their gaps, steps or variances differ in their covariances, so each track is a column of arrays.
-Tracks that share all three share one covariance, and lie together in one column. The axes:
+Tracks with different gaps, time steps or variances have different covariances, so each track is a column of arrays.
+Tracks that share all three share one covariance and one column. The axes:
 
     N      epochs, always first                    n, m   states, measurements
     M      tracks                                  W      columns: 1 where all tracks share P, else M
-    c      tracks that lie in one column, M / W    K, C   rows of a piece, number of pieces (`pieces`)
+    c      tracks in one column, M / W             K, C   rows of a piece, number of pieces (`pieces`)
 
     as given     z (N, m, M)       t (N, M or 1)             r (N, m, M or 1)
     results      x (N, n, M)       P (N, n, n, W)
     on columns   x (n, c, W)       P (n, n, W)               of one epoch
     rows         z (N, m, c, W)    seen, r (N, m, W)         F, Q (N, n, n, W)
 
-A filter on columns is one function of a row (z, seen, F, Q, r), which holds those arrays of one epoch:
+A filter on columns is one function, which takes the row (z, seen, F, Q, r) of one epoch:
 
     x, P, innovations = advance(row, x, P)
 
-- The new x is linear in x and z, the new P depends on neither, and the arguments are left unchanged. `pieces` relies on
+- The new x is linear in x and z, and the new P depends on neither. The arguments are not modified. `pieces` relies on
   all three.
-- innovations (m, c, W) are white and of unit variance, and zero where nothing was measured. A filter that is not
+- The innovations (m, c, W) are white with unit variance, and zero where a measurement is missing. A filter that is not
   `optimal` returns none, (0, c, W).
 """
 
@@ -32,15 +32,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from .algebra import LinearMap, Motion
-
 
 @dataclass(frozen=True)
 class Epochs:
-    """Measurements z (N, m, M) of M tracks, NaN where missing, with the steps dt before them and their variances r.
+    """Measurements z (N, m, M) of M tracks, NaN where missing, with their time steps dt and variances r.
 
-    motion is the model's. dt (N, M or 1) are in s, None where all are the model's dt; over(dt) returns F and Q of such
-    steps, (..., n, n). r (N, m, M or 1) are None where they are the model's.
+    motion is the model's. dt (N, M or 1) is the time before each epoch in s, or None for the model's; over(dt) returns
+    the F and Q (..., n, n) of such steps. r is (N, m, M or 1), or None for the model's R.
     """
 
     z: np.ndarray
@@ -56,12 +54,12 @@ class Epochs:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is missing. A NaN makes the sum NaN (as do infinities of both signs): faster than a mask."""
+        """Whether nothing is missing. One NaN makes the sum NaN, which is faster than a mask."""
         return not math.isnan(self.z.sum())
 
     @cached_property
     def width(self) -> int:
-        """The number of columns W: 1 where all tracks have the same gaps, steps and variances, and so share P."""
+        """The number of columns W: 1 where all tracks have the same gaps, time steps and variances, and so share P."""
         own = [array for array in (self.dt, self.r) if array is not None and array.shape[-1] > 1]
         shared = not own and (self.missing == self.missing[..., :1]).all()
         return 1 if shared else self.z.shape[2]
@@ -72,20 +70,20 @@ class Epochs:
         return Epochs(self.z[..., tracks], self.motion, dt, r, self.over)
 
     def motions(self, part: slice) -> Motion:
-        """Return the Motion before the epochs of a slice: the model's, or one of F and Q (n, n, K, M or 1)."""
+        """Return the Motion up to each epoch of a slice: the model's, or one with F and Q (n, n, K, M or 1)."""
         if self.dt is None:
             return self.motion
         F, Q = self.over(self.dt[part])
         return Motion(np.moveaxis(F, (-2, -1), (0, 1)), np.moveaxis(Q, (-2, -1), (0, 1)))
 
     def noise(self, R: np.ndarray) -> np.ndarray:
-        """Return the covariances of the measurements (N, m, m, M or 1), or (m, m, 1) where all are the model's R."""
+        """Return the noise covariances (N, m, m, M or 1), or the model's R as (m, m, 1)."""
         if self.r is None:
             return R[..., None]
         return self.r[:, :, None] * np.eye(len(R))[..., None]
 
     def rows(self) -> tuple[np.ndarray | None, ...]:
-        """Return z (zero where missing), seen, F, Q and r; the last three are None where they are the model's."""
+        """Return z (zero where missing), seen, F, Q and r; F, Q and r are None where they are the model's."""
         W, (N, m, _) = self.width, self.z.shape
         seen = ~self.missing[..., :W]
         z = np.where(self.missing, 0.0, self.z).reshape(N, m, -1, W)
@@ -98,15 +96,16 @@ class Epochs:
 
 
 def corrected(x, P, z, seen, variance, i):
-    """Return x (n, c, W), P (n, n, W) and the innovations at unit variance, after measurements z (c, W) of component i.
+    """Correct x (n, c, W) and P (n, n, W) in place by z (c, W), a measurement of component i of the state.
 
-    seen (W,) tells where there is one, and its variance v is a number or (W,). It is the textbook's update with eᵢᵀ for
-    H: with row i of P as p and S = pᵢ + v, the gain K is p / S, and the new row i is p - pᵢ p / S = p v / S. That last
-    form takes no difference of large numbers. x and P are overwritten, so they must be the caller's own.
+    seen (W,) marks the columns that have this measurement; its variance v is a number or (W,). This is the textbook
+    update with H = eᵢᵀ: with row i of P as p and S = pᵢ + v, the gain K is p / S, and the new row i is
+    p - pᵢ p / S = p v / S. The last form avoids a difference of large numbers. Returns x, P and the innovations,
+    normalized to unit variance.
     """
     p = P[i].copy()
     S = p[i] + variance
-    weight = np.sqrt(seen / S)  # zero where nothing was measured: then the gain is zero too
+    weight = np.sqrt(seen / S)  # zero, and with it the gain, where the measurement is missing
     K = p * weight**2
     P -= K[:, None] * p
     P[i] = P[:, i] = p * np.where(seen, variance / S, 1.0)
@@ -116,13 +115,14 @@ def corrected(x, P, z, seen, variance, i):
 
 
 class KalmanColumns:
-    """The Kalman filter on columns, for measurements H x (m, n) with noises of covariance R (m, m).
+    """The Kalman filter on columns, for measurements z = H x + v with H (m, n) and noise v of covariance R (m, m).
 
-    Each measurement is taken in coordinates where it is one component of the state: for H = [1 dt] the state [s v]
-    becomes [s + v dt, v]. Where a row brings variances r, they replace R. P0 (n, n) is the covariance of the start.
+    Each measurement is processed in coordinates in which it is one component of the state: for H = [1 dt], the state
+    [s v] becomes [s + v dt, v]. The variances r of a row, if given, replace R. P0 (n, n) is the initial covariance.
 
-    Correlated noises v, R = L diag(variances) Lᵀ, are made uncorrelated: L⁻¹ z = L⁻¹ H x + L⁻¹ v. For rows that are
-    partly missing, the noises become states behind those of x instead: z = [H I] [x; v], without any other noise.
+    Correlated noise is decorrelated by R = L diag(variances) Lᵀ: the filter takes L⁻¹ z = L⁻¹ H x + L⁻¹ v. In a partly
+    missing row this would mix the missing measurements with the others. There (noises_are_states) the state is
+    augmented by v instead, and z = [H I] [x; v] has no further noise.
     """
 
     def __init__(self, motion, H, R, P0, noises_are_states=False):
@@ -157,12 +157,12 @@ class KalmanColumns:
             x, P, innovations[j] = corrected(x, P, z[j], seen[j], variances[j], i)
         x, P = self._back(x, P) if self._back else (x, P)
         x, P = x[:n], P[:n, :n]
-        if known.any():  # a state known exactly stays so: its variance would be the rounding of zero, of either sign
+        if known.any():  # a state known exactly stays known: rounding could make its variance slightly negative
             P = np.where(known[:, None] | known, 0.0, P)
         return x, P, innovations
 
     def _with_noise(self, x, P):
-        """Return [x; 0] and the covariance of [x; v]: the noises v are new in each epoch."""
+        """Return [x; 0] and the covariance of [x; v]: the noise v is white, hence new in each epoch."""
         (n, c, W), m = x.shape, len(self._noise)
         both = np.zeros((n + m, n + m, W))
         both[:n, :n], both[n:, n:] = P, self._noise
@@ -170,14 +170,15 @@ class KalmanColumns:
 
 
 def _coordinates(F, Q, H, variances, P0):
-    """Return the changes of coordinates that make one measurement after the other a component of the state.
+    """Return the changes of coordinates that turn each measurement in sequence into a component of the state.
 
-    Each is (LinearMap or None, index of the row of H, component). Also returns the LinearMap from the last coordinates
-    back to the state. None changes nothing.
+    Each is (LinearMap or None, row of H, component); None stands for the identity. Also returns the LinearMap from the
+    last coordinates back to the state.
 
-    In exact arithmetic any choice gives the same estimates. In doubles, a measurement replaces the component that
-    contributes most to it: one that contributes little would be recovered as a small difference of large numbers. Rough
-    sizes suffice: those after n steps of the model, when the process noise has reached every state that it can reach.
+    In exact arithmetic every choice of components gives the same estimates. In double precision, each measurement
+    replaces the component that contributes most to it: a minor one would be recovered as a small difference of large
+    numbers. Rough standard deviations suffice for this: those after n steps of the model, when the process noise has
+    reached every state it can reach.
     """
     n, P = len(F), P0
     for _ in range(n):
@@ -190,8 +191,8 @@ def _coordinates(F, Q, H, variances, P0):
             i = int(np.argmax(np.abs(weights) * sigma))
             change = np.eye(n)
             change[i] = weights
-            # The new coordinate is h x. Before the measurement its sigma is at most the sum of what each coordinate
-            # gives; after it, at most that of the measurement's noise.
+            # The new coordinate is h x. Its sigma is at most the sum of the contributions before the measurement, and
+            # at most the noise's sigma after it.
             sigma[i] = min(np.sqrt(variances[j]), np.abs(weights) @ sigma)
             T = change @ T
             changes.append((_unless_identity(change), j, i))
@@ -200,3 +201,62 @@ def _coordinates(F, Q, H, variances, P0):
 
 def _unless_identity(T):
     return None if np.array_equal(T, np.eye(len(T))) else LinearMap(T)
+
+
+class LinearMap:
+    """x -> T x and P -> T P Tᵀ, with one matrix T (m, n) for all columns, or one T (n, n, ...) for each."""
+
+    def __init__(self, T):
+        self.matrix = T
+        if T.ndim == 2:
+            # One product gives T P Tᵀ for all columns: vec(T P Tᵀ) = (T ⊗ T) vec(P). The rows for (a, b) and (b, a) are
+            # made equal, so that the result is symmetric to the last bit.
+            m, n = T.shape
+            kron = np.kron(T, T).reshape(m, m, n * n)
+            self._of_vec = ((kron + kron.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
+
+    def __call__(self, x, P):
+        """Return T x and T P Tᵀ."""
+        return self.of_state(x), self.of_covariance(P)
+
+    def of_state(self, x):
+        """Return T x for states x (n, ...), or T P for matrices P (n, n, ...)."""
+        if self.matrix.ndim > 2:
+            return product(self.matrix, x)
+        return (self.matrix @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
+
+    def of_covariance(self, P):
+        """Return T P Tᵀ for symmetric P (n, n, ...)."""
+        if self.matrix.ndim > 2:
+            P = product(self.matrix, transposed(product(self.matrix, P)))
+            return (P + transposed(P)) / 2
+        m = len(self.matrix)
+        return (self._of_vec @ P.reshape(len(P) ** 2, -1)).reshape(m, m, *P.shape[2:])
+
+
+class Motion(LinearMap):
+    """The prediction x -> F x, P -> F P Fᵀ + Q, with F and Q (n, n) for all columns or (n, n, ...) for each."""
+
+    def __init__(self, F, Q):
+        super().__init__(F)
+        self.Q = Q
+
+    def of_covariance(self, P):
+        """Return F P Fᵀ + Q."""
+        predicted = super().of_covariance(P)
+        predicted += self.noise_of(P)
+        return predicted
+
+    def noise_of(self, P):
+        """Return Q, with as many axes as P."""
+        return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - self.Q.ndim))
+
+
+def product(A, B):
+    """Return the products A B (a, ...) of matrices A (a, b, M) and vectors B (b, M), or matrices B (b, c, M)."""
+    return np.einsum("ij...,j...->i...", A, B)
+
+
+def transposed(A):
+    """Return the transposed matrices of A (a, b, ...)."""
+    return A.swapaxes(0, 1)

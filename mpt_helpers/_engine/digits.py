@@ -1,8 +1,8 @@
-"""The digits that doubles lose where P is huge beside the noise of a measurement: what is refused, what is done.
+"""Loss of significance where P is very large relative to the measurement noise: what is refused, what is handled.
 
-The size of P is told by S, the variance that it gives to the prediction of a measurement, in units of the noise. Where
-it is above VAGUE, the epochs of a start are filtered in another way (`pieces.run_rows`). A single step has no such way:
-it is refused where it leaves no digit. Above LARGEST everything is refused.
+S is the variance of a predicted measurement due to P, divided by the noise variance. Above VAGUE, a filter computes the
+first epochs in another way (`pieces`), which keeps the digits. A single step cannot, and is refused where no digit is
+left. Above LARGEST everything is refused.
 """
 
 import numpy as np
@@ -10,16 +10,16 @@ import numpy as np
 from .. import _checks as checks
 from ..equations import unit_measurements
 
-# Above it, rounding leaves some three digits in P after the measurement.
+# Above this, rounding leaves about three digits in P after the measurement.
 VAGUE = 1e12
-# Rounding of I - K H makes P after the measurement wrong by some 1e-31 S: here by 1 % of R.
+# Rounding of I - K H causes an error of about 1e-31 S R in P after the measurement: here 1 % of R.
 LARGEST = 1e29
-# The largest share of a variance that may be rounding after a step.
+# The largest fraction of a variance that may be rounding error after a step.
 MOST_ROUNDING = 0.1
 
 
 def is_vague(model, P0, r=None):
-    """Say whether P0 (n, n) is vague beside Q and R, or beside the variances r (N, m, ...) in place of R.
+    """Tell whether P0 (n, n) is vague relative to Q and R, or to the variances r (N, m, ...) in place of R.
 
     Raises ValueError for a P0 above LARGEST.
     """
@@ -39,14 +39,15 @@ def is_vague(model, P0, r=None):
     if not first_S < LARGEST:
         noise = "R" if r is None else "the smallest r"
         checks.refuse("P0", f"variances of what is measured below {LARGEST:g} {noise}", f"{first_S:.2g} {noise}")
-    return largest_S(H @ Q @ H.T + R, steps=len(F)) > VAGUE  # within n steps each state shows that ever does
+    return largest_S(H @ Q @ H.T + R, steps=len(F)) > VAGUE  # an observable state shows within n steps
 
 
 def require_digits(T_1, T_2, P, after, S, dt=None):
-    """Raise a ValueError if the step x <- T_1 T_2 x + B z leaves no digit in the covariance `after` it (n, n).
+    """Raise a ValueError if the step x <- T_1 T_2 x + B z leaves no correct digit in the covariance `after` it (n, n).
 
-    T_1 T_2 P (T_1 T_2)ᵀ is a part of it. Doubles round P_ij by ε σ_i σ_j, and so this part by up to ε (|T_1| |T_2| σ)².
-    P (n, n) is the covariance before the step, S the largest variance of a measurement. The error names dt where given.
+    One term of that covariance is T_1 T_2 P (T_1 T_2)ᵀ, with the P (n, n) before the step. Doubles round P_ij by
+    ε σ_i σ_j, and hence this term by up to ε (|T_1| |T_2| σ)². S is the largest variance of a predicted measurement.
+    The error names dt where it is given.
     """
     finite = np.isfinite(after).all()
     if S < VAGUE and finite:
@@ -55,8 +56,7 @@ def require_digits(T_1, T_2, P, after, S, dt=None):
     rounding = np.finfo(float).eps * (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
     if S < LARGEST and finite and (rounding <= MOST_ROUNDING * after.diagonal()).all():
         return
-    held = "whose variances doubles hold beside those of the measurements"
     if dt is not None:
-        checks.refuse("dt", f"a time over which the state has a prediction {held}", f"{dt:.6g} s")
-    need = f"a covariance with a prediction {held} (filter and estimates take a larger P0 than single steps do)"
-    checks.refuse("P", need, f"{S:.2g} times as much")
+        checks.refuse("dt", "a time over which the prediction keeps digits beside the measurement noise", f"{dt:.6g} s")
+    need = "a covariance that keeps digits beside the measurement noise (filter and estimates take a larger P0)"
+    checks.refuse("P", need, f"{S:.2g} times the noise variance")

@@ -1,16 +1,16 @@
-"""One long track as many short ones: Lainiotis' partition.
+"""One long track as many short ones: Lainiotis' partitioning.
 
-The Lainiotis filter takes a step as if x(k) were known exactly, and then accounts for its uncertainty. The same works
-for many rows at once. So a long track is cut into pieces that run side by side, as columns:
+The Lainiotis filter takes a step as if x(k) were known exactly, and then accounts for its uncertainty. The same holds
+for many epochs at once. So a long track is cut into pieces that run side by side, as columns:
 
-1. Run every piece from a start that is taken as exact. This gives its estimate, its sensitivity to the start, and the
-   information of its measurements about the start.
-2. Find the starts. Each piece is now one long Lainiotis step, a row of a shorter track: run that track, in pieces
-   again where it is long.
-3. Run every piece again, from its own start. It must end where the next one starts.
+1. Run each piece from a start that is assumed to be exact. This gives its estimate, its sensitivity to the start, and
+   the information about the start in its measurements.
+2. Find the starts. Each piece is now one long Lainiotis step, that is, one row of a much shorter track. Run that track,
+   in pieces again if it is long.
+3. Run each piece again, from its own start. It must end where the next one starts.
 
-It works for any `advance` (`columns`), whose rows are a tuple of arrays (N, ..., W), or None, z first: of a filter, of
-pieces, or of the smoother's backward pass.
+This works for any `advance` (`columns`): of a filter, of pieces, or of the smoother's backward pass. Its rows are a
+tuple of arrays (N, ..., W), or None, z first.
 """
 
 import math
@@ -19,38 +19,38 @@ from itertools import repeat
 import numpy as np
 
 from ..equations import start_gain
-from .shared import FEW_TRACKS
 
-# Shorter tracks are not cut, nor are more than FEW_TRACKS. Measured on one processor, with the rows "one track" of
-# benchmarks/bench.py.
+# Up to this many tracks, a numpy call costs more in overhead than in arithmetic.
+FEW_TRACKS = 64
+# Shorter tracks are not cut. Measured on one processor, with the rows "one track" of benchmarks/bench.py.
 LEAST_ROWS = 30
-# The starts of pieces lose digits where a piece holds several long gaps. So each piece must start where the preceding
-# one ends, to this fraction of a sigma (tracks with pauses of an hour reach 1e-7), or to the rounding of the largest
-# state: a simulated constant acceleration is 1e11 sigmas from its origin after 100,000 rows.
+# The starts lose digits where a piece has several long gaps. So each piece must start where the preceding one ends, to
+# this fraction of a sigma (tracks with pauses of an hour reach 1e-7), or to the rounding of the largest state: a
+# simulated constant acceleration is 1e11 sigmas from its origin after 100,000 rows.
 AGREED = 1e-6
 STATE_ROUNDING = 16 * np.finfo(float).eps
-# The largest number of runs. Where pieces do not fit together, each runs again from where the preceding one ended; if
-# they do not fit after the last run, the track is filtered uncut.
+# The most runs of step 3. Where the pieces do not match, each runs again from the end of the preceding one; if they do
+# not match after the last run, the track is filtered uncut.
 MOST_PASSES = 3
-# Smaller eigenvalues of a correlation matrix count as this one: below its square, 1e-14, differences are rounding.
+# Eigenvalues of a correlation matrix are taken to be at least this: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
 
 
 def run_rows(advance, rows, x0, P0, x, P, vague=False):
-    """Write the states x(1) ... x(N) of rows to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None.
+    """Filter all rows from x0 (n, c, W) and P0 (n, n, W), in pieces where that is faster and loses no digits.
 
-    They start from x0 (n, c, W) and P0 (n, n, W), which may be vague (`digits`). Rows are cut into pieces where that is
-    faster and costs no digits. Returns whether doubles held the covariances.
+    The states x(1) ... x(N) are written to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None. A P0
+    that is vague (`digits`) must be said to be. Returns whether the covariances stayed within double precision.
     """
     if vague:
         try:
             k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
-        except np.linalg.LinAlgError:  # rounding has taken every digit of a P of the start
+        except np.linalg.LinAlgError:  # no digit of P is left
             return False
         rows, x, P = _of_each(rows, lambda array: array[k:]), x[k:], P if P is None else P[k:]
     N, _, c, W = x.shape
     K = rows_per_piece(N, c * W)
-    with np.errstate(invalid="ignore"):  # the root of an S that rounding took below zero: NaN, which is refused
+    with np.errstate(invalid="ignore"):  # the root of an S that rounding made negative: NaN, which is refused
         if K < N and _in_pieces(advance, rows, K, x0, P0, x, P):
             return True
         _, held = _in_sequence(advance, rows, x0, P0, x, P)
@@ -58,9 +58,9 @@ def run_rows(advance, rows, x0, P0, x, P, vague=False):
 
 
 def _in_sequence(advance, rows, x_k, P_k, x, P):
-    """Do what `run_rows` does, one row after the other. Returns the last P, and whether doubles held all of them.
+    """Filter the rows in sequence. Returns the last P, and whether every P stayed within double precision.
 
-    An overflow persists to the last row; a variance below zero may come and go.
+    An overflow persists to the last row; a negative variance may not.
     """
     least_variance = 0.0
     for k, row in enumerate(_one_by_one(rows)):
@@ -73,18 +73,18 @@ def _in_sequence(advance, rows, x_k, P_k, x, P):
 
 
 def _in_pieces(advance, rows, K, x0, P0, x, P):
-    """Do what `run_rows` does, in pieces of K rows. Returns False where the pieces do not fit together."""
+    """Filter the rows in pieces of K. Returns False where the pieces do not match."""
     N, W = len(x), x.shape[-1]
     pieces = _of_each(rows, lambda array: cut(array, K))
     try:
         x_start, P_start = (each[..., :-W] for each in starts(advance, pieces, x0, P0))
-    except np.linalg.LinAlgError:  # the gaps of a piece left no digits of its start
+    except np.linalg.LinAlgError:  # the gaps within a piece left no digit of its start
         return False
     x_pieces = np.empty((K, *x_start.shape))
     P_pieces = None if P is None else np.empty((K, *P_start.shape))
     for _ in range(MOST_PASSES):
         P_last, held = _in_sequence(advance, pieces, x_start, P_start, x_pieces, P_pieces)
-        # Each piece starts where the one before it ends, the first one at x0 and P0.
+        # Each piece starts where the preceding one ends, the first at x0 and P0.
         x_next = np.concatenate([x0, x_pieces[-1, ..., :-W]], axis=-1)
         P_next = np.concatenate([P0, P_last[..., :-W]], axis=-1)
         if held and agree(x_start, P_start, x_next, P_next):
@@ -97,7 +97,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
 
 
 def _of_each(rows, function):
-    """Return rows with function applied to each of their arrays."""
+    """Return the rows with a function applied to each of their arrays."""
     return tuple(None if array is None else function(array) for array in rows)
 
 
@@ -107,7 +107,7 @@ def _one_by_one(rows):
 
 
 def rows_per_piece(N, tracks):
-    """Return K, the number of rows of a piece: N where cutting does not pay.
+    """Return K, the number of rows per piece, or N where cutting does not pay.
 
     >>> rows_per_piece(12_000, tracks=1), rows_per_piece(12_000, tracks=1000)
     (37, 12000)
@@ -118,7 +118,7 @@ def rows_per_piece(N, tracks):
 
 
 def cut(array, K):
-    """Return an array (N, ..., W) as (K, ..., C W): C pieces side by side. The last one is filled up with its last row.
+    """Return an array (N, ..., W) as C pieces side by side (K, ..., C W). The last piece is padded with its last row.
 
     >>> cut(np.arange(5)[:, None], K=2)
     array([[0, 2, 4],
@@ -132,7 +132,7 @@ def cut(array, K):
 
 
 def uncut(array, N, W):
-    """Return the array (N, ..., W) that `cut` takes to this one (K, ..., C W).
+    """Return the array (N, ..., W) that `cut` turned into this one (K, ..., C W).
 
     >>> uncut(np.array([[0, 2, 4], [1, 3, 4]]), N=5, W=1)[:, 0]
     array([0, 1, 2, 3, 4])
@@ -147,13 +147,13 @@ def starts(advance, pieces, x0, P0):
 
     The first piece starts from x0 (n, c, W) and P0 (n, n, W).
 
-    Started from x instead of zero, a piece ends at x_piece + T x: a filter is linear in x. Then it has the innovations
-    e - L x, and these are white and of unit variance, so that e = L x + noise measures x. A filter of constant gain
-    returns no innovations, and nothing corrects its starts.
+    A piece started from zero ends at x_piece, with innovations e. Started from x it ends at x_piece + T x, with
+    innovations e - L x, since a filter is linear. These are white with unit variance, so e = L x + noise is a
+    measurement of x. A filter of constant gain returns no innovations, and its starts are not corrected.
 
-    For example, a state that stays where it is, F = 1 and Q = 0, is measured twice, H = 1 and R = 1. Known to be at
-    zero, it stays there: x_piece = 0, with innovations e = [z1, z2]. Known to be at 1, where both measurements are
-    zero, it stays there too: T = 1, with innovations [-1, -1] = -L. So y = L x + noise reads z1 = x + v1, z2 = x + v2.
+    For example, a constant, F = 1 and Q = 0, is measured twice with H = 1 and R = 1. If it is known to be 0, the
+    estimate stays 0: x_piece = 0 and e = [z1, z2]. If it is known to be 1 and both measurements are 0, the estimate
+    stays 1: T = 1, with innovations [-1, -1] = -L. So e = L x + noise reads z1 = x + v1, z2 = x + v2.
     """
     n, c, W = x0.shape
     innovations = []
@@ -171,10 +171,10 @@ def starts(advance, pieces, x0, P0):
 
 
 def _from_exact_zero(advance, rows, n):
-    """Run rows of c tracks from a zero that is known exactly, and yield x (n, c + n, W), P and the innovations of each.
+    """Run rows of c tracks from an exactly known zero; yield x (n, c + n, W), P and the innovations of each row.
 
-    Beside the c tracks run n more, which have no measurements and start at one of the unit vectors each: they end at T,
-    and have the innovations -L of `starts`.
+    n more tracks run alongside. Their measurements are zero and they start from the unit vectors: they end at the T of
+    `starts`, and have its -L as innovations.
     """
     _, m, c, W = rows[0].shape
     x, P, z = np.zeros((n, c + n, W)), np.zeros((n, n, W)), np.zeros((m, c + n, W))
@@ -188,8 +188,8 @@ def _from_exact_zero(advance, rows, n):
 def over_a_piece(row, x, P):
     """Return x, P and the innovations after one piece: the `advance` of a track whose rows are pieces.
 
-    It is one Lainiotis step. A row holds z = [x_piece; y], T, P_piece and L of `starts`. The start is corrected by
-    y = L x + noise of unit variance, with P in Joseph's form, and moves on by T.
+    It is one Lainiotis step. A row is z = [x_piece; y], T, P_piece and L of `starts`. The start is corrected by the
+    measurement y = L x + noise of unit variance, with P in Joseph's form, and propagated by T.
     """
     n = len(x)
     z, T, P_piece, L, x, P = (each.transpose(2, 0, 1) for each in (*row, x, P))  # stacks of matrices
@@ -206,11 +206,11 @@ def over_a_piece(row, x, P):
 
 
 def _from_a_vague_start(advance, rows, x0, P0, x, P):
-    """Write the first rows as `run_rows` does, and return how many, x and P after the last.
+    """Filter the first rows from a vague P0. Returns their number, and x and P after the last of them.
 
-    Taken row by row, the first updates from a vague start would lose the digits of P0 / R, and without process noise
-    never regain them. So the rows 0 to k are one piece, which grows by a row at a time, and row k is its end. This goes
-    on until each sensor of each track has measured 2 n times, or will not again.
+    Row by row, the first updates would lose as many digits as P0 / R has, and without process noise never regain them.
+    So the rows 0 to k are treated as one piece, extended by one row at a time, and row k is its end. This continues
+    until each sensor of each track has measured 2 n times, or has no more measurements.
     """
     n, c, W = x0.shape
     seen = rows[1]
@@ -231,12 +231,12 @@ def _from_a_vague_start(advance, rows, x0, P0, x, P):
 
 
 def _compressed(L, y):
-    """Return y = L x + noise of unit variance as p <= n rows of the same information.
+    """Reduce the measurement y = L x + noise of unit variance to p <= n rows that carry the same information.
 
-    The given L (..., n, W) and y (..., c, W) have a row for each innovation of a piece. With L = Q R,
-    Qᵀ y = R x + Qᵀ noise: the noise stays white, and the part of y that Qᵀ drops is noise alone, independent of the
-    rest. Lᵀ L and Lᵀ y hold the same information, but sums of squares lose digits that R keeps. The order of the rows
-    changes only the rounding: the last rows come first, as they are the largest where x grows.
+    L (..., n, W) and y (..., c, W) have one row per innovation. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays
+    white, and the components of y that Qᵀ drops are independent noise. Lᵀ L and Lᵀ y carry the same information, but
+    lose digits by squaring. The order of the rows affects only rounding: the last rows come first, as they are the
+    largest where x grows.
     """
     L, y = (np.moveaxis(each, -1, 0)[..., ::-1, :] for each in (L, y))  # stacks of matrices
     Q, R = np.linalg.qr(L)
@@ -244,15 +244,15 @@ def _compressed(L, y):
 
 
 def agree(x, P, x_next, P_next):
-    """Say whether pieces start where the preceding ones end: x (n, c, W), P (n, n, W) at x_next, P_next.
+    """Tell whether pieces start, at x (n, c, W) and P (n, n, W), where the preceding ones end, at x_next and P_next.
 
-    They are compared along the axes of P_next, each in its own sigma: after a gap a sum of states can be known far
-    better than any single state, and it decides at the next measurement. With U diag(d) Uᵀ = P_next, the components of
-    these must be small:
+    They are compared along the principal axes of P_next, in units of sigma: after a gap, a sum of states can be known
+    far better than any single state, and it is what the next measurement depends on. With U diag(d) Uᵀ = P_next, all
+    components of these must be small:
 
         d^-½ Uᵀ (x - x_next),   d^-½ Uᵀ (P - P_next) U d^-½
 
-    Each state is taken in its own sigma first, so that states of any units may stand side by side.
+    Each state is first divided by its own sigma, so that their units do not matter.
     """
     if not (np.isfinite(x_next).all() and np.isfinite(P_next).all()):
         return False

@@ -1,23 +1,23 @@
 """The run of a filter over tracks: from `Epochs` to states x, covariances P and innovations.
 
-1. *Tracks without gaps, with the steps and variances of the model,* share A_k, B_k and P. These are made once, and
-   several steps are taken in one product (`shared`).
-2. *All others* are columns (`columns`), one epoch after the other. A few long tracks are cut into pieces, which are
-   columns side by side (`pieces`).
+1. *Tracks without gaps, with the time step and R of the model,* share A_k, B_k and P. These are computed once, and
+   several steps are taken in one matrix product (`shared`).
+2. *All other tracks* are columns of arrays (`columns`), filtered epoch by epoch. A few long tracks are cut into pieces,
+   which run side by side as columns (`pieces`).
 
-The way of one track with gaps, z (N, m, 1):
+For one track with gaps, z (N, m, 1), the calls are
 
-    estimates -> Epochs.rows -> run_rows -> starts       each piece from zero: advance, row by row;  then its start
-                                        -> _in_sequence  each piece from its start: advance, row by row
+    estimates -> Epochs.rows -> run_rows -> starts        runs each piece from zero (advance), then finds its start
+                                         -> _in_sequence  runs each piece from its start (advance)
 """
 
 import numpy as np
 
 from .. import _checks as checks
-from .pieces import run_rows
-from .shared import FEW_TRACKS, TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
+from .pieces import FEW_TRACKS, run_rows
+from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
-# Numbers in the covariances of all epochs of the tracks that are computed together: 32 MB.
+# Most numbers in the covariances of the tracks that are computed together: 32 MB.
 MOST_NUMBERS = 4_000_000
 
 
@@ -28,8 +28,8 @@ def estimates(estimator, epochs, x, covariances):
     """
     N, _, M = x.shape
     shared = None
-    # It takes time to search many tracks for gaps. Where no covariance is wanted, all are filtered as if they had none:
-    # a NaN in z spreads to the last state, and the tracks whose last state is NaN are filtered again, as columns.
+    # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
+    # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
     if epochs.dt is None and epochs.r is None and not estimator.vague and (unsearched or epochs.complete):
         shared = estimator.shared_steps(N, M)
@@ -50,7 +50,7 @@ def estimates(estimator, epochs, x, covariances):
 
 
 def _on_columns(estimator, epochs, x, covariances):
-    """Do what `estimates` does, with tracks as columns, one tile of tracks after the other."""
+    """Compute the `estimates` of tracks as columns, tile by tile."""
     (N, n, M), W = x.shape, epochs.width
     P = np.empty((N, n, n, W)) if covariances else None
     most = TILE if W == 1 else TILE_OF_COVARIANCES
@@ -62,7 +62,7 @@ def _on_columns(estimator, epochs, x, covariances):
         _, _, c, width = rows[0].shape
         x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, width))
         P0 = np.repeat(estimator.P0[..., None], width, axis=2)
-        # Views, which `run_rows` writes to. If only the tracks of this tile share P, it is written to each of them.
+        # `run_rows` writes to these views. A P that only the tracks of this tile share is broadcast to each of them.
         x_part = x[..., part].reshape(N, n, c, width)
         P_part = P[..., part] if covariances and W > 1 else P
         _require_held(run_rows(estimator.advance, rows, x0, P0, x_part, P_part, estimator.vague))
@@ -70,23 +70,24 @@ def _on_columns(estimator, epochs, x, covariances):
 
 
 def _require_held(held):
-    """Raise where doubles did not hold the covariances."""
+    """Raise a ValueError where the covariances exceeded double precision."""
     if not held:
-        need = "gaps over which the covariances stay within the range of doubles, and no far more precise measurements"
-        checks.refuse("z", need, "an overflow, or a variance below zero by rounding")
+        need = "covariances within double precision (shorter gaps, a smaller P0, more similar variances)"
+        checks.refuse("z", need, "an overflow or a negative variance")
 
 
 def innovations(estimator, epochs):
-    """Return the innovations z(k) - H x(k/k-1) (N, m, M), NaN where z has NaN, and their covariances S (N, m, m, M).
+    """Return the innovations z(k) - H x(k/k-1) (N, m, M), NaN where z is NaN, and their covariances S (N, m, m, M).
 
-    S is (N, m, m, 1) where all tracks share it. They are in the units of z, unlike those of an `advance`.
+    S is (N, m, m, 1) where all tracks share it. These innovations are in the units of z; those of `advance` are
+    normalized to unit variance.
     """
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
     x = np.empty((N, n, M))
     P = estimates(estimator, epochs, x, covariances=True)
     values, S = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
-        # Axes: states, epochs, tracks. The states are those before the measurements.
+        # Axes: states, epochs, tracks.
         before = np.moveaxis(_before(x, model.x0, part), 1, 0), np.moveaxis(_before(P, estimator.P0, part), 0, 2)
         expected, S_part = estimator.measurement(*epochs.motions(part)(*before))
         values[part] = epochs.z[part] - np.moveaxis(expected, 0, 1)
@@ -95,7 +96,7 @@ def innovations(estimator, epochs):
 
 
 def _before(array, start, part):
-    """Return the rows of an array (N, ..., M) before those of a slice; the one before the first is start (...)."""
+    """Return the rows of an array (N, ..., M) one before those of a slice; `start` (...) precedes row 0."""
     if part.start > 0:
         return array[part.start - 1 : part.stop - 1]
     first = np.broadcast_to(start[None, ..., None], (1, *array.shape[1:]))
@@ -105,7 +106,7 @@ def _before(array, start, part):
 def in_tiles(function, estimator, epochs, d):
     """Return function(estimator, epochs), values (N, d, M) and covariances (N, d, d, M or 1), a few tracks at a time.
 
-    This bounds the memory of the covariances that the function needs on the way to its results.
+    This bounds the memory of the intermediate covariances.
     """
     N, _, M = epochs.z.shape
     parts = tiles(M, max(1, MOST_NUMBERS // (N * estimator.model.n**2)))

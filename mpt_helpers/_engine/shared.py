@@ -1,14 +1,14 @@
-"""The steps that tracks without gaps share: made once, and taken several at a time.
+"""Tracks without gaps share their coefficients: these are computed once, and several steps are taken at a time.
 
     x(k+1) = A_k x(k) + B_k z(k+1)
 
-For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so the tracks
-without gaps share them. `recursion` is the plain loop. `run_shared` computes the same, but for rounding, in less time:
-L steps in a row are one matrix product, which is the same for all tracks,
+For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depend on the measured values, so tracks
+without gaps share them. `recursion` is the plain loop. `run_shared` computes the same, up to rounding, in less time: L
+successive steps are one matrix product, which is the same for all tracks,
 
     [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
 
-`make_shared_steps` makes the steps of a filter until it has converged.
+`make_shared_steps` computes the steps of a filter until it has converged.
 """
 
 from itertools import pairwise
@@ -18,20 +18,18 @@ import numpy as np
 
 # Tracks per tile where all tracks share one W: a block of steps of one tile stays in the processor's cache.
 TILE = 16_384
-# Tracks per tile where each track has a covariance of its own, which takes more room.
+# Tracks per tile where each track has its own covariance, which takes more memory.
 TILE_OF_COVARIANCES = 4_096
-# Numbers per array where some ten arrays are in use at once, so that all fit into the cache. Measured on one processor
+# Numbers per array where about ten arrays are in use at once, so that all fit into the cache. Measured on one processor
 # with benchmarks/bench.py, like the sizes below.
 IN_CACHE = 16_384
 # (size, L): take L steps in one product where the states of a tile hold at least `size` numbers. Short products need
 # many calls, long ones do not fit into the cache.
 STEPS_PER_PRODUCT = ((30_000, 2), (1_500, 4), (300, 8), (50, 16), (0, 32))
-# The largest number of different steps that a filter makes and keeps for tracks without gaps. A filter that has not
-# converged by then, as without process noise, runs faster on columns. The papers' models converge within some 50 steps.
+# The most different steps that a filter computes and keeps for tracks without gaps. A filter that has not converged by
+# then, as without process noise, is faster on columns. The papers' models converge within about 50 steps.
 MOST_STEPS = 128
-# Up to this many tracks, the overhead of a numpy call exceeds its arithmetic.
-FEW_TRACKS = 64
-# A filter of n states has converged when no P_ij moves by more than this times n σ_i σ_j, the rounding of doubles.
+# A filter of n states has converged when no P_ij changes by more than this times n σ_i σ_j, the rounding of doubles.
 CONVERGED = 2e-16
 
 
@@ -78,9 +76,9 @@ def product_of_steps(A, B):
 
 
 def make_shared_steps(next_step, P0, m, N, tracks):
-    """Return the Step of each of N epochs without gaps, and their products for `run_shared`; None for too many steps.
+    """Return the Steps of N epochs without gaps and their products for `run_shared`, or None for too many steps.
 
-    next_step(P, seen) is a filter's method, P0 its P(0/0) and m the number of its measurements.
+    next_step(P, seen) is a filter's method, P0 its P(0/0), and m the number of its measurements.
     """
     steps = list(steps_without_gaps(next_step, P0, m, min(N, MOST_STEPS)))
     if N > MOST_STEPS:
@@ -109,9 +107,9 @@ def _has_not_moved(before, after):
 
 
 def products_for(steps, tracks):
-    """Return W of each block of L Steps in a list, for `run_shared` on this number of tracks.
+    """Return W of each block of L Steps, for `run_shared` on this number of tracks.
 
-    Blocks of the same objects, as after a filter has converged, share one W.
+    Identical blocks, as after convergence, share one W.
     """
     L = steps_per_product(len(steps[0].A) * min(tracks, TILE))
     made, products = {}, []
@@ -125,10 +123,10 @@ def products_for(steps, tracks):
 
 
 def run_shared(products, x0, z, x):
-    """Write x(1) ... x(N) of many tracks to x (N, n, M): the numbers of `recursion`, several steps in one product.
+    """Write x(1) ... x(N) of many tracks to x (N, n, M), as `recursion` would, with several steps in one product.
 
-    products are made by `products_for`, x0 is (n, M) or (n, 1), z is (N, m, M), and may be x itself. A NaN in z spreads
-    to its whole block of steps and to all later ones.
+    products come from `products_for`, x0 is (n, M) or (n, 1), and z is (N, m, M) and may be x itself. A NaN in z
+    spreads to its whole block of steps and to all later ones.
     """
     (_, n, M), m = x.shape, z.shape[1]
     x0 = np.broadcast_to(x0, (n, M))
@@ -159,7 +157,7 @@ def steps_per_product(size):
 
 
 def epochs_at_a_time(N, numbers):
-    """Return slices that cover N epochs of `numbers` numbers each; those of one slice fit into the cache.
+    """Return slices that cover N epochs of `numbers` numbers each, such that one slice fits into the cache.
 
     >>> epochs_at_a_time(5, numbers=8_000)
     [slice(0, 1, None), slice(1, 3, None), slice(3, 5, None)]

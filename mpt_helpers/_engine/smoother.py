@@ -4,21 +4,22 @@
     P(k/N) = C_k [P(k+1/N) + Q] C_kᵀ + (I - C_k F) P(k/k) (I - C_k F)ᵀ
 
 A step back is x <- C x + d, P <- C P Cᵀ + D, with d = (I - C F) x(k/k) and D = C Q Cᵀ + (I - C F) P(k/k) (I - C F)ᵀ.
-C, d and D depend only on the filter's results. They are computed first, many epochs in one call. The backward pass is
-then run like a filter on columns (`columns`): one `advance` per epoch, the last one first, and a long track in pieces.
+C, d and D depend only on the filter's results, and are computed first, many epochs per call. The backward pass then
+runs like a filter on columns (`columns`): one `advance` per epoch, from the last to the first, a long track in pieces.
 """
 
 import numpy as np
 from scipy.linalg import eig
 
 from .. import _checks as checks
-from .algebra import product, solved, transposed
+from .algebra import solved
+from .columns import product, transposed
 from .pieces import run_rows
 from .run import estimates
 from .shared import epochs_at_a_time
 
-# A mode is damped if its eigenvalue is smaller than DAMPED, and undriven if the variance that Q adds to it in a step is
-# smaller than UNDRIVEN times the one after the first measurement.
+# A mode is damped if its eigenvalue is below DAMPED, and undriven if the variance that Q adds to it per step is below
+# UNDRIVEN times its variance after the first measurement.
 DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
 
@@ -39,14 +40,14 @@ def smoothed(estimator, epochs):
     def in_columns(states):
         return states.reshape(*states.shape[:-1], -1, P.shape[3])
 
-    # From x(N/N) and P(N/N). The results are written to x and P, through views that begin with the epoch N - 1.
+    # The pass starts from x(N/N) and P(N/N), and writes to reversed views of x and P, epoch N - 1 first.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
     run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
     return x, P
 
 
 def _step_back(row, x, P):
-    """Return x and P one epoch earlier, and no innovations: a step back takes no measurement."""
+    """Return x and P one epoch earlier, and no innovations, as a backward step uses no measurement."""
     d, C, D = row
     return product(C, x) + d, product(product(C, P), transposed(C)) + D, x[:0]
 
@@ -54,14 +55,14 @@ def _step_back(row, x, P):
 def _steps_back(motion, x, P):
     """Return d = (I - C F) x (N, n, M), C and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ (N, n, n, M or 1) of N epochs.
 
-    x (N, n, M) and P (N, n, n, M or 1) are the filter's at these epochs, motion is that of the steps that follow them.
+    x (N, n, M) and P (N, n, n, M or 1) are the filter's at these epochs; motion leads from each to the next.
     """
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
     FP = motion.of_state(P)
     C = transposed(solved(motion.of_covariance(P), FP))
     d = x - product(C, motion.of_state(x))
     kept = P - product(C, FP)  # (I - C F) P
-    # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero but for the rounding of `kept`, which it removes.
+    # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero except for the rounding error of `kept`, which it removes.
     left = transposed(motion.of_state(transposed(kept))) - product(C, motion.noise_of(P))
     D = kept - product(left, transposed(C))
     return np.moveaxis(d, 1, 0), np.moveaxis(C, 2, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
@@ -70,14 +71,14 @@ def _steps_back(motion, x, P):
 def _warn_of_undriven_modes(motion, P):
     """Warn of damped modes of F that Q does not drive.
 
-    A mode is y = lᴴ x, with a left eigenvector l of F. Q adds lᴴ Q l to its variance in a step, which is compared with
-    the variance lᴴ P l of the first epoch, P (n, n, M or 1).
+    A mode is y = lᴴ x with a left eigenvector l of F. Q adds lᴴ Q l to its variance per step; this is compared with the
+    variance lᴴ P l after the first epoch, P (n, n, M or 1).
     """
     modes, left = eig(motion.matrix, left=True, right=False)
     added = np.einsum("im,ij,jm->m", left.conj(), motion.Q, left).real
     known = np.einsum("im,ijt,jm->mt", left.conj(), P, left).real.max(axis=1)
     undriven = [f"{abs(mode):.3g}" for mode in modes[(np.abs(modes) < DAMPED) & (added < UNDRIVEN * known)]]
     if undriven:
-        text = f"smooth: F has damped modes without process noise, {', '.join(undriven)}, and is ill-conditioned"
-        text += " backwards: covariances may be wrong. Process noise of a millionth of the variances mends it"
+        text = f"smooth: F has damped modes without process noise, {', '.join(undriven)}, so the backward pass is"
+        text += " ill-conditioned and covariances may be wrong. Process noise of a millionth of the variances helps"
         checks.warn(text)

@@ -32,8 +32,8 @@ __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 # some files write -32768 where there is no height.
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
-UNSORTED = 0.25  # of the times: if more than that are before the one before them, the rows are in no order
-# The digits of files: decimals of degrees, of minutes or of seconds, or whole numbers of which 2^31 are half a circle.
+UNSORTED = 0.25  # share of times that run back: if it is larger, the rows are not in order of time
+# The grids that files round to: decimals of degrees, minutes or seconds, or integers of which 2^31 make half a circle.
 DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
 
@@ -83,7 +83,7 @@ def gpx(
         Whether to leave out, with a warning, fixes without a position or a time, and as few others as possible so that
         times increase.
     pause : float or timedelta, optional
-        A segment is also cut wherever its next fix comes more than this later, in s.
+        A segment is also split where its next fix comes more than this later, in s.
     origin : tuple of float, optional
         Latitude and longitude (°) and, if wanted, height (m) of one plane for all segments. By default each segment
         lies in the plane through its own first fix, since segments may be far apart.
@@ -96,8 +96,8 @@ def gpx(
     Raises
     ------
     ValueError
-        If the file is no GPX or holds no tracks (routes and waypoints have no times), or a fix is out of order or lacks
-        its time or position: the first one is named. Also for a pause that is not positive, and for a bad origin.
+        If the file is not GPX or holds no tracks (routes and waypoints have no times). If a fix is out of order, or
+        lacks its time or position: the first one is named. Also for a pause that is not positive, and a bad origin.
 
     Examples
     --------
@@ -128,7 +128,7 @@ def gpx(
 def local(lat: ArrayLike, lon: ArrayLike, origin: tuple[float, ...] | None = None) -> Array:
     """Return positions in metres east and north of an origin.
 
-    The positions lie in the plane that touches the Earth at the origin: 100 km away lengths are 0.01 % too short.
+    The positions lie in the plane tangent to the Earth at the origin: 100 km away lengths are 0.01 % too short.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def _on_earth(lat, lon):
 
 
 def _no_degrees(lat, lon):
-    """Return what stands in place of degrees, with what it may be."""
+    """Return the first two numbers that are no degrees, with what they may be."""
     wrong = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ~_on_earth(lat, lon))
     if not len(wrong):
         return "none"
@@ -276,7 +276,7 @@ def track(
     """Return the track of a GPX or CSV file, or of a pandas frame, without its faults, smoothed and with a band.
 
     Each segment is smoothed by itself. Fixes without a position or a time, and those whose time does not increase, are
-    left out and counted in `report()`. Fixes are weighed by their accuracy or hdop, where the file states one.
+    left out and counted in `report()`. Fixes are weighted by their accuracy or hdop, where the file states one.
     `to_frame()` of the result gives a frame back.
 
     Parameters
@@ -288,11 +288,11 @@ def track(
     columns : dict, optional
         Other names of these columns, as {"time": "when"}.
     seconds : float or timedelta
-        The horizon of the band in s, as of `clean`.
+        The horizon of the band in s, as in `clean`.
     limit : float
-        The NIS above which a fix is refused, as of `gated`.
+        The NIS above which a fix is refused, as in `gated`.
     pause : float or timedelta, optional
-        After so long without a fix, in s, a recording begins anew, as of `clean`.
+        After so long without a fix, in s, a new recording begins, as in `clean`.
     show : callable, optional
         Called with the name of each stage as it begins.
 
@@ -304,7 +304,7 @@ def track(
     Raises
     ------
     ValueError
-        For a file or frame that holds no recorded track, saying what it holds instead, and as `clean`.
+        For a file or frame that holds no recorded track; the message says what it holds instead. Also as `clean`.
 
     Examples
     --------
@@ -324,7 +324,7 @@ def track(
     known = recording.time[recording.time != NO_TIME]
     back = np.sum(np.diff(known) < 0)
     if back > UNSORTED * len(known):
-        got = f"{back} of {len(known)} before the one before: sort them, as by frame.sort_values('time')"
+        got = f"{back} of {len(known)} earlier than the one before: frame.sort_values('time') sorts them"
         raise ValueError(f"{path}: needs times in order, got {got}")
     rows, left_out = usable(path, recording)
     if len(rows) < FEWEST:
@@ -343,7 +343,7 @@ def track(
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]
     relative, name = _precision(recording, rows)
-    said += [f"fixes are weighed by their {name}"] if name else []
+    said += [f"fixes are weighted by their {name}"] if name else []
     how = {"seconds": seconds, "limit": limit, "pause": pause, "show": show}
     c = clean(t, z, relative, segment=segment, rounding=max(grids) ** 2 / 12, **how)
     return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
@@ -384,7 +384,7 @@ def _notes_on_order(t, segment):
 
 
 def _precision(recording, rows):
-    """Return the relative variances (N,) of fixes and where they are from, or None and None."""
+    """Return the relative variances (N,) of fixes and the column that they are from, or None and None."""
     for name in ("accuracy", "hdop"):
         sigma = getattr(recording, name)[rows]
         known = sigma > 0

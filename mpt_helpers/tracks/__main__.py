@@ -53,13 +53,13 @@ def _parser():
     parser.add_argument("file", type=Path, metavar="FILE", help="a GPX or CSV file, plain or gzipped (.gz)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="where to write (beside FILE)")
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="how far ahead to predict (10)")
-    pause = "start a new part after so many seconds without a fix (60, or ten usual steps if these are longer)"
+    pause = "start a new part after this many seconds without a fix (60, or ten usual steps if that is longer)"
     parser.add_argument("--pause", type=float, metavar="S", help=pause)
-    limit = "refuse a fix whose squared distance is so many times its variance; 50 to 200 do alike (100)"
+    limit = "refuse a fix whose squared distance exceeds this many variances; 50 to 200 work alike (100)"
     parser.add_argument("--limit", type=float, default=100.0, metavar="NIS", help=limit)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist, but never FILE")
-    names = parser.add_argument_group("columns of a CSV that have other names")
+    names = parser.add_argument_group("columns of a CSV, where they have other names")
     for what in COLUMNS:
         names.add_argument(f"--{what}", metavar="NAME", dest=f"column_{what}")
     return parser
@@ -102,6 +102,6 @@ def _run(options):
 
 
 def _show(what=""):
-    """Show on a terminal which stage runs, in one line; without a word the line is cleared."""
+    """Show the current stage on a terminal, in one line; without one, clear that line."""
     if sys.stderr.isatty():
         print(f"\r\033[K{what and what + ' ...'}", end="", file=sys.stderr, flush=True)

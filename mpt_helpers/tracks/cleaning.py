@@ -1,14 +1,14 @@
 """A recorded track, from numbers to a smoothed line with a band: faults refused, q and r fitted, segments smoothed.
 
-A *segment* is an uninterrupted part of a track, which a filter starts from its own first fix. Faults spoil q and r, and
-without q and r no fault is told from noise. So three steps are repeated until the same fixes are refused as before, at
-most four times:
+A *segment* is an uninterrupted part of a track: the filter starts each from its own first fix. Faults spoil q and r,
+but without q and r faults cannot be told from noise. So three steps are repeated until the refused fixes stay the same,
+at most four times:
 
-1. `gate`, fix by fix, at first with a guess of q and r that is robust to a tenth of faults;
-2. a second look from both sides: a fix is refused that is far from where the smoother of all others puts it;
+1. `gate`, fix by fix, at first with a guess of q and r that tolerates a tenth of faults;
+2. a look from both sides, which refuses fixes that are far from the smoothed line of all others;
 3. maximum-likelihood q and r of the remaining fixes.
 
-Then the band is judged on the second half of the track, with q and r fitted to the first half.
+Then the band is tested on the second half of the track, with q and r fitted to the first half.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +42,7 @@ from .line import (
     log_errors,
     on_one_line,
     scale_of,
+    with_upper_limit,
 )
 from .readers import Recording
 
@@ -49,40 +50,41 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEVEL = 0.95
-OWN = 1.96  # standard deviations, of a normal distribution's 95 %
-# From both sides a fix is refused whose squared distance is above this and above that of both neighbours. With 30, up
-# to 0.2 % of the fixes of clean tracks are refused; with 200 no fewer.
+NORMAL = 1.96  # standard deviations that hold 95 % of a normal distribution
+# The look from both sides refuses a fix whose squared distance exceeds this limit and those of both neighbours. A limit
+# of 30 refuses up to 0.2 % of the fixes of clean tracks; a limit of 200 refuses no fewer than 60.
 FROM_BOTH_SIDES, LOOKS = 60.0, 3
-# With a fix every 4 s or more, the limit is lower while the motion is smooth, down to LEAST_LIMIT: it is proportional
-# to the median squared distance of the 21 fixes around, which is 1.39 for two axes of a right model. That catches twice
-# as many outliers of 20 to 40 m. On denser tracks all are caught anyway, and fixes a few metres off would go too.
+# With a fix every 4 s or less often, the limit is lower where the motion is smooth, down to LEAST_LIMIT. It is
+# proportional to the median squared distance of the 21 fixes around; with two axes and the right model this is 1.39. It
+# catches twice as many outliers of 20 to 40 m. Denser tracks do not need it, and would lose fixes a few metres off.
 SPARSE, NEIGHBOURS, MEDIAN, LEAST_LIMIT = 4.0, 21, 1.39, 30.0
-# r - P is rounding below this part of r.
+# A smaller fraction of r is the rounding error of r - P.
 SMALLEST_DIFFERENCE = 1e-8
 TURNS = 4  # of the gate, the look from both sides and the fit
-# At the horizon of the band at least this part of the fixes has another fix.
+# The horizon of the band is one at which at least this fraction of the fixes is followed by another fix.
 CHECKED = 1 / 3
 
 
-class Band(NamedTuple):
-    """How well predictions hold on the part of a track that their q and r were not fitted to.
+@dataclass(frozen=True, eq=False, repr=False)
+class Band:
+    """The prediction band, and how well it holds on the half of a track that q and r were not fitted to.
 
     Attributes
     ----------
     seconds : float
-        How far ahead.
+        The horizon.
     half_width : float
-        The median half-width in m of the band that follows its own checked errors.
+        The median half-width in m of the band, which follows the errors checked so far.
     asked, held, own : float
-        The share of fixes that the band is asked to hold, that it held, and that the filter's own band held.
+        The nominal coverage of the band, its actual coverage, and that of the filter's own band.
     checked, independent : int
         The number of predictions that were checked, and of those that do not overlap in time.
     ahead : ForecastErrors
-        The forecast errors of the whole track.
+        The K forecast errors of the whole track.
     widths : ndarray (K, m)
-        The half-widths of the band around them.
+        The half-width of the band at each of them.
     unseen : ndarray of bool (K,)
-        Which of them lie in the second half.
+        Whether each lies in the second half.
 
     """
 
@@ -106,11 +108,11 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """The file that a track is from.
+    """The file that a track comes from.
 
-    rows (N,): the row of the recording of each fix of the track; left_out: the number of others, by reason
-    charts: the charts of the track (`geodesy`); plane (N,): the chart of each fix; empty and zero for metres
-    said: how the file was read, in words
+    rows (N,): the row of each fix in the recording; left_out: the number of rows left out, by reason
+    charts: the charts of the track (`geodesy`); plane (N,): the chart of each fix; none, and zeros, for metres
+    said: notes on how the file was read
     """
 
     path: Path | str
@@ -126,7 +128,7 @@ class Source:
 class Cleaned:
     """A recorded track without its faults; printed, it is its report.
 
-    It is equal to itself only, and can be a key: compare the arrays of two of them.
+    Two are equal only if they are the same object: compare their arrays.
 
     Attributes
     ----------
@@ -140,25 +142,26 @@ class Cleaned:
         Smoothed position and velocity of each axis, [east, v_east, north, v_north], and their covariance; NaN where a
         row lies in no segment.
     q, r : float
-        Process noise (m²/s³) and variance of a fix (m²), the same for all axes.
+        Process noise (m²/s³) and measurement variance of a fix (m²), the same for all axes.
     log_errors : dict
-        Standard errors of their logarithms, infinite for an r that is the rounding of the numbers.
+        Standard errors of their logarithms. That of r is infinite where r is not an estimate but the rounding of the
+        numbers, or an upper limit: on a sparse track the motion hides the noise of the fixes.
     rounding : bool
-        Whether r is the rounding of the numbers: the recorder has smoothed the positions, and their noise is not seen.
+        Whether r is the rounding of the numbers: the recorder has smoothed the positions, which hides their noise.
     band : Band or None
         None for a track too short to judge one on.
     filter : KalmanFilter
-        The filter of all segments, one after the other, for the measurements `line.z`.
+        The filter of all segments in sequence, for the measurements `line.z`.
     line : Line
-        The rows of all segments, one after the other, an hour or more apart.
+        The rows of all segments in sequence, an hour or more apart.
     recordings : list
         The rows where a recording begins: at the start, after each pause, and at each new segment of the file.
     repeats : ndarray of bool (N,)
-        The rows that are no fixes of their own: repeated positions, and all but the newest of one time.
+        The rows that are not fixes of their own: repeated positions, and all but the newest of several at one time.
     said : list
-        Findings about the times, in words.
+        Notes on the times and on repeated rows.
     source : Source or None
-        The file that the track is from.
+        The file that the track comes from.
 
     """
 
@@ -184,12 +187,12 @@ class Cleaned:
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """The mask of the fixes that are kept, (N,)."""
+        """Whether each row is a fix that is kept, (N,)."""
         return self.segments >= 0
 
     @property
     def refused(self) -> NDArray[np.intp]:
-        """The rows of the fixes that are refused."""
+        """The rows of the refused fixes."""
         return np.flatnonzero(~self.mask & np.isfinite(self.z).any(axis=1) & ~self.repeats)
 
     @property
@@ -199,16 +202,16 @@ class Cleaned:
 
     @property
     def unusual(self) -> list[str]:
-        """Questions that the track raises, in words: it may be in other units, or have too few digits."""
+        """Questions that the track raises: it may be in other units, or have too few digits."""
         return report.unusual(self)
 
     def report(self) -> str:
-        """Say in words what was done to the track and what was found about it.
+        """Return what was done to the track, and what was found, in words.
 
         Returns
         -------
         str
-            The report, of several lines.
+            Several lines of text.
 
         """
         return report.text(self)
@@ -238,29 +241,29 @@ class Cleaned:
     def gpx(self, path: str | PathLike[str], overwrite: bool = False) -> None:
         """Write the smoothed track as a GPX file.
 
-        Times, heights, segments and all else that the file of the track holds are kept. A fix that was refused within a
-        segment lies on the smoothed line; one between segments is left out, and after a jump a new one begins, so that
-        a map draws no line over the jump.
+        Times, heights, segments and everything else in the source file are kept. A refused fix within a segment is
+        moved to the smoothed line, and one between segments is left out. After a jump a new segment begins, so that
+        maps draw no line across it.
 
         Parameters
         ----------
         path : path
-            The file to write, never the source.
+            The file to write; it must not be the source.
         overwrite : bool
-            Whether a file that exists is replaced.
+            Whether an existing file is replaced.
 
         Raises
         ------
         ValueError
             For a track in metres.
         FileExistsError
-            For a file that exists, unless `overwrite` is True.
+            If the file exists and `overwrite` is False.
 
         """
         write_together({Path(path): writers.gpx_bytes(self)}, overwrite, self.source.path)
 
     def to_frame(self) -> Any:
-        """Return the track as a pandas frame with a row for each fix that was used.
+        """Return the track as a pandas frame, with one row for each fix that was used.
 
         Returns
         -------
@@ -276,7 +279,7 @@ class Cleaned:
 
     @property
     def starts(self) -> NDArray[np.intp]:
-        """The rows where a segment begins after a jump, not after a pause."""
+        """The first rows of the segments that begin after a jump rather than a pause."""
         kept = np.flatnonzero(self.mask)
         firsts = kept[np.unique(self.segments[kept], return_index=True)[1]]
         recording = np.searchsorted(self.recordings, firsts, side="right")
@@ -295,31 +298,32 @@ def clean(
     rounding: float | None = None,
     show: Callable[[str], None] | None = None,
 ) -> Cleaned:
-    """Return a recorded track without its faults, smoothed and with a band.
+    """Return a recorded track without its faults, smoothed, and with a tested prediction band.
 
-    All axes have the same q and r, so clean heights separately. Where rows are written faster than fixes, those that
-    repeat a position while the mobile moves are no fixes. Of several fixes at one time the last one counts.
+    All axes share q and r, so clean heights separately. If rows are written faster than fixes are made, a row that
+    repeats a position while the mobile moves is not a fix. Of several fixes at one time, the last one counts.
 
     Parameters
     ----------
     t : array_like, (N,)
-        Times in s, or dates, that do not decrease within a `segment`.
+        Times in s, or dates, which must not decrease within a `segment`.
     z : array_like, (N, m)
         Positions in metres on any axes, NaN where one is missing.
     r : array_like, (N,) or (N, m), optional
-        Relative variances, such as the squares of a receiver's hdop: their common factor is fitted.
+        Relative variances, such as the squares of a receiver's hdop. Their common factor is fitted.
     seconds : float or timedelta
         The horizon of the band.
     limit : float
         The NIS above which a fix is refused, as in `gated`.
     pause : float or timedelta, optional
-        After so long without a fix a new recording begins: a minute, or ten usual steps where these are longer.
+        The time without a fix after which a new recording begins. By default a minute, or ten median steps if these
+        are longer.
     segment : array_like, (N,), optional
-        Where it changes a new recording begins.
+        A number or name for each row. A new recording begins where it changes.
     rounding : float, optional
-        The variance of the rounding of z, m²; found from the digits where not given.
+        The variance of the rounding of z in m², found from the digits by default.
     show : callable, optional
-        Called with each step before it is done, in words.
+        Called with the name of each step before the step begins.
 
     Returns
     -------
@@ -329,8 +333,8 @@ def clean(
     Raises
     ------
     ValueError
-        For times that decrease, fewer than ten fixes at different times, a track that stands still but for faults, and
-        for other shapes.
+        For times that decrease, fewer than ten fixes at different times, a track that stands still apart from faults,
+        and other shapes.
 
     Examples
     --------
@@ -350,7 +354,7 @@ def clean(
     t, z, relative, another = checked_track(t, z, r, segment)
     rounding = max(map(grid_of, z.T)) ** 2 / 12 if rounding is None else checks.not_negative("rounding", rounding)
     fixes = fixes_of(t, z, another, rounding, pause)
-    # The gate starts anew with each recording: an hour stands for any pause, and for a step back in time.
+    # The gate restarts with each recording, so an hour stands for any pause, and for any step back in time.
     clock = np.cumsum(np.append(0.0, np.where(fixes.begin[1:], HOUR_BETWEEN, np.diff(t[fixes.rows]))))
     own = z[fixes.rows]
     weights = None if relative is None else relative[fixes.rows]
@@ -376,6 +380,7 @@ def clean(
         noise = fitted(line, noise, scale, near=before is not None)
     say("smoothing")
     line = line_of(segments)
+    noise = with_upper_limit(line, noise, scale)
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]
@@ -403,11 +408,11 @@ def clean(
 
 
 def seen_from_both_sides(line: Line, noise: Noise, scale: Scale, segment: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the segments without the fixes that are far from where the smoother of all others puts them.
+    """Return the segments without the fixes that are far from the smoothed line of all others.
 
-    The squared distance of a fix from the smoothed line without it, in units of its variance, is (z - x)² / (r - P),
-    where x and P are those of the line with it. A fault spoils its neighbours too, so only the worst of neighbours goes
-    before the next look.
+    The squared distance of a fix from the line smoothed without it, in units of its variance, is (z - x)² / (r - P),
+    with x and P of the line smoothed with it. A fault makes its neighbours look bad too, so of neighbouring fixes only
+    the worst is refused before the next look.
     """
     segment = segment.copy()
     for _ in range(LOOKS):
@@ -426,12 +431,12 @@ def seen_from_both_sides(line: Line, noise: Noise, scale: Scale, segment: NDArra
         z[faults] = np.nan
         line = line._replace(z=z)
     kept = segment >= 0
-    segment[kept] = np.unique(segment[kept], return_inverse=True)[1]  # a segment may have gone as a whole
+    segment[kept] = np.unique(segment[kept], return_inverse=True)[1]  # whole segments may be gone
     return segment
 
 
 def _limits(off):
-    """Return the limit of each fix (N,) from the squared distances (N,) of the fixes around it."""
+    """Return the limit for each fix (N,), from the squared distances (N,) of the fixes around it."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS)
     return np.clip(FROM_BOTH_SIDES * np.median(around, axis=1) / MEDIAN, LEAST_LIMIT, FROM_BOTH_SIDES)
 
@@ -443,9 +448,9 @@ def _smoothed(line, noise, scale):
 
 
 def band_of(line: Line, noise: Noise, scale: Scale, seconds: float) -> Band | None:
-    """Return the Band of the second half of a line, with q and r of the first half, or None where it has too few fixes.
+    """Return the Band of the second half of a line, with q and r of the first half.
 
-    There is none either where the first half stands still.
+    It is None if a half has too few fixes, or the first half stands still.
     """
     half = len(line.rows) // 2
     before = line.part(slice(half))
@@ -459,16 +464,16 @@ def band_of(line: Line, noise: Noise, scale: Scale, seconds: float) -> Band | No
         seconds = float(np.quantile(np.diff(t), 0.5, method="higher"))
     try:
         a = bands.ahead(kf, line.z, seconds)
-    except ValueError:  # no fix has another at that distance
+    except ValueError:  # no fix is followed by another at that horizon
         return None
     unseen = a.row >= half
     if not np.isfinite(a.errors[unseen]).any(axis=0).all():
         return None
     widths = bands.following(a, level=LEVEL)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of few predictions: `independent` says how many
+        warnings.simplefilter("ignore", UserWarning)  # few predictions: `independent` says how many
         held = bands.coverage(a, widths, where=unseen)
-        own = bands.coverage(a, OWN * a.sigma, where=unseen)
+        own = bands.coverage(a, NORMAL * a.sigma, where=unseen)
     shares = float(held.share.mean()), float(own.share.mean())
     width = float(np.median(widths[unseen]))
     return Band(seconds, width, LEVEL, *shares, int(unseen.sum()), held.independent, a, widths, unseen)

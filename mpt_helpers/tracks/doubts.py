@@ -1,4 +1,4 @@
-"""Files and tables that are not what they seem: recognised, and refused with the way to mend them."""
+"""Files and tables in other formats, and of several mobiles: recognised, and refused with the way to convert them."""
 
 from __future__ import annotations
 
@@ -11,28 +11,24 @@ from numpy.typing import NDArray
 from .._checks import Array
 
 GPSBABEL = "gpsbabel -t -i {} -f FILE -o gpx -F track.gpx"
-XML = rb"(?i)(\xef\xbb\xbf)?\s*(<[?!][^>]*>\s*)*<"  # what stands before the name of the outermost element
-# How other files begin, what they are, and how a GPX or CSV file is made of them.
+XML = rb"(?i)(<[?!][^>]*>\s*)*<"  # what stands before the name of the outermost element
 PACKED = rb"PK\x03\x04|BZh|\xfd7z|7z\xbc|Rar!|\x28\xb5\x2f\xfd|\x1f\x9d|\x04\x22\x4d\x18"
+# How other files begin, what they are, and how to make a GPX or CSV file of them.
 KINDS = (
     (PACKED, "an archive", "unpack it; or pandas.read_excel('FILE').to_csv('new.csv')"),
     (rb"\xff\xfe|\xfe\xff", "UTF-16", "save it as UTF-8: pandas.read_csv('FILE', encoding='utf-16').to_csv('new.csv')"),
     (rb"(?s)[\x0c\x0e].{7}\.FIT", "a FIT file", f"{GPSBABEL.format('garmin_fit')}, or the package fitdecode"),
-    (rb"\s*[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
+    (rb"[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
     (rb"A[A-Z]{3}.*[\r\n]+H", "an IGC file", GPSBABEL.format("igc")),
-    (
-        rb"\s*[{[]",
-        "a JSON file",
-        "pandas.read_json('FILE').to_csv('new.csv'), or of GeoJSON geopandas.read_file('FILE')",
-    ),
+    (rb"[{[]", "a JSON file", "pandas.read_json('FILE').to_csv('new.csv'); of GeoJSON geopandas.read_file('FILE')"),
     (XML + rb"TrainingCenterDatabase", "a TCX file", GPSBABEL.format("gtrnctr")),
     (XML + rb"kml", "a KML file", GPSBABEL.format("kml")),
     (XML + rb"(?![?!]|([\w.-]+:)?gpx)", "another kind of XML, or a web page", "export it as GPX"),
     (rb"(?s).*\0|.{,99}[\1-\x08\x0e-\x1f]", "a binary file, or a damaged one", "export it as GPX or CSV"),
 )
-# How a COLUMN becomes numbers or times whose cells look so.
 SIGNS = "{'N': 1, 'S': -1, 'E': 1, 'W': -1}"
-WAYS = (
+# How cells may look, and how to make numbers or times of their COLUMN.
+CONVERSIONS = (
     (r"\d{13,}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms'), 'us' or 'ns'; of digits format='%Y%m%d%H%M%S'"),
     (r"\d{5}\.\d+", "days of a spreadsheet? pandas.to_datetime(COLUMN, unit='D', origin='1899-12-30')"),
     (
@@ -49,19 +45,20 @@ WAYS = (
 )
 # Several mobiles: a column changes its value at least so often, has so many fixes of each value, and these lie so much
 # farther from the line between their neighbours in time than from that between their neighbours of the same value.
-CHANGES, OF_EACH, FARTHER = 10, 5, 2.5
+FEWEST_CHANGES, FIXES_OF_EACH, FARTHER = 10, 5, 2.5
 
 
 def refuse_other_kinds(path: Path, data: bytes) -> None:
-    """Refuse a file of another kind, by how it begins."""
+    """Refuse a file of another kind by its first bytes, after a byte order mark and blanks."""
+    data = data.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     for begins, kind, way in KINDS:
         if re.match(begins, data):
             raise ValueError(f"{path}: needs a GPX or CSV file, got {kind}: {way.replace('FILE', path.name)}")
 
 
-def way_of(column: str, text: str) -> str:
-    """Return a cell of a column and the way to mend the column."""
-    way = next(way for looks, way in WAYS if re.fullmatch(looks, text.strip()))
+def conversion_of(column: str, text: str) -> str:
+    """Return a cell of a column, and the way to convert the column."""
+    way = next(way for looks, way in CONVERSIONS if re.fullmatch(looks, text.strip()))
     return f"{text!r:.40}: {way.replace('COLUMN', f'frame[{column!r}]')}"
 
 
@@ -79,8 +76,8 @@ def refuse_signs(name: str, others: dict[str, list[str]], column: str, degrees: 
 def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int64], position: Array) -> None:
     """Refuse a table of several mobiles, as ships with an MMSI, and name the column that tells them apart.
 
-    A fix of one mobile lies between the fixes before and after it, whatever another column says. With several mobiles
-    it lies between those with its own value of that column only.
+    A fix of one mobile lies between the fixes before and after it, whatever the other columns say. With several mobiles
+    it lies only between fixes with its own value of the column that tells them apart.
     """
     rows = np.flatnonzero((time != np.iinfo(np.int64).min) & np.isfinite(position).all(axis=1))
     rows = rows[np.argsort(time[rows], kind="stable")]
@@ -88,7 +85,7 @@ def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int
     for column, cells in others.items():
         values, value = np.unique([cells[row] for row in rows], return_inverse=True)
         changes = np.diff(value) != 0
-        if changes.sum() < CHANGES or len(values) * OF_EACH > len(rows):
+        if changes.sum() < FEWEST_CHANGES or len(values) * FIXES_OF_EACH > len(rows):
             continue
         mixed = np.append(changes, False) | np.append(False, changes)
         apart = _off_the_line(time, position, in_turn)[mixed]
@@ -101,11 +98,11 @@ def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int
 
 
 def take_turns(time: Array, position: Array) -> bool:
-    """Tell whether every other fix is of another mobile: all others alone make a much straighter line.
+    """Tell whether two mobiles take turns: every other fix by itself makes a much straighter path than all fixes.
 
-    So does one mobile whose times are rounded, but then no fix is off by more than the way from one to the next.
+    Rounded times of one mobile have the same effect, but move no fix farther than the mobile goes in two steps.
     """
-    if len(time) < CHANGES:
+    if len(time) < FEWEST_CHANGES:
         return False
     apart = np.median(_off_the_line(time, position, np.arange(len(time))))
     own = np.median(_off_the_line(time, position, np.argsort(np.arange(len(time)) % 2, kind="stable")))

@@ -36,13 +36,13 @@ def write_together(contents: dict[Path, bytes], overwrite: bool = True, source: 
 
 
 def require_free(paths: list[Path], overwrite: bool, source: Path | str | None = None) -> None:
-    """Raise FileExistsError for a path that is the source or no file, and, unless `overwrite` is True, for any file."""
+    """Raise FileExistsError for the source and for what is no regular file; without `overwrite` for any file."""
     for path in paths:
         if path.is_dir():
             raise IsADirectoryError(f"a folder is in the place of the file {path}")
         if path.exists() and not path.is_file():
-            raise FileExistsError(f"{path}: is a pipe or a device, and no file")
+            raise FileExistsError(f"{path}: is a pipe or a device, not a file")
         if isinstance(source, Path) and path.exists() and source.exists() and path.samefile(source):
-            raise FileExistsError(f"{path}: is the recording itself, which is not written over")
+            raise FileExistsError(f"{path}: is the recording itself, which is never overwritten")
         if not overwrite and (path.exists() or path.is_symlink()):
             raise FileExistsError(f"{path}: exists; to replace it give overwrite=True, in the command --overwrite")

@@ -1,4 +1,4 @@
-"""The rows of a recorded track that are fixes, where a recording begins, and the grid of the numbers."""
+"""Which rows of a recorded track are fixes, where recordings begin, and the grid that the numbers lie on."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from .._checks import Array
 
 FEWEST = 10  # fixes
 LEAST_TOLD = 3  # fixes after the first two of their recordings
-# A recording ends where no fix comes for so many seconds, or usual steps if these are longer: the motion before tells
-# nothing of that after.
+# A recording ends if no fix follows within PAUSE seconds, or PAUSE_IN_STEPS median steps if these are longer: motion
+# before such a pause says nothing about motion after it.
 PAUSE, PAUSE_IN_STEPS = 60.0, 10
-# Fewer than ten fixes, and 5 % of all, that lie more than 100 days from all others have wrong times: a receiver that
-# does not know the date yet says 1980, or is off by 1024 weeks.
+# A group of fixes has wrong times if it has fewer than ten fixes and 5 % of all, and lies more than 100 days from the
+# others: a receiver that does not know the date yet reports 1980, or is off by 1024 weeks.
 STRAY, STRAY_SHARE, FAR_IN_TIME = 10, 0.05, 100 * 86400.0
-# A position is repeated where it changes by at most HUNDREDTH of a usual step, as in its last digit. Rows are written
-# faster than fixes if a tenth or more of the positions are repeated while the mobile moves at half its usual speed or
-# faster (recorded tracks: 0 to 2 %), and usual steps are at least three times the grid of the numbers.
+# A position is a repeat if it changes by at most HUNDREDTH of a large step (the NEARLY_ALL quantile): its last digit
+# may differ. Rows are written faster than fixes are made if two conditions hold. At least a tenth of the positions are
+# repeated while the mobile moves at half its median speed or faster (in recorded tracks it is 0 to 2 %), and the median
+# step is at least three times the grid of the numbers.
 REPEATED, STEPS_OF_GRID, NEARLY_ALL = 0.1, 3.0, 0.95
-# A step lies on a grid if it is a multiple of it to within ON_GRID of the grid. Numbers on no grid are rounded by no
-# more than HUNDREDTH of a usual step.
+# A step lies on a grid if it is a multiple of it to within ON_GRID of the grid. Numbers on no grid are rounded to at
+# most HUNDREDTH of a median step.
 ON_GRID, HUNDREDTH = 0.05, 0.01
 
 
@@ -32,9 +33,9 @@ class Fixes(NamedTuple):
     """The fixes of a track.
 
     rows (K,): their rows in the track
-    begin (K,): whether a recording begins with it
-    same_as (N,): for each row of the track the row of the fix that it repeats, or its own
-    said: what was found, in words
+    begin (K,): whether a recording begins with each
+    same_as (N,): for each row of the track, the row of the fix that it repeats, or its own number
+    said: notes on what was found
     """
 
     rows: NDArray[np.intp]
@@ -54,7 +55,7 @@ def checked_track(t, z, r, segment):
     if segment.shape != (len(z),):
         checks.refuse("segment", f"a number or a name for each of {len(z)} rows", f"shape {segment.shape}")
     another = np.append(False, segment[1:] != segment[:-1])
-    order = np.argsort(t, kind="stable")  # segments may be out of order, but times within them may not
+    order = np.argsort(t, kind="stable")  # segments may be out of order, the rows of a segment may not
     times = np.empty(len(z))
     times[order] = checks.times("t", np.asarray(t)[order])
     back = (np.diff(times) < 0) & ~another[1:]
@@ -80,7 +81,7 @@ def _relative(r, z):
 
 
 def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pause: float | None) -> Fixes:
-    """Return the Fixes of a track; a segment begins at the rows `another` (N,), rounding is a variance."""
+    """Return the Fixes of a track; `another` (N,) marks where a segment begins, `rounding` is a variance."""
     seen = np.isfinite(z).any(axis=1)
     early = _at_one_time(t, z, another, np.flatnonzero(seen))
     again = _repeated(t, z, another, rounding, np.flatnonzero(seen & ~early))
@@ -114,9 +115,9 @@ def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pa
 
 
 def _at_one_time(t, z, another, rows):
-    """Return the mask (N,) of the rows, of some `rows`, that have the time of the next one and no axis that it lacks.
+    """Return the mask (N,) of those `rows` that have the time of the next one, which has all their axes.
 
-    A receiver that catches up gives all its fixes the time of the newest, so the last of them counts.
+    A receiver that catches up gives several fixes the time of the newest, so the last of them counts.
     """
     early = np.zeros(len(t), dtype=bool)
     has_all = (np.isfinite(z[rows[1:]]) | np.isnan(z[rows[:-1]])).all(axis=1)
@@ -125,10 +126,10 @@ def _at_one_time(t, z, another, rows):
 
 
 def _repeated(t, z, another, rounding, rows):
-    """Return the mask (N,) of the rows, of some `rows`, that repeat a position because rows come faster than fixes.
+    """Return the mask (N,) of those `rows` that repeat a position because rows are written faster than fixes are made.
 
-    A mobile at rest repeats its position too. So there are none unless repeats are usual while it moves, and of a rest
-    one row is kept for each time that the longest of those repeats takes.
+    A mobile at rest repeats its position too. So there are none unless repeats are frequent while the mobile moves, and
+    a rest keeps one row per period of those repeats.
     """
     again = np.zeros(len(t), dtype=bool)
     steps = np.linalg.norm(np.diff(z[rows], axis=0), axis=1)
@@ -152,7 +153,7 @@ def _repeated(t, z, another, rounding, rows):
 
 
 def _begins(t, another, pause):
-    """Return the mask of the fixes, at times t, that begin a recording: the first, of a segment, and after a pause."""
+    """Return the mask of the fixes, at times t, that begin a recording: at the start, after a pause, with a segment."""
     steps = np.diff(t)
     if pause is None:
         inside = steps[steps > 0]
@@ -161,7 +162,7 @@ def _begins(t, another, pause):
 
 
 def _strays(t, begin):
-    """Return the mask of the fixes with a wrong time: few, and months from all others."""
+    """Return the mask of the fixes with a wrong time: a few that are months from all others."""
     number = np.cumsum(begin) - 1
     few = (np.bincount(number) < min(STRAY, STRAY_SHARE * len(t)))[number]
     if few.all() or not few.any():
@@ -173,21 +174,21 @@ def _strays(t, begin):
 
 
 def grid_of(values: Array, grids: tuple[float, ...] = ()) -> float:
-    """Return the grid that numbers lie on: the coarsest of `grids` on which three quarters of their steps lie.
+    """Return the grid that numbers lie on: the coarsest of `grids` that holds three quarters of their steps.
 
-    Steps are compared, not values: a track that was moved is off the grid as a whole, and a fault spoils only two
-    steps. For numbers on none of the grids it is the shortest step, but at most HUNDREDTH of a usual one.
+    Steps are tested, not values: a shifted track is off the grid as a whole, and a fault spoils only two steps. If no
+    grid fits, the result is the shortest step, but at most HUNDREDTH of a median step.
     """
     steps = _steps(values)
     for grid in sorted(grids, reverse=True):
-        long = steps[steps > ON_GRID * grid]  # shorter ones are the rounding of none
+        long = steps[steps > ON_GRID * grid]  # shorter ones are rounding errors of zero
         if len(long) > 0.1 * len(steps) and _on_grid(long, grid) > 0.75:
             return grid
     return float(min(steps.min(), HUNDREDTH * np.median(steps))) if len(steps) else 0.0
 
 
 def _coarse_grid(z):
-    """Return the coarsest grid on which nearly all steps of an axis of positions (N, m) lie, or zero."""
+    """Return the coarsest grid that holds nearly all steps of one axis of positions (N, m), or zero."""
     found = 0.0
     for steps in map(_steps, z.T):
         steps = steps[steps > 1e-3 * steps.max(initial=0.0)]
@@ -198,7 +199,7 @@ def _coarse_grid(z):
 
 
 def _steps(values):
-    """Return the sizes of the steps between numbers, without NaN and zeros."""
+    """Return the sizes of the steps between successive numbers, without NaN and zeros."""
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     return steps[steps > 0]
 

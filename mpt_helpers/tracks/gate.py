@@ -1,16 +1,16 @@
-"""Outliers and jumps of a recorded track: one pass of a Kalman filter, fix by fix, which labels every fix.
+"""Outliers and jumps of a recorded track: one pass of a Kalman filter, fix by fix, labels every fix.
 
 A receiver fails in two ways that no filter models. Single fixes, or a few in a row, are far off; or the whole track
-jumps, for example when the signal returns, and goes on from there. The gate tells one from the other:
+jumps, for example when the signal returns, and continues from there. The gate tells one from the other:
 
-1. A fix whose NIS is above a limit is refused. The filter goes on as if it were missing.
-2. Consecutive refused fixes that agree *with each other* begin a new segment, from the first of them.
-3. The cheapest chain of segments is kept. Dropping a segment costs one for each of its fixes, a jump between two that
-   are kept costs ten. Where the track's usual speed leads from one segment to the next there is no jump: the mobile has
-   turned, and both are one segment.
+1. A fix whose NIS exceeds a limit is refused, and the filter treats it as missing.
+2. Consecutive refused fixes that agree *with each other* start a new segment at the first of them.
+3. The cheapest chain of segments is kept. Dropping a segment costs one per fix; a jump between two segments that are
+   kept costs ten. If the track's usual speed leads from one segment to the next, there is no jump: the mobile has
+   turned, and the two become one segment.
 
-The limit is far above what noise explains: a chi-square limit of 99.9 % would refuse a fifth of the good fixes of real
-tracks, whose motion is alternately smooth and highly dynamic. Refused fixes become NaN, which filters treat as missing.
+The limit is far above anything that noise explains. A chi-square limit of 99.9 % would refuse a fifth of the good fixes
+of real tracks, whose motion is alternately smooth and highly dynamic.
 """
 
 from __future__ import annotations
@@ -30,30 +30,34 @@ from .._checks import Array
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
-# After a fault so many fixes are taken one by one. Then, as before the first fault, the filter runs over many rows at
-# once: as many as there were fixes since the last fault.
+# Number of fixes after a fault that are filtered one by one. After them, and before the first fault, the filter takes
+# many rows at once: as many as there have been fixes since the last fault.
 ONE_BY_ONE = 200
-# A speed is unusual above FASTER times that which 95 % of the steps do not exceed. Steps of clean tracks are not.
+# A speed is too high above FASTER times the usual speed, the 95 % quantile of the steps. Clean tracks stay below.
 FASTER, OF_STEPS = 2.0, 0.95
-# A fix that the segment expects still goes to a new start whose -2 log density of it is lower by more than this. At 0
-# good fixes are lost to new starts, at 20 the gate misses shifts on sparse tracks.
-RARE = 5.0
-# The cost of a jump, in fixes: a segment of fewer fixes between two jumps is an outlier.
+# A fix within the limit of its segment still goes to a new start if its -2 log density there is lower by more than
+# this. With 0, good fixes are lost to new starts; with 20, the gate misses shifts on sparse tracks.
+CLEARLY_LOWER = 5.0
+# Cost of a jump, in fixes: a segment with fewer fixes between two jumps is an outlier.
 JUMP = 10
-# Each unusually fast step within a segment costs a jump, but no more than these count: a long one, such as a train ride
-# during a walk, is never dropped for its speed.
+# Each step within a segment that is too fast costs as much as a jump, up to this number: a long ride, such as one by
+# train during a walk, is never dropped for its speed.
 MOST_TOO_FAST = 2
-# A receiver without signal repeats its position, or writes a wrong one, and jumps when the signal is back: at least
-# STUCK fixes within HARDLY times the length of that jump, and of the line from the fix before them to that after them.
+# A receiver without signal repeats its position, or writes a wrong one, and jumps when the signal returns. It is stuck
+# if at least STUCK fixes lie within HARDLY times the length of that jump, and of the straight line from the fix before
+# them to the fix after them.
 STUCK, HARDLY = 3, 0.1
-# The mobile came to that position at no less than this part of the speed of that line, and that speed is no less than
-# this part of the speed at which it came: a mobile that rests there is slower.
+# A mobile that rests is not stuck. So the speed of arrival must be at least ARRIVED times the speed along that line,
+# and the speed along the line at least WENT_ON times the speed of arrival.
 ARRIVED, WENT_ON = 0.5, 0.25
-# A step of so many times the usual speed leads to a wrong position, and is no jump of a receiver.
+# A step this many times faster than usual leads to a wrong position; receivers do not jump as far.
 IMPOSSIBLE = 1000.0
-# The number of parts before each one that the chain may come from. More in a row are never dropped.
+# A step this many times longer than the median is a gap. A receiver may be wrong after one, for example behind a
+# tunnel.
+GAP = 10
+# Number of parts before each one from which the chain may continue. More parts in a row are never dropped.
 LOOK_BACK = 30
-# Two fixes at one time count as so many seconds apart.
+# Two fixes at the same time count as this many seconds apart.
 LEAST_STEP = 1e-9
 
 
@@ -68,28 +72,28 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
         Measurements, NaN where one is missing. A row that is partly NaN is judged by the rest; a row without
         measurements is no fix.
     limit : float
-        A fix is refused where its NIS, of all its measurements together, is above it. A squared distance, not a
-        probability: above 1.
+        The NIS, of all measurements of a fix together, above which the fix is refused. It is a squared distance, not a
+        probability, and must be above 1.
     patience : int
-        So many refused fixes in a row that agree with each other begin a new segment.
+        The number of consecutive refused fixes, agreeing with each other, that start a new segment.
 
     Returns
     -------
     ndarray of int, (N,)
         0, 1, ... in order of time, and -1 where a fix is refused or there is none. Each segment is a track of its own:
-        the first starts from the model's x0 and P0, as `kf` does, the others from x0 and P0 moved to their first fix.
+        the first starts from the model's x0 and P0, as `kf` does; each other one from x0 and P0 moved to its first fix.
 
     Raises
     ------
     TypeError
-        For another filter, as one of constant gain.
+        For any other filter, such as one with a constant gain.
     ValueError
-        For many tracks, a limit of 1 or below, and a patience below 1.
+        For many tracks, a limit of 1 or below, or a patience below 1.
 
     Warns
     -----
     UserWarning
-        Where the first fixes are all refused: x0 and P0 do not say where the track begins.
+        If all of the first fixes are refused, because x0 and P0 do not say where the track begins.
 
     Examples
     --------
@@ -118,8 +122,8 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
 def segments_of(kf, z, begins, limit, patience):
     """Return the segment of each fix of z (N, m) as `gated` does.
 
-    A recording begins at each row of `begins`: there the filter starts anew, no segment goes on, and nothing is a jump.
-    At row 0 it starts from x0 and P0 unless a recording begins there.
+    A recording begins at each row of `begins`: the filter restarts there, no segment continues across it, and the step
+    to it is no jump. The filter starts row 0 from x0 and P0 unless a recording begins there.
     """
     found = _in_sequence(_Track(kf, z), begins, limit, patience)
     if len(begins) == 0 and np.isfinite(z).any() and not found[0]:
@@ -141,8 +145,8 @@ def segments_of(kf, z, begins, limit, patience):
 class _Track:
     """The rows of a track z (N, m) for a Kalman filter. A state is x (n,) and P (n, n).
 
-    Row k is one step by F, Q and a measurement z = H x + noise of unit variance. A missing measurement has a row of
-    zeros in H, and a zero in z.
+    Row k is a step by F and Q, followed by a measurement z = H x + noise of unit variance. A missing measurement has a
+    row of zeros in H and a zero in z.
     """
 
     def __init__(self, kf, z):
@@ -161,7 +165,7 @@ class _Track:
         self.unit_of_state, self.unit_of_fix = np.eye(model.n), np.eye(model.m)
 
     def start(self, k):
-        """Return the state after a first fix, of row k: x0 and P0 moved there."""
+        """Return the state after row k as a first fix: x0 and P0 are moved there."""
         model = self.kf.model
         x, P = model.F @ model.x0, model.F @ model.P0 @ model.F.T + model.Q
         x = x + np.linalg.pinv(self.H[k]) @ (self.unit_z[k] - self.H[k] @ x)
@@ -181,7 +185,7 @@ class _Track:
         HP = H @ P
         S = HP @ H.T + self.unit_of_fix
         innovation = self.unit_z[k] - H @ x
-        # For matrices of this size LAPACK's own routine takes a third of the time of np.linalg.
+        # On such small matrices LAPACK's own routine is much faster than np.linalg.
         _, solved, fails = dposv(S, np.column_stack([HP, innovation]))
         nis = float(innovation @ solved[:, -1])
         if fails or not 0 <= nis < math.inf:
@@ -191,12 +195,12 @@ class _Track:
         return (x + K @ innovation, keep @ P @ keep.T + K @ K.T), nis, S
 
     def rows_without_fault(self, state, k, stop, limit):
-        """Return how many rows from k on, before row `stop`, stand before the first one with a fault."""
+        """Return the number of rows from k to `stop` that precede the first fault."""
         faults = np.flatnonzero(metrics.nis(self._from(state, k, stop), self.z[k:stop]) > limit)
         return int(faults[0]) if len(faults) else stop - k
 
     def after_rows(self, state, k, stop):
-        """Return the state after the rows from k to `stop`, with all their fixes."""
+        """Return the state after the rows k to `stop`, with all their fixes."""
         x, P = self._from(state, k, stop).estimates(self.z[k:stop])
         return x[-1], P[-1]
 
@@ -220,21 +224,22 @@ class _WithSteps(KalmanFilter):
 
 
 class _Start(NamedTuple):
-    """A new start: the rows of refused fixes that agree, and the state after them."""
+    """A new start: the rows of refused fixes that agree with each other, and the state after them."""
 
     rows: list[int]
     state: tuple[Array, Array]
 
 
 def _in_sequence(track, begins, limit, patience):
-    """Return the rows of each segment, in order of their first rows, by rules 1 and 2."""
+    """Return the rows of each segment by rules 1 and 2, ordered by first row."""
     found = []
     for begin, stop in pairwise(sorted({0, *begins, len(track.z)})):
         if begin not in begins:
             origin = _Start([], (track.kf.model.x0, track.kf.model.P0))
             found += _of_recording(track, origin, begin, stop, limit, patience)
             continue
-        whole = begin + np.flatnonzero(track.seen[begin:stop].all(axis=1))  # only these tell where all axes begin
+        # Only a fix with all axes says where each of them begins.
+        whole = begin + np.flatnonzero(track.seen[begin:stop].all(axis=1))
         if len(whole):
             first = int(whole[0])
             start = _Start([first], track.start(first))
@@ -243,10 +248,10 @@ def _in_sequence(track, begins, limit, patience):
 
 
 def _of_recording(track, start, k, stop, limit, patience):
-    """Return the rows of each segment from row k to `stop`; the first one begins with those of a start."""
+    """Return the rows of each segment from row k to `stop`; the first segment begins with the rows of a start."""
     (rows, state), found, starts = start, [], []
-    calm = stop - k  # fixes since the last fault; before the first one as many as there are rows
-    if not rows:  # x0 and P0 may be so vague that one row after the other would lose the digits of P
+    calm = stop - k  # the number of fixes since the last fault; before the first fault, all rows
+    if not rows:  # x0 and P0 may be so vague that P would lose its digits row by row
         calm = max(calm, ONE_BY_ONE)
     while k < stop:
         if calm >= ONE_BY_ONE and not starts:
@@ -269,7 +274,7 @@ def _of_recording(track, start, k, stop, limit, patience):
             own, own_nis, own_S = track.with_fix(each.state, k)
             if own_nis <= limit:
                 agreed.append(_Start([*each.rows, k], own))
-                expected = expected and _deviance(nis, S) <= _deviance(own_nis, own_S) + RARE
+                expected = expected and _deviance(nis, S) <= _deviance(own_nis, own_S) + CLEARLY_LOWER
         if expected:
             state, starts = after, []
             rows.append(k)
@@ -285,14 +290,14 @@ def _of_recording(track, start, k, stop, limit, patience):
 
 
 def _deviance(nis, S):
-    """Return -2 log of the probability density of an innovation, but for a constant."""
+    """Return -2 log of the probability density of an innovation, without its constant."""
     return nis + float(np.linalg.slogdet(S)[1])
 
 
 class _Moves:
-    """Moves between fixes z (N, m), in units of their noise, and whether they are too fast.
+    """Distances and speeds between fixes z (N, m), in units of their noise.
 
-    That is measured by the steps within the segments found. Between two recordings no move is too fast.
+    The steps within the segments found tell the usual speed. No move between two recordings is too fast.
     """
 
     def __init__(self, found, z, times, recording):
@@ -301,23 +306,28 @@ class _Moves:
         b = np.concatenate([rows[1:] for rows in found]).astype(int)
         speeds = self.speed(a, b)[times[b] > times[a]]
         self.usual = float(np.quantile(speeds, OF_STEPS)) if len(speeds) else math.inf
+        self.gap = GAP * float(np.median(times[b] - times[a])) if len(a) else math.inf
 
     def distance(self, a, b):
-        """Return the distance between fixes a and b, along the axes that both have measured."""
+        """Return the distance between fixes a and b along the axes that both have."""
         return np.sqrt(np.nansum((self.z[b] - self.z[a]) ** 2, axis=-1))
 
     def speed(self, a, b):
-        """Return the speed that leads from fixes a to later ones b."""
+        """Return the speed from fixes a to later fixes b."""
         return self.distance(a, b) / np.maximum(self.times[b] - self.times[a], LEAST_STEP)
 
+    def after_a_gap(self, a, b):
+        """Tell which fixes b follow fixes a after a gap."""
+        return self.times[b] - self.times[a] > self.gap
+
     def too_fast(self, a, b, at_most=FASTER):
-        """Tell which moves from fixes a to b take more than `at_most` times the usual speed."""
+        """Tell which moves from fixes a to b exceed `at_most` times the usual speed."""
         return (self.recording[a] == self.recording[b]) & (self.speed(a, b) > at_most * self.usual)
 
 
 def _without_excursions(found, moves):
-    """Return the segments but those that stand in a wrong position, as 0° N 0° E, from where the track returns."""
-    if moves.usual == 0:  # a track that mostly stands still, but for the steps of a coarse grid
+    """Return the segments without those at one wrong position, such as 0° N 0° E, from which the track returns."""
+    if moves.usual == 0:  # a track on a coarse grid, which stands still in most steps
         return found
     rows, left = np.concatenate(found), []
     for own, following in zip(found, [*found[1:], None], strict=True):
@@ -330,10 +340,10 @@ def _without_excursions(found, moves):
 
 
 def _is_excursion(own, steps, rows, moves):
-    """Tell whether a segment stands in a wrong position, from the steps that lead to it and away from it.
+    """Tell whether a segment stays at a wrong position, judging by the steps to it and away from it.
 
-    The mobile goes there and back too fast, from and to where it could have gone without. At an end of a recording,
-    where there is one step only, it must be impossibly fast. Of the two positions that with more fixes is right.
+    Both steps are too fast, while the step that bypasses the segment is not. At either end of a recording there is only
+    one step, which must be impossibly fast. Of the two positions, the one with more fixes is right.
     """
     both = len(steps) == 2
     if not all(moves.too_fast(a, b, FASTER if both else IMPOSSIBLE) for a, b in steps):
@@ -348,11 +358,11 @@ def _is_excursion(own, steps, rows, moves):
 
 
 def _without_stuck_ones(found, moves):
-    """Return the rows of the segments without those where a receiver without signal has stood still.
+    """Return the rows of the segments without those where a receiver without signal was stuck at one position.
 
-    They stand before a step that is too fast, if it would not be from where they began, and if the mobile came there at
-    such a speed: one that rested there has not gone on, and the step is a jump. An example, in the middle of a track
-    that moves 1 m a second:
+    Fixes are stuck if the step after them is too fast, the straight line from the fix before them is not, and the
+    mobile arrived at about the speed of that line. After a rest instead, the fast step is a jump. For example, in the
+    middle of a track that moves at 1 m/s:
 
         time (s)          0   1   2   3   4   5   6   7   8
         true position     0   1   2   3   4   5   6   7   8
@@ -360,7 +370,8 @@ def _without_stuck_ones(found, moves):
                              before  tail ...    k   k + 1
 
     The step of 4 m from k is too fast. The fixes from `tail` to k lie within a tenth of it. The line from the fix
-    before them to k + 1 is 5 m in 5 s, which is usual, and the mobile came at 1 m/s: the four fixes of 3 m are refused.
+    before them to k + 1 is 5 m in 5 s, the usual speed, and the mobile arrived at 1 m/s. So the four fixes at 3 m are
+    refused.
     """
     rows = np.concatenate(found)
     stuck = np.zeros(len(rows), dtype=bool)
@@ -372,13 +383,13 @@ def _without_stuck_ones(found, moves):
         if tail == 0:
             continue
         arrived = moves.speed(rows[max(tail - 1 - STUCK, 0)], rows[tail - 1])
-        # Fixes that still move, at half the speed at which the mobile came or faster, are good.
+        # Fixes that still move, faster than half the speed of arrival, are good.
         while tail < k and moves.speed(rows[tail], rows[tail + 1]) > arrived / 2:
             tail += 1
         before, after = rows[tail - 1], rows[k + 1]
         if k + 1 - tail < STUCK or moves.too_fast(before, after):
             continue
-        # If they move further than that, the fixes before and after them are in one wrong position.
+        # If they spread further, the fixes before and after them are the ones at a wrong position.
         stands = moves.distance(rows[tail:k], rows[k]).max() <= HARDLY * moves.distance(before, after)
         speed = moves.speed(before, after)
         stuck[tail : k + 1] = stands and ARRIVED * speed <= arrived <= speed / WENT_ON
@@ -388,25 +399,27 @@ def _without_stuck_ones(found, moves):
 
 
 def _cheapest_chain(found, moves):
-    """Return the rows of the segments that are kept, those without a jump between them as one, by rule 3.
+    """Return the rows of the segments that are kept by rule 3; those without a jump between them are joined.
 
-    A segment is dropped by parts: what stands between refused fixes, and its first and its last fix, which may be
-    faults that agreed with the others by chance. The cheapest chain up to part j, after part i or with j first, costs
+    A segment is dropped by parts: the fixes between two that are refused, and those at its ends, one or a few beyond a
+    gap, which may be faults that agreed with the others by chance. The cheapest chain up to part j, which follows part
+    i or is the first, costs
 
         cost[j] = to_keep[j] + min over i of (cost[i] + fixes of the parts between i and j + JUMP if there is one)
         cost[j] = to_keep[j] + fixes of all parts before j
     """
     parts, segment = [], []
     for number, rows in enumerate(found):
-        own = _parts(rows)
+        own = _parts(rows, moves)
         parts += own
         segment += [number] * len(own)
     dropped = np.cumsum([0, *map(len, parts)]).tolist()  # [j]: the fixes of all parts before j
 
     def jump(i, j):
-        """Tell whether the move from the end of a part to the start of one of another segment is too fast.
+        """Tell whether the move from the end of part i to the start of part j, of another segment, is too fast.
 
-        Where parts are dropped between them it must be a usual speed, so that parts are not dropped just to lower it.
+        If parts are dropped between the two, it must not exceed the usual speed: otherwise parts would be dropped just
+        to lower it.
         """
         at_most = 1.0 if j > i + 1 else FASTER
         return segment[i] != segment[j] and bool(moves.too_fast(parts[i][-1], parts[j][0], at_most))
@@ -434,7 +447,10 @@ def _cheapest_chain(found, moves):
     return joined
 
 
-def _parts(rows):
-    """Return the rows of a segment between those that are refused, its first and its last one apart."""
-    cuts = {0, 1, *(np.flatnonzero(np.diff(rows) > 1) + 1).tolist(), len(rows) - 1, len(rows)}
+def _parts(rows, moves):
+    """Return the parts of a segment: the rows between two refused fixes, its ends, and a few fixes beyond a gap."""
+    before = np.arange(1, len(rows))  # the number of fixes before each step
+    near_an_end = np.minimum(before, len(rows) - before) < JUMP
+    apart = (np.diff(rows) > 1) | (near_an_end & moves.after_a_gap(rows[:-1], rows[1:]))
+    cuts = {0, 1, *before[apart].tolist(), len(rows) - 1, len(rows)}
     return [rows[begin:end] for begin, end in pairwise(sorted(cuts))]

@@ -1,7 +1,7 @@
 """Degrees to metres and back, on the ellipsoid of WGS 84.
 
-`to_plane` and `from_plane` are those of the plane that touches the Earth at an origin. A recorded track lies on a
-`Chart`, which reaches farther, as for a flight.
+`to_plane` and `from_plane` use the plane that is tangent to the Earth at an origin. A recorded track lies on a `Chart`,
+which is large enough for a long flight.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from .._checks import Array, refuse
 SEMI_MAJOR = 6378137.0  # m
 FLATTENING = 1 / 298.257223563
 ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
-# Rounds of two iterations that converge by a factor of 300 and of 20 or more each, some 1000 km from the origin.
+# Rounds of two iterations: each gains a factor of 300, or of 20, and more, up to some 1000 km from the origin.
 ROUNDS_OF_LATITUDE, ROUNDS_OF_HEIGHT = 5, 12
-# Segments that are no farther (m) from the middle of all share a chart, where metres are true to 0.1 %. A chart has no
-# metres on the far side of the Earth: nearly all fixes of a segment must be no farther from its middle.
+# Segments within ONE_CHART (m) of their common middle share a chart, on which metres are true to 0.1 % there. The far
+# side of the Earth cannot be charted: NEARLY_ALL fixes of a segment must lie within FARTHEST of its middle.
 ONE_CHART, FARTHEST, NEARLY_ALL = 500e3, 15_000e3, 0.95
 
 
@@ -63,7 +63,7 @@ def to_plane(lat: Array, lon: Array, origin: tuple[float, float, float]) -> Arra
 def from_plane(z: Array, origin: tuple[float, float, float]) -> tuple[Array, Array]:
     """Return latitudes and longitudes of positions (N, 2) east and north of an origin, at its height.
 
-    The Earth falls away from the plane, by 1.8 km at 150 km: how far below the plane the positions lie is searched.
+    The Earth falls away from the plane, by 1.8 km at 150 km: the iteration finds how far below it the positions lie.
     """
     up = np.zeros(len(z))
     start, axes = earth_centred(*origin)[:, None], axes_at(*origin[:2])
@@ -77,8 +77,9 @@ def from_plane(z: Array, origin: tuple[float, float, float]) -> tuple[Array, Arr
 class Chart:
     """A map of the Earth around a middle, by latitude and longitude (°): the azimuthal equidistant projection.
 
-    Metres are true in the middle, and towards it everywhere. Across that direction they are too long by c / sin c at an
-    angle c from the middle: by 0.1 % at 500 km, and by 9 % at the ends of a flight of 9,000 km.
+    Metres are true at the middle, and everywhere along the direction towards it. Across that direction they are too
+    long by a factor c / sin c at an angle c from the middle: by 0.1 % at 500 km, and by 9 % at the ends of a flight of
+    9,000 km. So lengths and speeds of a track are measured on the Earth, not on its chart.
     """
 
     lat: float
@@ -106,7 +107,7 @@ class Chart:
 
 
 def charts_of(lat: Array, lon: Array, segment: Array) -> tuple[list[Chart], Array, Array]:
-    """Return the charts of a track, in which of them each fix lies, and positions (N, 2) in metres.
+    """Return the charts of a track, the number of the chart of each fix, and positions (N, 2) on it in metres.
 
     The middle of a chart is the fix nearest to the median, which no outlier moves. All segments share one chart if they
     are near each other.

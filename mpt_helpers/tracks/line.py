@@ -1,4 +1,4 @@
-"""All segments of a track, one after the other, as one track for a filter, and the q and r of that filter."""
+"""The segments of a track put in sequence as one track for a filter, and the q and r of that filter."""
 
 from __future__ import annotations
 
@@ -7,42 +7,51 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from .. import _checks as checks
 from .. import fitting
 from .._checks import Array
 from ..kalman import KalmanFilter
 from ..model import constant_velocity, stack
-from ..search import AROUND, along_a_line
+from ..search import AROUND, SIGNIFICANT, along_a_line
 
-# Segments are put an hour or more apart, so that one tells nothing of the next. In T seconds without a fix the variance
-# of a velocity grows by q T, which must reach the square of FORGOTTEN usual speeds. But that of a position, q T³ / 3,
-# must stay below HELD times r, so that doubles hold it.
+# Segments are put an hour or more apart, so that the filter learns nothing about one from another. In T seconds without
+# a fix the variance of the velocity grows by q T, which must reach the square of FORGOTTEN usual speeds. That of the
+# position grows by q T³ / 3, which must stay below HELD times r for double precision.
 HOUR_BETWEEN, FORGOTTEN, HELD = 3600.0, 8, 1e20
-# q and r are fitted to at most so many fixes, in parts spread over the track: they determine both to 1 %.
+# q and r are fitted to at most MOST_FITTED fixes, in parts spread over the track. These determine both to 1 %.
 MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
-# Limits of log r / q, with r / q in units of the usual step cubed (s³), the points of a search all over, and how close
-# a search comes.
+# Limits of log(r / q), with r / q in units of the median step cubed (s³); the points of the global search; and the
+# tolerance of log(r / q).
 RATIOS = math.log(1e-8), math.log(1e6)
 ALL_OVER = math.log(100) * np.arange(-3.5, 4)
 RATIO_FOUND = 0.02
-# Robust sizes: the value that a tenth exceeds. Of the squares of normal numbers it is 2.71 variances.
+# Decades above r that are searched for an upper limit of r.
+DECADES = 14
+# A robust measure of size: the value that a tenth of the numbers exceed. Of squared normal numbers it is 2.7055 times
+# their variance.
 TENTH, OF_TENTH = 0.9, 2.7055
 
 
 class Noise(NamedTuple):
-    """q (m²/s³) and r (m²), the same for all axes, and whether r is the least possible, the rounding of the numbers."""
+    """q (m²/s³) and r (m²), the same for all axes.
+
+    rounding: whether r is the variance of the rounding of the numbers, its lower bound
+    limit: whether r is only an upper limit
+    """
 
     q: float
     r: float
     rounding: bool
+    limit: bool = False
 
 
 class Scale(NamedTuple):
-    """The size of a track's numbers.
+    """Typical sizes of a track.
 
     step: the median time between fixes (s); speed: the speed that a tenth of the steps exceed (m/s)
-    rounding: the variance of the rounding of the numbers (m²), the least that a fix can have
+    rounding: the variance of the rounding of the numbers (m²), a lower bound for that of a fix
     """
 
     step: float
@@ -51,22 +60,22 @@ class Scale(NamedTuple):
 
 
 def scale_of(t: Array, z: Array, rounding: float, begin: NDArray[np.bool_] | None = None) -> Scale:
-    """Return the Scale of a track with its faults; `begin` (N,) are the rows where a recording begins."""
+    """Return the Scale of a track, faults included; `begin` (N,) marks the rows where a recording begins."""
     rows, recording = _whole_fixes(z, begin)
     seconds, moved = np.diff(t[rows]), np.linalg.norm(np.diff(z[rows], axis=0), axis=1)
     inside = (seconds > 0) & (np.diff(recording) == 0)
     speeds = moved[inside] / seconds[inside]
     if not (speeds > 0).any():
         checks.refuse("z", "a track that moves", "one that stands still within each recording")
-    speed = float(np.quantile(speeds, TENTH)) or float(speeds[speeds > 0].mean())  # it may rest nine tenths of the time
+    speed = float(np.quantile(speeds, TENTH)) or float(speeds[speeds > 0].mean())  # nine tenths may be a rest
     return Scale(float(np.median(seconds[inside])), speed, max(rounding, (1e-9 * speed) ** 2))
 
 
 def first_guess(t: Array, z: Array, scale: Scale, begin: NDArray[np.bool_] | None = None) -> Noise:
-    """Return a guess of q and r from the changes of velocity between fixes, robust to a tenth of faults.
+    """Return a guess of q and r from the changes of velocity from step to step; it tolerates a tenth of faults.
 
-    Between two steps of h seconds the velocity of the fixes changes with variance 2 q h / 3 + 6 r / h². Steps from fix
-    to fix and over four of them give two equations.
+    From one step of h seconds to the next, the velocity of the fixes changes by a variance of 2 q h / 3 + 6 r / h².
+    Steps of one fix and of four give two equations.
     """
     rows, recording = _whole_fixes(z, begin)
     equations, sizes = [], []
@@ -86,21 +95,21 @@ def first_guess(t: Array, z: Array, scale: Scale, begin: NDArray[np.bool_] | Non
 
 
 def _whole_fixes(z, begin):
-    """Return the rows that have all axes, and the number of the recording of each."""
+    """Return the rows with all axes, and the number of the recording of each."""
     rows = np.flatnonzero(np.isfinite(z).all(axis=1))
     return rows, np.zeros(len(rows)) if begin is None else np.cumsum(begin)[rows]
 
 
 class Line(NamedTuple):
-    """The K rows of all segments of a track, one after the other, which a filter takes for one track.
+    """The K rows of all segments of a track in sequence, which a filter treats as one track.
 
     rows (K,): their rows in the track
-    t (K,): their times, with an hour or more from one segment to the next
-    z (K, m): the positions, NaN where refused, moved so that each segment begins where the one before it ended
-    moved (K, m): how far they were moved
-    first (K,): whether it is one of the first two fixes of a segment, which only tell its position and velocity
+    t (K,): their times, with an hour or more between segments
+    z (K, m): the positions, NaN where refused, shifted so that each segment begins where the one before it ended
+    moved (K, m): the shifts
+    first (K,): whether each is one of the first two fixes of a segment, which only determine its initial state
     number (K,): the segment, 0, 1, ...
-    relative (K, m): the relative variances of the fixes, or None where all are alike
+    relative (K, m): the relative variances of the fixes, or None if all are equal
     """
 
     rows: NDArray[np.intp]
@@ -116,7 +125,7 @@ class Line(NamedTuple):
         return Line(*(None if each is None else each[rows] for each in self))
 
     def stands_still(self, scale: Scale) -> bool:
-        """Tell whether all fixes are the same but for their rounding, so that no q and r can be fitted to them."""
+        """Tell whether all fixes are equal up to rounding, so that no q and r can be fitted to them."""
         there = self.z[np.isfinite(self.z).any(axis=1)]
         width = np.nanmax(there, axis=0) - np.nanmin(there, axis=0)
         return bool((width < math.sqrt(scale.rounding)).all())
@@ -133,7 +142,7 @@ def on_one_line(
 ) -> Line:
     """Return the Line of a track: the rows from the first to the last fix of each segment (N,).
 
-    A row that repeats a fix lies in the segment of that, the row `same_as` (N,).
+    A row that repeats a fix, the row `same_as` (N,), belongs to the segment of that fix.
     """
     held = float(np.cbrt(3 * HELD * noise.r / noise.q))
     apart = max(HOUR_BETWEEN, min((FORGOTTEN * scale.speed) ** 2 / noise.q, held))
@@ -158,13 +167,13 @@ def on_one_line(
 
 
 def _ends(z):
-    """Return the first and the last position (m,) that is known of each axis of fixes (K, m), 0 where none is."""
+    """Return the first and the last known position (m,) on each axis of fixes (K, m), 0 where none is known."""
     known = [column[np.isfinite(column)] for column in z.T]
     return np.array([each[[0, -1]] if len(each) else [0.0, 0.0] for each in known]).T
 
 
 def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
-    """Return the filter of a track, whose start is known to ten steps and two usual speeds."""
+    """Return the filter of a track, with an initial sigma of ten steps in position and two usual speeds in velocity."""
     sigma = 10 * (math.sqrt(noise.r) + scale.speed * scale.step)
     P0 = np.diag([sigma**2, (2 * scale.speed) ** 2])
     axis = constant_velocity(dt=scale.step, q=noise.q, r=noise.r, P0=P0)
@@ -172,9 +181,9 @@ def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes
 
 
 def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> KalmanFilter:
-    """Return the filter of one axis, whose start is known to a hundred usual steps and ten usual speeds.
+    """Return the filter of one axis, with an initial sigma of a hundred usual steps and ten usual speeds.
 
-    It takes each axis of z (K, 1, m) for a track.
+    It filters each axis of z (K, 1, m) as a track.
     """
     P0 = np.diag([(100 * scale.speed * scale.step) ** 2, (10 * scale.speed) ** 2])
     axis = constant_velocity(dt=scale.step, q=q, r=r, P0=P0)
@@ -182,16 +191,16 @@ def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> Kalma
 
 
 def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:
-    """Return -log L of the fixes of a line given the first two of each segment, as a function of log q and log r."""
+    """Return -log L as a function of log q and log r, for the fixes of a line given the first two of each segment."""
     make = lambda q, r: from_an_unknown_start(line, q, r, scale)  # noqa: E731
     return fitting.NegativeLogLikelihood(make, ["q", "r"], line.z[:, None], ~line.first)
 
 
 def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
-    """Return maximum-likelihood q and r of the fixes of a line, by a search along r / q near a guess or all over.
+    """Return maximum-likelihood q and r of the fixes of a line, by a local or a global search along r / q.
 
-    All over is for a guess that may lie near a lesser maximum: a recording with many short gaps has several. An r below
-    the rounding of the numbers is set to that.
+    The global search is for a guess that may lie near a local maximum: recordings with many short gaps have several. An
+    r below the rounding of the numbers is set to the rounding.
     """
     likelihood = likelihood_of(_sample(line), scale)
     low, high = (each + math.log(scale.step**3) for each in RATIOS)
@@ -202,21 +211,46 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
 
     at, ratio = np.log([guess.q, guess.r]), np.array([-0.5, 0.5])
     found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0) if near else at
-    if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # the guess was not near
+    if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # the guess was not close
         middle = at[0] + np.array([0.0, (low + high) / 2])
         found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
     q, r = np.exp(found)
     if r > scale.rounding:
         return Noise(float(q), float(r), False)
-    for _ in range(3):  # with r fixed: the best scale for this r / q changes q, and so r / q
+    for _ in range(3):  # r is fixed now: each best scale changes q, and so r / q
         q *= math.exp(likelihood.with_best_scale(np.log([q, scale.rounding]))[0])
-        q = max(q, scale.rounding / math.exp(high))  # fixes at rest tell nothing of q
+        q = max(q, scale.rounding / math.exp(high))  # fixes at rest do not determine q
     return Noise(float(q), scale.rounding, True)
 
 
+def with_upper_limit(line: Line, noise: Noise, scale: Scale) -> Noise:
+    """Return the Noise with the upper limit of r if r may be a thousandth or ten times as large, else the same Noise.
+
+    On a sparse track the motion between two fixes hides their noise: the likelihood is flat down to r = 0. The search
+    may end at any r there, and a covariance that follows from a small one would claim a precision that nothing shows.
+    At the upper limit log L is significantly below its maximum.
+    """
+    likelihood = likelihood_of(_sample(line), scale)
+    at, ten, unit = np.log([noise.q, noise.r]), math.log(10), np.array([0.0, 1.0])
+    least = likelihood.with_best_scale(at)[1]
+
+    def fits_worse(s):
+        return likelihood.with_best_scale(at + s * unit)[1] - least - SIGNIFICANT
+
+    if fits_worse(-3 * ten) > 0 or fits_worse(ten) > 0:
+        return noise
+    worse = next((k * ten for k in range(2, DECADES + 1) if fits_worse(k * ten) > 0), None)
+    if worse is None:
+        return noise
+    s = brentq(fits_worse, worse - ten, worse, xtol=RATIO_FOUND)
+    log_c = likelihood.with_best_scale(at + s * unit)[0]
+    q, r = np.exp(at + s * unit + log_c)
+    return Noise(float(q), float(r), rounding=False, limit=True)
+
+
 def log_errors(line: Line, noise: Noise, scale: Scale) -> dict[str, float]:
-    """Return the standard errors of log q and log r, as `fit` does; infinite for an r that is the rounding."""
-    known = np.arange(1 if noise.rounding else 2)
+    """Return the standard errors of log q and log r, as `fit` does, infinite for an r that is not an estimate."""
+    known = np.arange(1 if noise.rounding or noise.limit else 2)
     blocks = fitting.blocks_of(from_an_unknown_start(line, *noise[:2], scale), line.z[:, :1])
     blocks = blocks._replace(of_rows=np.repeat(blocks.of_rows, line.z.shape[1], axis=1))  # one for all axes of a fix
     errors = fitting.log_errors(likelihood_of(line, scale), np.log([noise.q, noise.r]), known, blocks)
@@ -224,7 +258,7 @@ def log_errors(line: Line, noise: Noise, scale: Scale) -> dict[str, float]:
 
 
 def _sample(line):
-    """Return a line, or of a long one parts spread over it, whose first two fixes count as those of a segment."""
+    """Return a line, or parts spread over a long one; the first two fixes of each part count as those of a segment."""
     if len(line.rows) <= MOST_FITTED:
         return line
     starts = np.linspace(0, len(line.rows) - FITTED_AT_A_TIME, MOST_FITTED // FITTED_AT_A_TIME).astype(int)

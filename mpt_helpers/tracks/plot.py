@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .report import KM_H, numbers_of_the_way
+from .report import KM_H, distance_and_speeds
 from .writers import degrees_of, segment_of_rows, velocities_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Cleaned = Any  # that of `cleaning`, whose methods call this module
+Cleaned = Any  # the class of `cleaning`, which imports this module
 LONG = 3 * 3600.0  # s: longer tracks are drawn over hours
-MOSTLY_PAUSES = 20.0  # a recording that is so many times as long as its rides is drawn without its pauses
+MOSTLY_PAUSES = 20.0  # a recording so many times longer than its rides is drawn without its pauses
 # Panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
-LONGEST_LINE = 5_000  # points of a curve, about; more are thinned out
+LONGEST_LINE = 5_000  # points of a curve, roughly; longer ones are thinned
 NUMBERS = 5  # steps along an axis at most: six numbers of five digits fit
 
 
@@ -80,7 +80,7 @@ def _draw_map(ax, c, line, refused, start):
     ax.set_xlabel("east (km)")
     name = "track" if c.source is None else Path(c.source.path).name.encode(errors="replace").decode()
     name = name if len(name) <= 26 else f"{name[:23]}..."
-    title = f"{name}: {numbers_of_the_way(c)['kilometres']:.1f} km"
+    title = f"{name}: {distance_and_speeds(c)['kilometres']:.1f} km"
     ax.set_title(title, loc="left", parse_math=False)  # a name may have $ in it
     ax.set_ylabel("north (km)")
 

@@ -1,6 +1,6 @@
-"""A cleaned track for people: in words, and as numbers by name.
+"""The report of a cleaned track, in words and as named numbers.
 
-The words need no knowledge of filters; a specialist's numbers stand in brackets.
+The words need no knowledge of filters; the specialist's numbers are in brackets.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from .geodesy import earth_centred
 from .readers import UNIX, moment_of
 from .writers import degrees_of, velocities_of
 
-Cleaned = Any  # that of `cleaning`, whose methods call this module
+Cleaned = Any  # the class of `cleaning`, which imports this module
 MOVING = 0.5  # m/s, slower than a walk
-DOUBTFUL = 0.05  # of the rows: if the speed of more is not told from MOVING, the time in motion is not known
-REST, REST_STEP = 60.0, 2.0  # s: a rest lasts a minute, which is looked at in steps
+DOUBTFUL = 0.05  # share of rows: if the speed of more cannot be told from MOVING, the time in motion is unknown
+REST, REST_STEP = 60.0, 2.0  # s: a rest lasts at least a minute, and is searched on a grid
 KM_H = 3.6
 COLUMNS = 100  # of a terminal
-TOGETHER = "\u00a0"  # a blank at which a line is not broken
-A_FEW = 0.3  # errors of a logarithm: below it told in per cent, below UNKNOWN as a factor, or not at all
-LISTED = 5  # times of faults at most
-OF_THE_BAND = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
-# Usual recordings lie between the speeds of a snail and of a fighter. Fixes RARELY seconds apart and so slow are usual
-# ones whose times are in milliseconds.
+NO_BREAK = "\u00a0"  # a blank at which no line is broken
+SMALL_ERROR = 0.3  # error of a logarithm: below it given in per cent, below UNKNOWN as a factor, else not at all
+MOST_LISTED = 5  # at most so many times of faults
+BAND_FIELDS = ("seconds", "half_width", "asked", "held", "own", "checked", "independent")
+# Recorded speeds lie between those of a snail and of a fighter jet. If fixes are RARELY seconds apart and slow, their
+# times are probably in milliseconds.
 VERY_FAST, VERY_SLOW, SLOW_AND_RARE, RARELY = 400.0, 0.02, 0.4, 100.0  # m/s, m/s, m/s, s
-MANY = 0.1  # of the fixes: a larger share is hardly one of faults
+MANY = 0.1  # share of the fixes: if more are refused, they are hardly all faults
 
 
 def text(c: Cleaned) -> str:
-    """Return the report of a Cleaned; questions stand before the numbers that they make doubtful."""
+    """Return the report of a Cleaned; questions come before the numbers that they cast doubt on."""
     lines = [_heading(c), *(f"note: {each}" for each in _notes(c))]
-    lines += [*_faults(c), _motion(c), _precision(c), _prediction(c), _way(c)]
+    lines += [*_faults(c), _motion(c), _precision(c), _prediction(c), _distance(c)]
     filled = [fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) for line in lines]
-    return "\n".join(filled).replace(TOGETHER, " ")
+    return "\n".join(filled).replace(NO_BREAK, " ")
 
 
 def summary(c: Cleaned) -> dict[str, Any]:
@@ -58,8 +58,8 @@ def summary(c: Cleaned) -> dict[str, Any]:
         "r": c.r,
         "r_is_rounding": c.rounding,
         "log_errors": {name: error if math.isfinite(error) else None for name, error in c.log_errors.items()},
-        "ahead": None if c.band is None else {name: getattr(c.band, name) for name in OF_THE_BAND},
-        **numbers_of_the_way(c),
+        "ahead": None if c.band is None else {name: getattr(c.band, name) for name in BAND_FIELDS},
+        **distance_and_speeds(c),
         "notes": _notes(c),
     }
 
@@ -70,7 +70,7 @@ def _notes(c):
 
 
 def unusual(c: Cleaned) -> list[str]:
-    """Return questions about what is unusual for a recorded track: it may be in other units, or have too few digits."""
+    """Return questions about anything unusual in a recorded track, such as other units or too few digits."""
     found = []
     fixes = np.isfinite(c.z).all(axis=1) & c.mask
     seconds, moved = np.diff(c.t[fixes]), np.linalg.norm(np.diff(c.z[fixes], axis=0), axis=1)
@@ -90,7 +90,7 @@ def unusual(c: Cleaned) -> list[str]:
         if max(np.abs(recording.lat[rows]).max() * 2, np.abs(recording.lon[rows]).max()) < math.pi:
             found.append("ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians?")
     if take_turns(c.t[fixes], c.z[fixes]):
-        found.append("ATTENTION: every other fix lies on a way of its own: are these two receivers, or two mobiles?")
+        found.append("ATTENTION: every other fix lies on a path of its own: are these two receivers, or two mobiles?")
     share = _share_refused(c)
     if share > MANY:
         asked = "So many are hardly faults: are digits missing, or is the noise large?"
@@ -122,7 +122,7 @@ def _heading(c):
     usual = float(np.median(steps))
     every = f"{'' if np.mean(steps == usual) > 0.99 else 'mostly '}every {usual:g} s"
     parts = [f"{name}{_fixes(len(c.t))} in {_clock(np.ptp(c.t[c.line.rows]))}, {every}"]
-    if c.source is not None:  # GPS seconds look like Unix seconds ten years ago
+    if c.source is not None:  # a reader notices GPS seconds by their date, ten years off
         start = c.source.recording.time[c.source.rows[c.line.rows]].min()
         parts += [f"from {moment_of(start):%Y-%m-%d %H:%M:%S} UTC"] if start >= UNIX * 1e6 else []
     if len(c.recordings) > 1:
@@ -148,10 +148,11 @@ def _faults(c):
 def _moments(c, rows):
     """Return when the first few of some rows were recorded, in words."""
     t = c.t[c.line.rows]
-    seconds = c.t[rows][(c.t[rows] >= t.min()) & (c.t[rows] <= t.max())] - t.min()  # without faults of time
+    seconds = c.t[rows][(c.t[rows] >= t.min()) & (c.t[rows] <= t.max())] - t.min()  # without rows of a wrong time
     if not len(seconds):
         return "at impossible times"
-    return f"{', '.join(map(_clock, seconds[:LISTED]))}{', ...' if len(seconds) > LISTED else ''} after the start"
+    listed = ", ".join(map(_clock, seconds[:MOST_LISTED]))
+    return f"{listed}{', ...' if len(seconds) > MOST_LISTED else ''} after the start"
 
 
 def _motion(c):
@@ -168,16 +169,21 @@ def _precision(c):
             "fixes: the recorder had smoothed them already, so how far they are from the true way does not show; they "
             f"count as exact to {sigma} m, the rounding of the numbers ({r})"
         )
+    if math.isinf(c.log_errors["r"]):
+        return (
+            "fixes: how far each is from the line does not show beside the motion between two of them; at most about "
+            f"{sigma} m, east and north each ({r})"
+        )
     known = _known(c.log_errors["r"])
     return f"fixes: each scatters around the line by about {sigma} m, east and north each ({r}, {known})"
 
 
 def _symbol(name, value, unit):
-    return TOGETHER.join([name, "=", _digits(value), unit])
+    return NO_BREAK.join([name, "=", _digits(value), unit])
 
 
 def _known(log_error):
-    if log_error < A_FEW:
+    if log_error < SMALL_ERROR:
         return f"known to {log_error:.0%}"
     return f"known to a factor of {math.exp(log_error):.1f}" if log_error < UNKNOWN else "hardly known"
 
@@ -195,7 +201,7 @@ def _prediction(c):
     )
 
 
-def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
+def distance_and_speeds(c: Cleaned) -> dict[str, float | None]:
     """Return the length (km), the seconds in motion or None, the median speed in motion, the top speed and their error.
 
     The top speed is the 99.9 % quantile; speeds are in km/h. Lengths and speeds are those on the Earth where the track
@@ -230,8 +236,8 @@ def numbers_of_the_way(c: Cleaned) -> dict[str, float | None]:
 def _at_rest(line, position, speed):
     """Tell which rows of a line lie in a minute at rest.
 
-    The fixes of a receiver at rest drift at the speed of a slow walk, but stay in one place: within such a minute they
-    keep within the distance that MOVING covers in it, and half of their speeds are below twice MOVING. A rest may be
+    The fixes of a receiver at rest drift at the speed of a slow walk, but stay in one place: within a minute they
+    spread no farther than MOVING would carry them, and half of their speeds are below twice MOVING. A rest may be
     shorter: of each minute it lasts from the first to the last of these speeds.
     """
     rest = np.zeros(len(position), dtype=bool)
@@ -254,8 +260,8 @@ def _at_rest(line, position, speed):
     return rest
 
 
-def _way(c):
-    way = numbers_of_the_way(c)
+def _distance(c):
+    way = distance_and_speeds(c)
     moving = way["moving_seconds"]
     motion = "" if moving is None else f", in motion for {_clock(moving)}"
     return (
@@ -266,7 +272,7 @@ def _way(c):
 
 
 def _digits(value):
-    """Return a number with two significant digits, without an exponent if it stays readable."""
+    """Return a number with two significant digits, without an exponent where that stays readable."""
     if value == 0 or not 1e-4 <= abs(value) < 1e6:
         return f"{value:.1e}"
     return f"{value:.{max(0, 1 - math.floor(math.log10(abs(value))))}f}"

@@ -13,8 +13,9 @@ import numpy as np
 from .geodesy import axes_at, earth_centred
 from .readers import moment_of
 
-Cleaned = Any  # that of `cleaning`, whose methods call this module
-# A fix of a GPX file, its tag and the rest of it; or a comment or text, in which there is none. Quotes may hold a >.
+Cleaned = Any  # the class of `cleaning`, which imports this module
+# A fix of a GPX file: its start tag, and the rest. Comments and CDATA come first, since they hold no fix; a value may
+# contain a >.
 FIX = re.compile(
     rb"""<!--.*?--> | <!\[CDATA\[.*?\]\]>
     | (?P<tag> <(?P<prefix>(?:[\w.-]+:)?)trkpt(?=[\s/>])(?:[^>"']|"[^"]*"|'[^']*')*> )
@@ -24,7 +25,7 @@ FIX = re.compile(
 
 
 def segment_of_rows(c: Cleaned) -> np.ndarray:
-    """Return the segment of every row that lies in one, refused ones too, and -1 of others."""
+    """Return the segment that each row lies in, refused rows included, and -1 outside of segments."""
     number = np.full(len(c.t), -1)
     number[c.line.rows] = c.line.number
     return number
@@ -60,8 +61,8 @@ def gpx_bytes(c: Cleaned) -> bytes:
     lat, lon = degrees_of(c, c.x[:, :4:2])
     data = c.source.recording.data
     count = sum(found["tag"] is not None for found in FIX.finditer(data))
-    if count != len(c.source.recording.time):  # a table, or a GPX file that is cut, of which nothing else is kept
-        return _plain_gpx(c, lat, lon)
+    if count != len(c.source.recording.time):  # a table, or a GPX file that is cut off: only its fixes are kept
+        return _new_gpx(c, lat, lon)
     starts = set(c.starts.tolist())
     fixes, row_of = itertools.count(), {int(fix): row for row, fix in enumerate(c.source.rows)}
 
@@ -72,25 +73,25 @@ def gpx_bytes(c: Cleaned) -> bytes:
         if row is None or math.isnan(lat[row]):
             return b""
         between = b"</%strkseg><%strkseg>" % (found["prefix"], found["prefix"]) if row in starts else b""
-        return between + _with_number(_with_number(found["tag"], b"lat", lat[row]), b"lon", lon[row]) + found["rest"]
+        return between + _with_value(_with_value(found["tag"], b"lat", lat[row]), b"lon", lon[row]) + found["rest"]
 
-    return _signed(FIX.sub(smoothed, data))
+    return _with_comment(FIX.sub(smoothed, data))
 
 
-def _with_number(tag, name, value):
+def _with_value(tag, name, value):
     return re.sub(rb"(\s%s\s*=\s*)(\"[^\"]*\"|'[^']*')" % name, rb'\g<1>"%.8f"' % value, tag, count=1)
 
 
-def _signed(data):
-    """Return a GPX file with a line that says what made it, after the declaration."""
+def _with_comment(data):
+    """Return a GPX file with a comment after its declaration that names this package."""
     said = b"<!-- smoothed by mpt_helpers: refused fixes lie on the smoothed line, or are left out -->\n"
     declaration = re.match(rb"\s*(\xef\xbb\xbf)?<\?xml.*?\?>\s*", data, re.DOTALL)
     at = declaration.end() if declaration else 0
     return data[:at] + said + data[at:]
 
 
-def _plain_gpx(c, lat, lon):
-    """Return the rows that lie in segments as a GPX file of their own, a segment of the file for each."""
+def _new_gpx(c, lat, lon):
+    """Return the rows inside of segments as a new GPX file, with one trkseg for each segment."""
     recording, number = c.source.recording, segment_of_rows(c)
     lines = ['<?xml version="1.0" encoding="UTF-8"?>']
     lines.append('<gpx version="1.1" creator="mpt_helpers" xmlns="http://www.topografix.com/GPX/1/1"><trk>')
@@ -104,7 +105,7 @@ def _plain_gpx(c, lat, lon):
             lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
         lines.append("</trkseg>")
     lines.append("</trk></gpx>\n")
-    return _signed("\n".join(lines).encode())
+    return _with_comment("\n".join(lines).encode())
 
 
 def csv_bytes(c: Cleaned) -> bytes:

@@ -337,7 +337,7 @@ def test_a_gap_in_which_the_covariance_overflows_is_refused(make, tracks):
     z = np.ones((200, 1, *tracks))
     z[(slice(150), 0, *[1] * len(tracks))] = np.nan
     for function in (make(growing).filter, make(growing).covariances, make(growing).smooth):
-        with pytest.raises(ValueError, match=r"z: needs gaps over which the covariances .* got an overflow"):
+        with pytest.raises(ValueError, match=r"z: needs covariances within double precision .* got an overflow"):
             function(z)
 
 

@@ -431,5 +431,5 @@ def test_a_vague_state_that_shows_only_after_some_steps_is_refused():
     z = np.random.default_rng(0).standard_normal((20, 1))
     for missing in ([], [5]):
         z[missing] = np.nan
-        with pytest.raises(ValueError, match="doubles"):
+        with pytest.raises(ValueError, match="double precision"):
             mpt.KalmanFilter(model).estimates(z)

@@ -11,7 +11,7 @@ from oracles import plain_loop, plain_smoother
 
 import mpt_helpers as mpt
 from mpt_helpers import equations, kalman, lainiotis, metrics, steady
-from mpt_helpers._engine import algebra, columns, pieces, run, shared, smoother
+from mpt_helpers._engine import columns, pieces, run, shared, smoother
 
 CV = mpt.constant_velocity(0.7, 0.04, 0.5, x0=[1.0, 2.0], P0=np.eye(2) + 0.1)
 T = np.cumsum(np.random.default_rng(1).choice([0.1, 0.7, 3.0], 60))
@@ -55,8 +55,8 @@ def with_gain_where_missing(x, P, z, seen, variance, i, corrected=columns.correc
     return corrected(x, P, z, np.ones_like(seen), variance, i)
 
 
-def turned(self, x, of_state=algebra.LinearMap.of_state):
-    return of_state(algebra.LinearMap(self.matrix.swapaxes(0, 1)), x)
+def turned(self, x, of_state=columns.LinearMap.of_state):
+    return of_state(columns.LinearMap(self.matrix.swapaxes(0, 1)), x)
 
 
 def without_the_noise_of_z(P, K, H, R):
@@ -80,7 +80,7 @@ def starts_at_zero(advance, rows, x0, P0, starts=pieces.starts):
 
 
 def steps_back_without_noise(motion, x, P, steps_back=smoother._steps_back):
-    return steps_back(algebra.Motion(motion.matrix, 0 * motion.Q), x, P)
+    return steps_back(columns.Motion(motion.matrix, 0 * motion.Q), x, P)
 
 
 def step_from_zero(P, constants, lainiotis_step=equations.lainiotis_step):
@@ -93,8 +93,8 @@ def twice_the_noise(H, R, unit_measurements=equations.unit_measurements):
 
 MUTANTS = {
     "a missing measurement has a gain": (columns, "corrected", with_gain_where_missing),
-    "columns without process noise": (algebra.Motion, "noise_of", lambda self, P: 0.0),
-    "F transposed on columns": (algebra.Motion, "of_state", turned),
+    "columns without process noise": (columns.Motion, "noise_of", lambda self, P: 0.0),
+    "F transposed on columns": (columns.Motion, "of_state", turned),
     "several steps in one product, with A halved": (shared, "product_of_steps", half_a_step),
     "a filter has converged at once": (shared, "_has_not_moved", lambda before, after: True),
     "tracks of other gaps share a column": (columns.Epochs, "width", 1),

@@ -431,5 +431,5 @@ def test_a_start_too_vague_for_doubles_is_refused_by_name():
     z[rng.random(120) < 0.05] += 1e3 * rng.standard_normal(2)
     z[rng.random((120, 2)) < 0.2] = np.nan
     vague = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0, P0=1e24 * np.eye(2))
-    with pytest.raises(ValueError, match="doubles"):
+    with pytest.raises(ValueError, match="double precision"):
         mpt.gated(mpt.KalmanFilter(mpt.stack(vague, vague)), z)

@@ -261,7 +261,7 @@ def test_signs_may_be_on_both_sides_of_zero(tmp_path):
 @pytest.mark.parametrize("rows", [np.arange(N)[::-1], np.random.default_rng(1).permutation(N)])
 def test_rows_in_no_order_are_refused(rows):
     with pytest.raises(
-        ValueError, match=r"frame: needs times in order, got \d+ of 300 before the one before: sort them"
+        ValueError, match=r"frame: needs times in order, got \d+ of 300 earlier than the one before: frame.sort"
     ):
         mpt.track(FRAME.assign(time=MOMENTS).iloc[rows])
 
@@ -325,7 +325,7 @@ def test_a_line_that_is_cut_within_its_last_number_is_left_out(tmp_path):
     assert read(tmp_path, text.rstrip("\n")).said == ()
     r = read(tmp_path, text[:-4])
     assert len(r.lon) == N - 1
-    assert r.said == ("ATTENTION: the last line is cut, and left out",)
+    assert r.said == ("ATTENTION: the last line is cut off, and left out",)
 
 
 @pytest.mark.parametrize(
@@ -380,10 +380,10 @@ def test_so_is_a_gpx_file_whatever_its_name(tmp_path, data):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (packed(GPX, -900), "the packed file is cut"),
-        (packed(TABLE, -900), "the packed file is cut"),
-        (GPX[:-300].encode(), "the file is cut after 29[456] fixes"),
-        (GPX[:-300].encode() + "<name>ü".encode()[:-1], "the file is cut after 29[456] fixes"),
+        (packed(GPX, -900), "the compressed file is cut off"),
+        (packed(TABLE, -900), "the compressed file is cut off"),
+        (GPX[:-300].encode(), "the file is cut off after 29[456] fixes"),
+        (GPX[:-300].encode() + "<name>ü".encode()[:-1], "the file is cut off after 29[456] fixes"),
         (GPX[:-300].encode() + bytes(4096), "the file ends in empty bytes"),
         (TABLE[:-300].encode() + bytes(4096), "the file ends in empty bytes"),
     ],
@@ -430,7 +430,7 @@ def test_longitudes_may_be_counted_in_two_ways_in_one_file(tmp_path):
 def test_a_damaged_packed_file_is_refused(tmp_path):
     data = bytearray(packed(TABLE))
     data[2000:2100] = b"\xff" * 100
-    with pytest.raises(ValueError, match=r"a.csv: needs a file that can be unpacked, got a damaged one"):
+    with pytest.raises(ValueError, match=r"a.csv: needs a file that can be decompressed, got a damaged one"):
         read(tmp_path, bytes(data))
 
 
@@ -455,10 +455,12 @@ def zipped():
             "a FIT file: gpsbabel .*-i garmin_fit -f a.b ",
         ),
         (b"<?xml version='1.0'?><TrainingCenterDatabase/>", "a TCX file: gpsbabel -t -i gtrnctr -f a.b -o gpx"),
+        (b"\xef\xbb\xbf\n<?xml version='1.0'?>\n<!-- a --><kml></kml>", "a KML file"),
         (b"<kml><Document></Document></kml>", "a KML file: gpsbabel -t -i kml"),
         (b"<!DOCTYPE html><html><br></html>", "another kind of XML, or a web page"),
         (b"<osm></osm>", "another kind of XML"),
         (b"$GPGGA,091500.00,5217.99,N,00454.00,E,1,08,0.9,0.1,M,,M,,*47\r\n", "a log of NMEA .*-i nmea"),
+        (b"\xef\xbb\xbf$GPRMC,091500.00,A,5217.99,N,00454.00,E,1,2,030524,,,A*47\r\n", "a log of NMEA sentences"),
         (b"!AIVDM,1,1,,A,13HOI:0P0000VOHLCnHQKwvL05Ip,0*23\n", "a log of NMEA sentences"),
         (b"AXCSAAA\r\nHFDTE030522\r\nB0915005217990N00454000EA0000100010\r\n", "an IGC file: gpsbabel"),
         (b'{"type": "FeatureCollection"}', r"a JSON file: pandas.read_json\('a.b'\).* geopandas.read_file\('a.b'\)"),

@@ -76,6 +76,17 @@ def test_bursts_at_one_wrong_position_are_refused_and_no_good_fix_is(kind, posit
     assert c.r == pytest.approx(4.0, rel=0.2)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_wrong_fixes_at_the_end_of_a_tunnel_are_refused(seed):
+    """Those after 45 s without a fix are no further off than the motion allows, but the track jumps back from them."""
+    t, _, z = ride(seed=seed)
+    z[345:349] += 60.0, -80.0
+    left = (t < 300) | (t >= 345)
+    c = clean(t[left], z[left])
+    np.testing.assert_array_equal(c.refused, np.arange(300, 304))
+    assert c.stretches == 1
+
+
 @pytest.mark.parametrize("rows", [(0, 40), (100, 160), (560, 600)])
 def test_a_wrong_position_while_the_mobile_rests_is_refused(rows):
     t, true, z = ride()
@@ -200,7 +211,7 @@ def test_two_receivers_in_turn_are_asked_about(apart, asked, tmp_path):
     t, _, z = ride()
     z[::2, 1] += apart
     c = mpt.track(gpx(tmp_path / "two.gpx", t, *degrees(z)))
-    assert ("every other fix lies on a way of its own" in " ".join(c.report().split())) == asked
+    assert ("every other fix lies on a path of its own" in " ".join(c.report().split())) == asked
 
 
 @pytest.mark.parametrize("step", [0.7, 1.5, 2.5])
@@ -408,4 +419,18 @@ def test_a_cleaned_track_is_equal_to_itself_only():
     c, again = (clean(*SHORT[::2]) for _ in range(2))
     assert c == c
     assert c != again
+    assert c.band != again.band
     assert len({c, again}) == 2
+
+
+def test_the_noise_of_fixes_that_the_motion_hides_is_an_upper_limit_and_the_covariance_holds_the_truth():
+    """A car with a fix every 12 s: r came out as 1e-5 of the true one, and 1 % of the truth lay within 95 % of P."""
+    axis = mpt.constant_velocity(dt=12.0, q=1.0, r=1.0)
+    x, z = mpt.simulate(mpt.stack(axis, axis), 450, np.random.default_rng(1))
+    c = clean(12.0 * np.arange(450), z, rounding=1e-6)
+    assert c.log_errors["r"] == np.inf
+    assert not c.rounding
+    assert 1.0 < c.r < 10.0
+    sigma = np.sqrt(np.diagonal(c.P, axis1=1, axis2=2))
+    assert np.mean(np.abs(c.x - x) < 1.96 * sigma) > 0.93
+    assert "does not show beside the motion" in " ".join(c.report().split())

@@ -143,7 +143,7 @@ def test_a_recording_is_not_written_over_even_if_asked_and_a_link_is_replaced_no
     before = picture.read_bytes()
     code, _, err = said(capsys, picture, "--overwrite")
     assert code == 1
-    assert "giro.png: is the recording itself, which is not written over" in err
+    assert "giro.png: is the recording itself, which is never overwritten" in err
     assert [path.name for path in spoilt.parent.iterdir()] == ["giro.png"]
     picture.write_bytes(PNG + bytes(9) + b"IHDR")
     assert "giro.png: needs a GPX or CSV file, got a binary file" in said(capsys, picture)[2]
@@ -288,7 +288,7 @@ def test_what_would_be_overwritten_is_refused_before_the_work(tmp_path, capsys, 
 def test_help_says_what_a_pause_is(capsys):
     with pytest.raises(SystemExit):
         main(["track", "--help"])
-    assert "without a fix (60, or ten usual steps if these are longer)" in in_one_line(capsys.readouterr().out)
+    assert "without a fix (60, or ten usual steps if that is longer)" in in_one_line(capsys.readouterr().out)
 
 
 def table(path, head, *columns):
@@ -317,17 +317,17 @@ def test_hdop_weighs_the_fixes(tmp_path):
     fixes = [fix(*place, k, f"<hdop>{hdop[k]}</hdop>") for k, place in enumerate(zip(lat, lon, strict=True))]
     path = tmp_path / "hdop.gpx"
     path.write_text(gpx_of(fixes), encoding="utf-8")
-    weighed = mpt.track(path)
+    weighted = mpt.track(path)
     path.write_text(gpx_of([re.sub("<hdop>.*</hdop>", "", each) for each in fixes]), encoding="utf-8")
     plain = mpt.track(path)
-    assert "fixes are weighed by their hdop" in in_one_line(weighed.report())
+    assert "fixes are weighted by their hdop" in in_one_line(weighted.report())
     true, _, _ = positions()
 
     def error(c):
         there = tracks.local(*writers.degrees_of(c, c.x[:, ::2]), (57.0, 9.9))
         return mpt.metrics.rms(there - true)
 
-    assert error(weighed) < 0.9 * error(plain)
+    assert error(weighted) < 0.9 * error(plain)
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_hdop_weighs_the_fixes(tmp_path):
         (lambda text: re.sub("<time>.*?</time>", "", text), "got 0 of 300, 300 with no time that can be read"),
         (
             lambda text: re.sub("<time>.*?</time>", "<time>noon</time>", text),
-            "seconds from 0 in column 'time', got 'noon': numbers are decimal",
+            "needs ISO 8601 in column 'time', got 'noon': numbers are decimal",
         ),
         (
             lambda text: re.sub("<time>.*?</time>", "<time>2024-05-03T10:00:00Z</time>", text),
@@ -653,7 +653,7 @@ def test_the_way_and_the_time_in_motion_are_those_within_segments(seed):
     c = SimpleNamespace(t=t, x=x, P=P, line=line, source=None)
     expected = [metres / 1000, seconds, 3.6 * np.median(speed[speed > 0.5]), 3.6 * np.quantile(speed, 0.999)]
     expected.append(3.6 * np.sqrt(np.median(P[inside, 1, 1])))
-    np.testing.assert_allclose(list(report.numbers_of_the_way(c).values()), expected, rtol=1e-9)
+    np.testing.assert_allclose(list(report.distance_and_speeds(c).values()), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -189,6 +189,10 @@ def test_files_of_other_encodings_are_read(written, encoding, name):
         ("<gpx", "needs a GPX file, got one that cannot be read"),
         (f"{HEAD}</trk></gpx>", "needs a recorded track, got no trkpt: routes and waypoints have no times"),
         (
+            f"{HEAD}<trkseg>{fix('1714730400')}</trkseg></trk></gpx>",
+            "needs ISO 8601 in column 'time', got '1714730400'",
+        ),
+        (
             f"{HEAD}<trkseg>{fix(None)}</trkseg></trk></gpx>",
             "needs a recorded track in degrees, got 1 fixes, 1 with no time that can be read",
         ),
