@@ -309,7 +309,7 @@ def test_what_the_filters_state_and_make_is_read():
 def test_what_the_tables_say_is_said(cases, fits):
     rows = np.array([row(printed("judged"), name)[1:] for name in HEIGHTS])
     formula = rows[:, 1]
-    says("They serve five of the six heights. At Belem with one frequency the formula is 2.4 times too sure")
+    says("These constants serve five of the six heights. At Belem with one frequency the formula is 2.4 times too sure")
     odd = HEIGHTS.index(f"Belem, {ONE}")
     assert formula[odd] == 2.4
     for honest in (rows[:, 1], rows[:, 3]):

@@ -173,7 +173,7 @@ def test_a_frozen_gain_bears_uneven_steps_and_a_wrong_length_not(taught):
 
 
 def test_what_the_forecast_says_after_misses_and_on_a_hill(taught):
-    says("here 2.2 m at five seconds, and 3.7 m after three misses.")
+    says("here 2.2 m at five seconds (3.7 m, as with any gain, while the last three measurements are missing).")
     F, Q = taught["motion"](2, 1.0, 0.01)
     far, pushed = taught["motion"](2, 5, 0.01)
     P = SETTLED.P
@@ -241,7 +241,7 @@ def test_a_line_through_two_measurements_is_a_start_for_a_good_sensor_only(sigma
         assert round(np.sqrt(2) * sigma) == 14
         assert f"frozen: its typical error peaks at {exact.max():.0f} m\n" in shown(CELLS["two"])
         says("The metres, the 60 m and the table of gaps are typical errors computed exactly")
-        says("its typical error peaks at 60 m, and that of the list at 10 m")
+        says("its typical error still climbs to 60 m, and that of the list never exceeds 10 m")
         assert "the list: its typical error peaks at 10 m" in shown(CELLS["two"])
         assert round(exact.max()) == 60
     else:
@@ -292,9 +292,7 @@ def test_the_error_of_a_prediction_holds_once_the_list_has_ended(taught):
 
 def test_a_miss_costs_a_frozen_gain_little_and_ten_much(taught):
     """The table's errors are those of simulated cars; ours after ten, of the package's own filters."""
-    says(
-        "three cost 6 %, but after ten its error five seconds ahead is up to 2.2 times that of a filter which computes"
-    )
+    says("6 % worse five seconds ahead than a filter which computes its gain; after ten it is 2.2 times as bad.")
     ratio = taught["largest_ratio"](10, 2, 0.01)
     assert round(ratio, 1) == 2.2
     assert round(taught["largest_ratio"](3, 2, 0.01), 2) == 1.06

@@ -315,7 +315,7 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_an_f_that_lets_the_speed_decay_fails_a_ramp():
-    says("one that lets the speed decay fails a ramp even where it is right")
+    says("And if F lets the speed decay, a filter fails the ramp even where it is right.")
     off = after_ramp(np.array([[1.0, 1.0], [0.0, 0.95]]), NOW, motion(1.0, 0.01)[2], 0.1, 0.0)
     assert (np.abs(off) > 0.1).all()
 
@@ -330,7 +330,7 @@ def test_a_measurement_of_the_next_position_is_h_for_gentle_pushes(push, most):
 
 
 def test_a_ramp_sees_neither_q_nor_r():
-    says("Q, r and P, since every filter whose gain for the speed does not fade to zero settles in the same place")
+    says("Q, r and P. They change how fast the filter settles, not where, unless its gain for the speed fades to zero")
     rng = np.random.default_rng(5)
     for _ in range(15):
         root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
