@@ -23,6 +23,9 @@ def a_loop(model, t, z, r):
     for t_k, z_k, r_k in zip(t, z, r, strict=True):
         F, Q = model.over(t_k - at)
         x, P, at, seen = F @ x, F @ P @ F.T + Q, t_k, ~np.isnan(z_k)
+        if not seen.any():
+            mask.append(False)
+            continue
         H, e = model.H[seen], z_k[seen] - model.H[seen] @ x
         S = H @ P @ H.T + np.diag(r_k[seen])
         mask.append(bool(e @ np.linalg.solve(S, e) <= LIMIT or refused >= PATIENCE))
@@ -45,3 +48,13 @@ def test_the_gate_of_the_page_is_a_plain_loop():
     masks = np.array([gate_of_the_page()(kf, z[..., i], LIMIT, PATIENCE) for i in range(4)])
     np.testing.assert_array_equal(masks, [a_loop(model, t, z[..., i], r) for i in range(4)])
     assert 5 < (~masks).sum() < 100  # most rows count
+
+
+def test_a_missed_row_is_no_fix_that_fits():
+    """After a jump every second row is missed: the gate gives in all the same."""
+    axis = mpt.constant_velocity(1.0, 0.01, 0.1, P0=np.eye(2))
+    z = np.zeros((40, 1))
+    z[20:] = 100.0
+    z[21::2] = np.nan
+    mask = gate_of_the_page()(mpt.KalmanFilter(axis), z, LIMIT, PATIENCE)
+    assert mask[20:].sum() > 3
