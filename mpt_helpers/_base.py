@@ -101,7 +101,7 @@ class Filter(Immutable):
 
     @property
     def optimal(self) -> bool:
-        """Whether the gain is the Kalman gain for P, of all its parts: then P is the covariance of its error."""
+        """Whether the gain, in every part, is the Kalman gain for P, so that P is the covariance of the error."""
         return bool(self.parts) and all(each.optimal for each in self.parts)
 
     @property
@@ -409,7 +409,7 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def vague(self) -> bool:
-        """Whether P0 is so large that the first epochs need more than doubles row by row; raises if beyond any help."""
+        """Whether P0 is too large to run the first epochs row by row in doubles; raises ValueError above `LARGEST`."""
         return is_vague(self.model, self.P0, self.r) and self.optimal
 
     def coefficients(self, N: int) -> Step:

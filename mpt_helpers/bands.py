@@ -433,7 +433,7 @@ def _checked_band(name, a, band, where):
 
 
 def _count_independent(a, where):
-    """Return the number of predictions that do not overlap: each is made after the one counted before it was due."""
+    """Return the number of predictions that do not overlap: each is made when the last counted one is due, or later."""
     count, end, track = 0, -np.inf, -1
     for made, due, of_track in zip(a.made[where], a.due[where], a.track[where], strict=True):
         if made >= end or of_track != track:

@@ -198,12 +198,12 @@ def _one_step(F, Q, dt, transition, before):
             checks.refuse("dt", need, f"{dt:g} s")
         return F, Q, None
     if dt is None:
-        checks.refuse("dt", "to be given beside transition", None, TypeError)
+        checks.refuse("dt", "a length of step, since the model has a transition", None, TypeError)
     F_made, Q_made = _checked_step(transition, dt)
     if not (F_is_given or Q_is_given):
         return F_made, Q_made, transition
     if transition is not transition_before:
-        checks.refuse("transition", "F and Q to be left out, since it makes them", "it beside them")
+        checks.refuse("transition", "to be given without F and Q, which it makes", "F or Q as well")
     return F if F_is_given else F_made, Q if Q_is_given else Q_made, None
 
 
@@ -231,7 +231,8 @@ def _F_and_Q(transition, dt):
     if np.ndim(dt) == 0 or getattr(transition, "takes_arrays", False):
         return transition(dt)
     lengths, which = np.unique(dt, return_inverse=True)
-    F, Q = zip(*map(transition, lengths.tolist()), strict=True)
+    each = [transition(length) for length in lengths.tolist() or [0.0]]  # without a length, the shapes of any step
+    F, Q = zip(*each, strict=True)
     which = which.reshape(np.shape(dt))  # numpy 2.0 returned another shape than 1.26 and 2.1
     return np.array(F)[which], np.array(Q)[which]
 

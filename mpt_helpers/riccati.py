@@ -25,8 +25,8 @@ from .model import LinearModel
 
 __all__ = ["rekf", "relf"]
 
-# A mode counts as undetectable or unstabilizable if it is closer to it than this, relative to the matrix: that is the
-# rounding error of an eigenvalue of F.
+# A mode counts as undetectable or unstabilizable within this relative distance of a loss of rank: the rounding error
+# of an eigenvalue of F.
 MODE_ROUNDING = 1e-12
 # Rounding splits a double eigenvalue by 1e-8 of it, a triple one by 6e-6. Computed eigenvalues closer than this may be
 # one multiple eigenvalue. Then their mean, which is as accurate as a simple eigenvalue, is tested too.

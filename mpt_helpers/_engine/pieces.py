@@ -39,8 +39,8 @@ NARROWEST = 1e-7
 def run_rows(advance, rows, x0, P0, x, P, vague=False):
     """Filter all rows from x0 (n, c, W) and P0 (n, n, W), in pieces where that is faster and loses no digits.
 
-    The states x(1) ... x(N) are written to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None. A P0
-    that is vague (`digits`) must be said to be. Returns whether the covariances stayed within double precision.
+    The states x(1) ... x(N) are written to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None.
+    `vague` says that P0 is (see `digits`). Returns whether the covariances stayed within double precision.
     """
     if vague:
         try:

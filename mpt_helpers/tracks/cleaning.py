@@ -128,7 +128,7 @@ class Source:
 class Cleaned:
     """A recorded track without its faults; printed, it is its report.
 
-    Two are equal only if they are the same object: compare their arrays.
+    `==` tests identity; to compare two results, compare their arrays.
 
     Attributes
     ----------
@@ -269,10 +269,10 @@ class Cleaned:
         -------
         pandas.DataFrame
             `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y` (m/s),
-            `sigma` and `sigma_v`, the standard deviations of each axis of these, `kept`, and the number of the segment;
-            NaN and -1 outside of segments. Of a track in degrees the velocities are those east and north on the Earth,
-            while `x`, `y` lie on a chart of the segment, which is true near its middle only. The rows have the labels
-            of the frame that the track is from.
+            `sigma` and `sigma_v`, the standard deviations of these (the largest of the axes), `kept`, and the number of
+            the segment; NaN and -1 outside of segments. Of a track in degrees the velocities are those east and north
+            on the Earth, while `x`, `y` lie on a chart of the segment, which is true near its middle only. The rows
+            have the labels of the frame that the track is from.
 
         """
         return writers.frame_of(self)

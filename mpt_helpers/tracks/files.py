@@ -36,7 +36,7 @@ def write_together(contents: dict[Path, bytes], overwrite: bool = True, source: 
 
 
 def require_free(paths: list[Path], overwrite: bool, source: Path | str | None = None) -> None:
-    """Raise FileExistsError for the source and for what is no regular file; without `overwrite` for any file."""
+    """Raise FileExistsError for the source, a pipe or device, an existing file unless `overwrite`; refuse folders."""
     for path in paths:
         if path.is_dir():
             raise IsADirectoryError(f"a folder is in the place of the file {path}")

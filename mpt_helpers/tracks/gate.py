@@ -135,7 +135,7 @@ def segments_of(kf, z, begins, limit, patience):
     number = np.full(len(z), -1)
     if found:
         recording = np.searchsorted(begins, np.arange(len(z)), side="right")
-        moves = _Moves(found, z / np.sqrt(np.diag(kf.model.R)), kf.times_of(len(z)), recording)
+        moves = _Moves(found, z / np.sqrt(np.diag(kf.model.R)), kf.times_of(len(z)).ravel(), recording)
         found = _without_stuck_ones(_without_excursions(found, moves), moves)
         for k, rows in enumerate(_cheapest_chain(found, moves)):
             number[rows] = k

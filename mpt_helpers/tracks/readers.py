@@ -35,9 +35,9 @@ ZONE = re.compile(r"([Zz]|:.*[+-]\d\d(:?\d\d)?)\s*$")
 COLUMNS = ("time", "lat", "lon", "x", "y", "ele", "hdop", "accuracy")
 MISSING = frozenset(["", "nan", "nat", "none", "null", "na", "n/a", "<na>", "-"])
 MANY = 0.1  # share of cells: if more of a column cannot be read, all of it is in another format
-# Unix seconds lie between UNIX and LATEST, the years 1973 and 2255. Smaller numbers count as seconds only if the first
-# is below FROM_ZERO. So is a clock's hhmmss just after midnight, but its last two digits are never 60 to 99, which
-# seconds in steps below CLOCK_STEP do not pass over.
+# Unix seconds lie between UNIX and LATEST, the years 1973 and 2255. Smaller numbers count as seconds if the first is
+# below FROM_ZERO, unless they look like a clock's hhmmss after midnight: steps below CLOCK_STEP, and last two digits
+# that are never 60 to 99.
 UNIX, LATEST, FROM_ZERO, CLOCK_STEP = 1e8, 9e9, 100.0, 40.0
 
 

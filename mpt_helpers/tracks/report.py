@@ -157,8 +157,8 @@ def _moments(c, rows):
 
 def _motion(c):
     return (
-        f"motion: from one second to the next the speed changes by about {_digits(math.sqrt(c.q))} m/s, east and north "
-        f"each ({_symbol('q', c.q, 'm²/s³')}, {_known(c.log_errors['q'])})"
+        f"motion: within a second the velocity changes by about {_digits(math.sqrt(c.q))} m/s on each axis "
+        f"({_symbol('q', c.q, 'm²/s³')}, {_known(c.log_errors['q'])})"
     )
 
 
@@ -195,9 +195,9 @@ def _prediction(c):
     few = "" if b.independent >= 30 else f" (only {b.independent} of them apart in time: too few to rely on)"
     return (
         f"prediction: {b.seconds:g} s ahead the position can be told to ± {_digits(b.half_width)} m, east and north "
-        f"each. Tested on the second half of the track, from which nothing was learnt beforehand: {b.held:.0%} of "
-        f"{b.checked:,} fixes lay within, {b.asked:.0%} was the aim{few}. The band that the filter states by itself, "
-        f"without a test, would have held {b.own:.0%}."
+        f"each. Tested on the second half of the track, with q and r of the first: {b.held:.0%} of "
+        f"{b.checked:,} fixes that were not refused lay within, {b.asked:.0%} was the aim{few}. The band that the "
+        f"filter states by itself, without a test, would have held {b.own:.0%}."
     )
 
 

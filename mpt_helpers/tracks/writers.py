@@ -135,6 +135,7 @@ def frame_of(c: Cleaned) -> Any:
     axes = "xyz"[: c.z.shape[1]]
     columns |= {axis: c.x[:, 2 * k] for k, axis in enumerate(axes)}
     columns |= {f"v_{axis}": each for axis, each in zip(axes, velocities_of(c).T, strict=True)}
-    columns |= {"sigma": np.sqrt(c.P[:, 0, 0]), "sigma_v": np.sqrt(c.P[:, 1, 1])}
+    variances = c.P.diagonal(axis1=1, axis2=2)
+    columns |= {"sigma": np.sqrt(variances[:, ::2].max(axis=1)), "sigma_v": np.sqrt(variances[:, 1::2].max(axis=1))}
     columns |= {"kept": c.mask, "segment": segment_of_rows(c)}
     return pandas.DataFrame(columns, index=index)

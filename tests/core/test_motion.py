@@ -303,7 +303,7 @@ REFUSED = {
     "no function": (lambda: of(3), TypeError, "transition: needs a function of dt that returns F and Q as arrays"),
     "no pair": (lambda: of(lambda dt: np.eye(1)), TypeError, "transition: needs a function of dt"),
     "lists": (lambda: of(lambda dt: ([[1.0]], [[dt]])), TypeError, r"returns F and Q as arrays, got \(\[\["),
-    "no dt": (lambda: of(wrong(), dt=None), TypeError, "dt: needs to be given beside transition"),
+    "no dt": (lambda: of(wrong(), dt=None), TypeError, "dt: needs a length of step, since the model has a transition"),
     "dt of zero": (lambda: of(wrong(), dt=0.0), ValueError, "dt: needs"),
     "Q of the square of the length": (lambda: of(wrong(power=2.0)), ValueError, "two steps of dt / 2 to be one"),
     "F that is not the identity at zero": (lambda: of(wrong(f=0.9)), ValueError, "F = I and Q = 0 over a step of zero"),
@@ -314,12 +314,12 @@ REFUSED = {
     "F beside a transition": (
         lambda: mpt.LinearModel(F=[[2]], transition=wrong(), dt=1.0, H=[[1]], R=[[1]]),
         ValueError,
-        "transition: needs F and Q to be left out, since it makes them",
+        "transition: needs to be given without F and Q, which it makes",
     ),
     "Q replaced beside the transition": (
         lambda: replace(forgetful(), Q=np.eye(2), transition=Forgetful(TAU, 0.1)),
         ValueError,
-        "transition: needs F and Q to be left out, since it makes them",
+        "transition: needs to be given without F and Q, which it makes",
     ),
     "another dt for the same F and Q": (
         lambda: replace(mpt.gsm_axis(5, 1, 1), dt=2.0),
@@ -424,3 +424,10 @@ def test_a_transition_that_loses_its_digits_over_short_steps_is_warned_of():
         mpt.KalmanFilter(model, t=[0.0, 1.0, 2.5, 9.0, 100.0]).filter(z)
     with pytest.warns(UserWarning, match=r"t: over 0.0001 s the transition's F and Q are not those of two half steps"):
         mpt.KalmanFilter(model, t=[0.0, 1.0, 1.0001, 2.0, 3.0]).filter(z)
+
+
+def test_no_length_of_step_gives_no_matrices():
+    """A horizon beyond the track asks for the F and Q of no step at all, also of a transition of a single dt."""
+    model = mpt.LinearModel(transition=Singer(10.0, 0.1), dt=1.0, H=[[1, 0, 0]], R=[[1.0]], P0=np.eye(3))
+    F, Q = model.over([])
+    assert F.shape == Q.shape == (0, 3, 3)

@@ -433,3 +433,12 @@ def test_a_start_too_vague_for_doubles_is_refused_by_name():
     vague = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0, P0=1e24 * np.eye(2))
     with pytest.raises(ValueError, match="double precision"):
         mpt.gated(mpt.KalmanFilter(mpt.stack(vague, vague)), z)
+
+
+def test_times_of_one_column_are_times():
+    t = np.arange(50.0)
+    z = t[:, None] + np.where(t == 20, 500.0, 0.0)[:, None]
+    model = mpt.constant_velocity(1.0, 0.1, 0.1, P0=100 * np.eye(2))
+    by_column = mpt.gated(mpt.KalmanFilter(model, t=t[:, None]), z)
+    np.testing.assert_array_equal(by_column, mpt.gated(mpt.KalmanFilter(model, t=t), z))
+    assert by_column[20] == -1

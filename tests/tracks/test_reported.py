@@ -434,3 +434,13 @@ def test_the_noise_of_fixes_that_the_motion_hides_is_an_upper_limit_and_the_cova
     sigma = np.sqrt(np.diagonal(c.P, axis1=1, axis2=2))
     assert np.mean(np.abs(c.x - x) < 1.96 * sigma) > 0.93
     assert "does not show beside the motion" in " ".join(c.report().split())
+
+
+def test_sigma_of_a_frame_is_that_of_the_worse_axis():
+    t = np.arange(300.0)
+    rng = np.random.default_rng(2)
+    z = np.column_stack([5 * t, 3 * t]) + rng.normal(0, [1.0, 4.0], (300, 2))
+    c = mpt.tracks.clean(t, z, r=np.tile([1.0, 16.0], (300, 1)))
+    frame = c.to_frame()
+    np.testing.assert_allclose(frame["sigma"], np.sqrt(c.P[:, 2, 2]))
+    assert (c.P[:, 2, 2] > c.P[:, 0, 0])[c.mask].all()

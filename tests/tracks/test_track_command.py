@@ -710,7 +710,7 @@ def test_the_track_of_the_guide_as_a_whole_process(tmp_path):
     done = subprocess.run(run, capture_output=True, cwd=ROOT, env=ascii_only, check=True)
     out = in_one_line(done.stdout.decode("ascii"))
     assert "4,559 fixes in 1:15:58" in out
-    assert re.search(r": 9[456]% of 2,\d\d\d fixes lay within", out)
+    assert re.search(r": 9[456]% of 2,\d\d\d fixes that were not refused lay", out)
     assert done.stderr == b""
     assert len(list(tmp_path.iterdir())) == 3
     picture = path.with_suffix(".png").read_bytes()
