@@ -124,7 +124,7 @@ def test_the_question_of_the_first_line_is_answered(cases):
     stated = lesson.stated_at_rest(r, *PAIR, 3000.0, 100)
     says(f"On your wall $r$ is {r:.1f} m², and this is $\\sqrt{{1.44/1.42 + {r / 100:.3f}}}$ = {stated:.1f} m.")
     says(f"The 28 means made {made:.2f} m.")
-    says(f"state {np.hypot(stated, 1.2):.1f} m: {stated:.1f} m by a formula")
+    says(f"state {np.hypot(stated, 1.2):.1f} m: by a formula that knows how long errors last it is {stated:.1f} m")
     says(f"$\\sqrt{{{stated:.1f}^2 + 1.2^2}}$ = {np.hypot(stated, 1.2):.1f} m")
     from_file = mpt.metrics.rms(means + cases[WALL].offset[UP])
     says(f"Against the height in NYA1's file the 28 means had an rms error of {from_file:.1f} m")
@@ -182,7 +182,9 @@ def test_the_mean_leaves_seven_percent_more_than_the_best_average():
 
 
 def test_the_pair_is_near_what_was_fitted(fits):
-    says("So we took round numbers for all six heights below together, σ = 1.2 m and τ = one hour.")
+    says(
+        "So we took one pair of round numbers for all six heights below, after seeing them: σ = 1.2 m and τ = one hour."
+    )
     assert ', {"r": r, "sigma": 1.2, "tau": 3600.0}' in source(CELLS["kalman"])
     assert "sigma=1.2, tau=3600.0" in source(CELLS["judged"])
     by_size = sorted(float(fit.sigma[0]) for fit in fits.values())

@@ -128,7 +128,8 @@ def test_which_filter_wins(off, taught):
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than the five")
-    says("unless the car has nearly stopped by then (about a fifth of its speed is left, or less), or the brake has")
+    says("that the car has nearly stopped by then: about a fifth of its speed is left, or less. The other is a gentle")
+    says("brake that has lasted nine seconds.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -197,7 +198,7 @@ def equally_calm(names, n, q, seconds=5):
 
 
 def test_two_seconds_ahead_the_acceleration_wins_a_stop_of_four_seconds(monkeypatch):
-    says("acceleration with $q = 0.044$ is as calm as velocity with $q = 1$, and then wins even a stop of four seconds")
+    says("acceleration with $q = 0.044$ is as calm as velocity with $q = 1$, and then wins a stop of four seconds")
     equal = equally_calm(made(), *VELOCITY, seconds=2)
     assert equal == pytest.approx(0.044, rel=0.06)
     monkeypatch.setattr(lesson, "SECONDS", 2.0)
@@ -275,9 +276,9 @@ def test_the_list_of_the_small_computer():
 def test_with_a_worse_sensor_the_acceleration_gains_less():
     """With q such that the filter with acceleration is as calm as that of velocity with q = 1, as the table judges."""
     says(
-        "at 7 m the acceleration filter is better by some 6 % at most, and as much worse if the driver lets go; at 13 m"
+        "at 7 m on the calm road the acceleration filter is better by some 6 % at most, and as much worse if the driver"
     )
-    says("it is better by nearly a fifth in the long stop.")
+    says("lets go; at 13 m it is better by nearly a fifth in the long stop.")
     names = made(R=25.0)
     noise = np.random.default_rng(7).normal(0, 5.0, (71, 100))
     ratios = {}
