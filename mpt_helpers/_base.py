@@ -50,7 +50,8 @@ from ._immutable import Immutable
 from .equations import corrected_covariance, gain, predicted_covariance
 from .model import LinearModel
 
-# A gain and a P are the Kalman filter's if they agree to this fraction of the standard deviations.
+# Gains, states and covariances of two filters are the same if they agree to this fraction of the size or standard
+# deviation: the gains from the two Riccati equations agree to at least six digits.
 SAME = 1e-6
 
 
@@ -82,6 +83,12 @@ def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, A
         return values[..., 0], covariances[..., 0]
     M = values.shape[2]
     return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
+
+
+def same_covariance(P: Array, other: Array) -> bool:
+    """Tell whether two covariances (n, n) are the same, relative to the standard deviations of the first."""
+    sigma = np.sqrt(np.abs(P.diagonal()))
+    return bool((np.abs(P - other) <= SAME * sigma * sigma[:, None]).all())
 
 
 class Filter(Immutable):
@@ -350,10 +357,9 @@ class RecursiveFilter(Filter):
         P = predicted_covariance(self.model, P)
         K = gain(P, H, R)
         best = corrected_covariance(P, K, H, R)
-        sigma, sigma_best, sigma_z = (np.sqrt(C.diagonal()) for C in (P, best, H @ P @ H.T + R))
+        sigma, sigma_z = (np.sqrt(C.diagonal()) for C in (P, H @ P @ H.T + R))
         same_gain = np.abs(B - K) * sigma_z <= SAME * sigma[:, None]
-        same_P = np.abs(P_next - best) <= SAME * sigma_best * sigma_best[:, None]
-        return bool(same_gain.all() and same_P.all())
+        return bool(same_gain.all()) and same_covariance(best, P_next)
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k).
