@@ -225,17 +225,17 @@ def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
 
 def test_what_not_to_promise():
     velocity, acceleration = (lesson.FILTERS[name] for name in ("velocity, q = 1", "acceleration, q = 0.01"))
-    says("are both up to 31 m too far at 2 m/s², and up to 60 m at 4")
+    says("From 20 m/s both filters are up to 31 m too far at 2 m/s², and up to 60 m at 4")
     for brake, worst in ((2.0, 31), (4.0, 60)):
         for model in (velocity, acceleration):
             assert lesson.misses(model, brake).max() == pytest.approx(worst, abs=1)
-    says("let go after three seconds, the acceleration filter falls up to 25 m and 36 m short")
+    says("If the driver lets go after three seconds, the acceleration filter falls up to 25 m and 36 m short")
     for brake, short in ((2.0, 25), (4.0, 36)):
         assert round(-lesson.misses(acceleration, brake, 3.0).min()) == short
 
 
 def test_the_sensor_adds_some_metres(taught):
-    says("The sensor adds some metres.")
+    says("The sensor adds some metres, and speeding up just before the brake many.")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))
     for brake, worst in ((2.0, 31), (4.0, 60)):
         found = max(taught["misses"](*each, brake, np.inf, noise).max() for each in (VELOCITY, ACCELERATION))

@@ -149,7 +149,7 @@ def test_what_a_miss_costs_while_the_list_runs(taught):
 
 def test_a_frozen_gain_bears_uneven_steps_and_a_wrong_length_not(taught):
     """Exact lengths or one fixed length, of 4,000 drives at 20 m/s."""
-    says("The gains bear steps that vary by 30 %, if `drive` predicts with the length of each;")
+    says("If steps differ by up to 30 %, let `drive` predict with the length of each.")
     rng = np.random.default_rng(8)
     K, runs = taught["listed"][-1], 4000
 
@@ -245,7 +245,7 @@ def test_a_line_through_two_measurements_is_a_start_for_a_good_sensor_only(sigma
         assert "the list: its typical error peaks at 10 m" in shown(CELLS["two"])
         assert round(exact.max()) == 60
     else:
-        says("does nearly as well: it is up to 30 % worse, and as good from step 7 on.")
+        says("is nearly enough with our sensor: it is up to 30 % worse, and as good from step 7 on.")
         best = lesson.typical_errors(25)[1]
         ratio = exact / best * best[0] / sigma  # the two sensors, 0.32 m and the root of 0.1, differ by 1 %
         assert 1.25 < ratio.max() < 1.305

@@ -315,14 +315,14 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_an_f_that_lets_the_speed_decay_fails_a_ramp():
-    says("And if F lets the speed decay, a filter fails the ramp even where it is right.")
+    says("if F lets the speed decay, a filter fails the ramp even where it is right.")
     off = after_ramp(np.array([[1.0, 1.0], [0.0, 0.95]]), NOW, motion(1.0, 0.01)[2], 0.1, 0.0)
     assert (np.abs(off) > 0.1).all()
 
 
 @pytest.mark.parametrize(("push", "most"), [(0.1, 1.01), (np.sqrt(0.1), 1.13)])
 def test_a_measurement_of_the_next_position_is_h_for_gentle_pushes(push, most):
-    says("if the push times Δt is at most the σ of the sensor (σ is then at most some 11 % too small)")
+    says("is right if the push times Δt is at most the σ of the sensor (σ is then at most some 11 % too small)")
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))
     made = np.sqrt(np.mean((kf.filter(measured[1:, None])[60:, 0] - true[60:-1]) ** 2))

@@ -134,12 +134,11 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
 
 
 def test_axes_that_are_linked():
-    says(
-        "The 33 and the 52 % are for east and north, beside a height whose σ of measurement is ten times as large, with"
-    )
-    says("with correlations of 0.9 between the errors and, but for the 33 %, −0.45 between the changes")
+    says("With correlations of 0.9 between the errors and −0.45 between the changes, equal axes lose 30 %.")
     assert lesson.losses_apart([1, 1, 10], errors=0.9, changes=-0.45)[:2, 0].round().tolist() == [52, 52]
-    says("strong links of opposite signs (30 %, equal axes), or if one axis is poor (33 %); with both we saw 52 %.")
+    says("strong links of opposite signs: there we saw 30 to 52 %.")
+    says("equal axes lose 30 %. Beside")
+    says("east and north lose 33 % with the first of these links alone, and 52 % with both")
     assert round(lesson.losses_apart([1, 1, 1], errors=0.9, changes=-0.45)[0, 0]) == 30
     assert round(lesson.losses_apart([1, 1, 10], errors=0.9)[0, 0]) == 33
     says("So for equal axes one link of 0.5 costs 2 % in each coordinate")
@@ -147,7 +146,7 @@ def test_axes_that_are_linked():
         assert round(lesson.losses_apart([1, 1, 1], **{link: 0.5})[0, 0]) == 2
     says("the small filters state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says("told 0.9 where 0.3 is true, it states a σ of 4.4 m after the silence where 10.9 m is true, and axes kept")
+    says("told 0.9 where 0.3 is true, it states a σ of 4.4 m after the silence, where 10.9 m is true.")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
