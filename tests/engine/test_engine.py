@@ -1,6 +1,5 @@
 """Any track: gaps, times and precisions of its own, in one piece or in many; the smoother, predictions and fits."""
 
-import re
 import warnings
 from dataclasses import replace
 from functools import partial
@@ -9,7 +8,7 @@ import numpy as np
 import precise
 import pytest
 from conftest import AXIS, dense_model
-from oracles import gaussian_conditioning_of_steps, gaussian_log_density, matrices
+from oracles import gaussian_conditioning_of_steps, gaussian_covariance, gaussian_log_density, matrices
 from scipy.optimize import minimize
 
 import mpt_helpers as mpt
@@ -123,8 +122,8 @@ def filters_of(model):
     }
 
 
-# Each kind of gaps, for one track and for several; the last piece is shorter, of one row, or as long as the others.
-CUT = [("none", None, 7), ("own", None, 59), ("shared", 3, 7), ("own", 3, 2)]
+# Of one track and of several; the last piece is shorter, or as long as the others. test_paths draws all other kinds.
+CUT = [("none", None, 7), ("own", 3, 2)]
 
 
 @pytest.mark.parametrize(("gaps", "tracks", "pieces"), CUT)
@@ -571,7 +570,7 @@ def test_stable_models_with_modes_that_nothing_drives_have_a_steady_state(seed, 
     noise = V[:, :driven] @ rng.standard_normal((driven, driven))
     F = V @ np.diag(rng.uniform(-0.95, 0.95, n)) @ np.linalg.inv(V)
     model = mpt.LinearModel(F=F, H=rng.standard_normal((m, n)), Q=noise @ noise.T, R=np.eye(m), P0=np.eye(n))
-    limit = mpt.KalmanFilter(model).coefficients(1000)  # 0.95^1000 is 1e-22
+    limit = mpt.KalmanFilter(model).coefficients(400)  # P comes near as 0.95^800, which is 1e-18
     six = mpt.six_filters(model)
     for name in ("SSKF", "SSLF"):
         # The modes are as well conditioned as V: rounding of 1e-16 times some thousands.
@@ -583,22 +582,27 @@ def make_axis(q, r):
     return mpt.constant_velocity(1.0, q, r, P0=np.eye(2))
 
 
-def test_the_errors_of_a_fit_are_the_spread_of_its_values():
-    """Over 12 of 20 simulated tracks, whose spread is known to 21 %, and over all of them together."""
-    z = mpt.simulate(make_axis(0.04, 0.5), 150, np.random.default_rng(9), 20)[1]
-    fits = [mpt.fit(make_axis, z[..., i], q=0.1, r=1.0) for i in range(12)]
-    together = mpt.fit(make_axis, z, q=0.1, r=1.0)
-    assert together.log_likelihood == pytest.approx(metrics.log_likelihood(together.filter, z).sum(), rel=1e-12)
-    for name, true in {"q": 0.04, "r": 0.5}.items():
-        logs = np.log([each.values[name] for each in fits])
-        stated = np.median([each.log_errors[name] for each in fits])
-        assert 0.36 < logs.std() / stated < 1.64  # three standard errors
-        assert abs(np.median(logs) - np.log(true)) < 4 * 1.25 * stated / np.sqrt(12)
-        off = [np.log(each.values[name] / true) / each.log_errors[name] for each in fits]
-        assert np.sum(np.abs(off) < 2) >= 10  # 11 are due, and fewer than 10 once in 60 times
-        assert abs(np.log(together.values[name] / true)) < 4 * together.log_errors[name]
-        # Each of the 12 states Student's factor of six blocks, 1.31, all 20 together theirs of 20 blocks, 1.07.
-        assert together.log_errors[name] == pytest.approx(stated * 1.07 / 1.31 / np.sqrt(20), rel=0.5)
+def information(N, q, r):
+    """The information of N measurements on log q and log r: 1/2 tr(C^-1 dC C^-1 dC), C their covariance."""
+
+    def covariance(q, r):
+        return gaussian_covariance(*matrices(make_axis(q, r)), N)
+
+    C = covariance(q, r)
+    relative = [np.linalg.solve(C, q * (covariance(q + 1, r) - C)), np.linalg.solve(C, r * (covariance(q, r + 1) - C))]
+    return np.array([[np.trace(one @ other) / 2 for one in relative] for other in relative])
+
+
+def test_the_errors_of_a_fit_are_those_that_the_exact_information_gives():
+    """Of 200 simulated tracks, whose scores tell an error to 5 %, or 6 where q rests on the few slow innovations."""
+    true = {"q": 0.04, "r": 0.5}
+    z = mpt.simulate(make_axis(**true), 60, np.random.default_rng(9), 200)[1]
+    found = mpt.fit(make_axis, z, q=0.1, r=1.0)
+    assert found.log_likelihood == pytest.approx(metrics.log_likelihood(found.filter, z).sum(), rel=1e-12)
+    exact = np.sqrt(np.diag(np.linalg.inv(200 * information(60, **true))))
+    for error, (name, value) in zip(exact, true.items(), strict=True):
+        assert found.log_errors[name] == pytest.approx(error, rel=0.18)  # three of these 5 to 6 %
+        assert abs(np.log(found.values[name] / value)) < 4 * error
 
 
 def test_a_fit_takes_times_and_gaps():
@@ -615,32 +619,13 @@ def test_a_fit_takes_times_and_gaps():
         assert by_time.values[name] == pytest.approx(by_grid.values[name], rel=1e-3)
 
 
-UNKNOWN = {
-    "a smooth track": (make_axis, lambda x, z: x[:, :1], "r: the likelihood does not fall as it goes to zero"),
-    "a product": (lambda q, r, a=1.0: make_axis(q * a, r), lambda x, z: z, "a: the likelihood is flat"),
-    "a far start": (make_axis, lambda x, z: z + 30, "the first measurements are .* standard deviations from"),
-}
-
-
-@pytest.mark.parametrize("name", UNKNOWN)
-def test_a_fit_says_what_it_does_not_know(name):
-    make, taken, words = UNKNOWN[name]
-    track = taken(*mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11)))
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        mpt.fit(make, track, q=1.0, r=1.0, **({"a": 1.0} if name == "a product" else {}))
-    assert [each for each in said if re.search(words, str(each.message))]
-
-
 @pytest.mark.filterwarnings("ignore:fit. row 0 of z is far off")  # said too, where it is
-@pytest.mark.parametrize("away", [50.0, 1000.0])
-def test_a_far_start_is_told_even_if_the_noise_takes_it(away):
+def test_a_far_start_is_told_even_if_the_noise_takes_it():
     """A variance of the measurements may grow until the start seems near: it stands out from the later ones."""
-    z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(11))[1] + away
+    z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(11))[1] + 1000
     with pytest.warns(UserWarning, match="the first measurements are"):
         found = mpt.fit(make_axis, z, q=1.0, r=1.0)
-    if away > 100:
-        assert found.values["r"] > 100
+    assert found.values["r"] > 100
 
 
 def test_a_fit_of_measurements_that_never_change_knows_upper_limits_only():
@@ -658,8 +643,8 @@ def test_what_runs_to_zero_leaves_the_errors_of_the_others():
 
 
 def test_a_flat_direction_leaves_the_errors_of_the_others():
-    z = mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11))[1]
-    alone = mpt.fit(make_axis, z, q=1.0, r=1.0)
+    z = mpt.simulate(make_axis(0.04, 0.5), 100, np.random.default_rng(11))[1]
+    alone = mpt.fit(make_axis, z, q=1.0, r=1.0)  # says nothing: a warning is an error in these tests
     with pytest.warns(UserWarning, match="the likelihood is flat") as said:
         found = mpt.fit(lambda q, r, a: make_axis(q * a, r), z, q=0.3, r=1.0, a=2.0)
     assert sorted(str(each.message)[5] for each in said) == ["a", "q"]
@@ -681,11 +666,6 @@ def test_a_fit_from_a_process_noise_far_too_small_finds_the_same():
         far = mpt.fit(make_plane, z, q1=q, r1=r, q2=q, r2=r)
     assert far.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-3)
     assert far.values == pytest.approx(found.values, rel=1e-2)
-
-
-def test_a_fit_of_what_is_known_says_nothing():
-    z = mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11))[1]
-    mpt.fit(make_axis, z, q=1.0, r=1.0)  # a warning is an error in these tests
 
 
 @pytest.mark.parametrize(

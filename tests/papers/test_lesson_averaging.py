@@ -114,7 +114,7 @@ def test_the_question_of_the_first_line_is_answered(cases):
     one, made = np.std(height), mpt.metrics.rms(means)
     assert 2.4 < one < 2.6
     says("Each is wrong by two and a half metres or so")
-    says(f"its $r$ must hold all of a fix's error, ({one:.2f} m)²")
+    says(f"for which all of a fix's error is noise: its $r$ is ({one:.2f} m)²")
     assert f"{one / 10:.2f}" == "0.25"
     says("some nineteen of their means should lie within 0.25 m of the mean of the day. Four did")
     assert round(28 * 0.6827) == 19
@@ -327,7 +327,7 @@ def test_what_the_tables_say_is_said(cases, fits):
         for low, high in (half[first:last], other[first:last]):
             assert 0.3 <= low < 0.5
             assert 2 < high < 3.3
-    says("For means of fifty minutes the formula and aware were wrong by up to a factor of 3.5, either way.")
+    says("the formula and aware were wrong by up to a factor of 3.5, either way (the lower 0.3 is 1/3.5).")
     low, high = np.minimum(half, other)[::2], np.maximum(half, other)[1::2]
     says(f"But $\\sqrt n$ was {low[0]:.0f} to {high[0]:.0f} times too sure, and white {low[2]:.0f} to {high[2]:.0f}.")
 
@@ -387,7 +387,7 @@ def test_the_more_one_turns_the_less_the_lasting_error_matters(cases):
         found = white.estimates(walks[:, :1] + np.tile(recorded.windows(axis), 10))
         made = (found.x[:, 0] - walks[:, 0])[20:]
         assert mpt.metrics.rms(made.ravel()) / np.sqrt(found.P[20:, 0, 0].mean()) == pytest.approx(1.0, abs=0.04)
-    says("for simulated walks with the recorded errors, what it states was right to 4 % (note 4), with an $r$ of the")
+    says("For simulated walks with the recorded errors, what the usual filter states was then right to 4 %, with")
     assert q * step**3 > 100 * max(np.var(case.errors[:, UP]) for case in cases.values())
 
 
