@@ -114,7 +114,7 @@ def test_the_example_by_hand():
 
 
 def test_the_pretended_pieces_of_the_picture_end_too_low():
-    says("Each pretended piece starts at 0, climbs, and ends too low. The runner lifts each end,")
+    says("Each pretended piece starts at 0, sure of it, climbs, and ends too low. The runner lifts each end,")
     *_, hollow, filled = lesson.draw_relay().axes[1].lines
     assert (hollow.get_ydata() < filled.get_ydata()[1:] - 1).all()
     assert (hollow.get_ydata() > 1).all()
@@ -132,7 +132,7 @@ def test_what_the_surprises_of_a_piece_see():
     says("At the first row h = HF = [1 1]: the surprise sees the position of the start and a second of its velocity.")
     says("The next rows see more of the velocity, and together they say where the piece began, and how fast.")
     assert seen[0][1] < seen[1][1] < seen[2][1]
-    says("After some fifteen rows the start is forgotten.")
+    says("after fifteen, a metre of the start moves an expected measurement by less than 5 cm.")
     assert np.abs(seen[15:]).max() < 0.05
 
 
@@ -252,7 +252,7 @@ def test_the_table_says_what_was_measured():
     }
     ms["in pieces"] = next(row["ms"] for row in rows if row["work"].endswith("as taught: in pieces"))
     for way, name in {
-        "constant gain after the first rows, by `scipy.signal.lfilter`": "lfilter",
+        "constant gain, by `scipy.signal.lfilter`; the first rows differ": "lfilter",
         "the loop in C": "C",
         "the loop in Python's own numbers, written out": "Python numbers",
     }.items():
@@ -319,7 +319,8 @@ def written_out(F, Q, H, r=0.1):
 @pytest.mark.parametrize(("unknowns", "chain", "said"), [(4, True, 10), (4, False, 6), (6, False, 2)])
 def test_plain_numbers_lose_their_lead_with_more_unknowns(taught, unknowns, chain, said):
     """A chain is position, velocity, acceleration and jerk; the others all mix."""
-    says("30 with two, 10 with four in a chain, 6 with four that all mix, 2 with six |")
+    says("30 with two, 10 with four |")
+    says("four unknowns that all mix gain 6, and six gain 2")
     rng = np.random.default_rng(unknowns)
     mixing = np.eye(unknowns) + 0.1 * rng.standard_normal((unknowns, unknowns))
     mixing *= 0.98 / np.abs(np.linalg.eigvals(mixing)).max()

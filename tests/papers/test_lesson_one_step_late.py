@@ -322,7 +322,7 @@ def test_an_f_that_lets_the_speed_decay_fails_a_ramp():
 
 @pytest.mark.parametrize(("push", "most"), [(0.1, 1.01), (np.sqrt(0.1), 1.13)])
 def test_a_measurement_of_the_next_position_is_h_for_gentle_pushes(push, most):
-    says("is right if the push times Δt is at most the σ of the sensor (σ is then at most some 11 % too small)")
+    says("if the push times Δt is at most the σ of the sensor (σ is then at most some 11 % too small)")
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))
     made = np.sqrt(np.mean((kf.filter(measured[1:, None])[60:, 0] - true[60:-1]) ** 2))
@@ -402,7 +402,7 @@ def test_a_mark_that_is_passed_twice_tells_the_delay():
 
 def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     """There the paper's H is right: the settled filter errs by what it states, and NIS is that of the late filter."""
-    says("If the sensor really showed the next position, the same numbers would raise the same alarms")
+    says("of a sensor that shows the next position, for which nothing is late, they would be the same")
     push = 1.0
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))
