@@ -76,6 +76,8 @@ def test_the_first_screen():
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
     assert rows[5] == ["mean of the second and the third", "20 m", "30 m", "12 m", "1.9 m"]
+    says("If stops and releases are equally frequent, the acceleration filter alone is as good as the mean.")
+    assert np.hypot(16, 16) == pytest.approx(np.hypot(20, 12), rel=0.05)
     says("in five seconds 25 m at 2 m/s², and 50 m at 4, if the brake lasts so long")
     for brake, taken in ((2.0, 25), (4.0, 50)):
         for model in lesson.FILTERS.values():
@@ -225,17 +227,17 @@ def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
 
 def test_what_not_to_promise():
     velocity, acceleration = (lesson.FILTERS[name] for name in ("velocity, q = 1", "acceleration, q = 0.01"))
-    says("are both up to 31 m too far at 2 m/s², and up to 60 m at 4")
+    says("From 20 m/s both filters are up to 31 m too far at 2 m/s², and up to 60 m at 4")
     for brake, worst in ((2.0, 31), (4.0, 60)):
         for model in (velocity, acceleration):
             assert lesson.misses(model, brake).max() == pytest.approx(worst, abs=1)
-    says("let go after three seconds, the acceleration filter falls up to 25 m and 36 m short")
+    says("If the driver lets go after three seconds, the acceleration filter falls up to 25 m and 36 m short")
     for brake, short in ((2.0, 25), (4.0, 36)):
         assert round(-lesson.misses(acceleration, brake, 3.0).min()) == short
 
 
 def test_the_sensor_adds_some_metres(taught):
-    says("The sensor adds some metres.")
+    says("The sensor adds some metres, and speeding up just before the brake many.")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))
     for brake, worst in ((2.0, 31), (4.0, 60)):
         found = max(taught["misses"](*each, brake, np.inf, noise).max() for each in (VELOCITY, ACCELERATION))
@@ -275,10 +277,8 @@ def test_the_list_of_the_small_computer():
 
 def test_with_a_worse_sensor_the_acceleration_gains_less():
     """With q such that the filter with acceleration is as calm as that of velocity with q = 1, as the table judges."""
-    says(
-        "at 7 m on the calm road the acceleration filter is better by some 6 % at most, and as much worse if the driver"
-    )
-    says("lets go; at 13 m it is better by nearly a fifth in the long stop.")
+    says("error of 7 m on the calm road the acceleration filter is better by some 6 % at most, and as much worse if")
+    says("the driver lets go; with 13 m it is better by nearly a fifth in the long stop.")
     names = made(R=25.0)
     noise = np.random.default_rng(7).normal(0, 5.0, (71, 100))
     ratios = {}
