@@ -118,7 +118,7 @@ def made():
     """Five seconds of a track, measured and estimated."""
     t = np.arange(1.0, 6)
     true = checks.track(0.2, 5)
-    return t, true, true[:, 0] + 0.5, true + np.array([0.1, 0.01, -0.1]), np.full(5, 0.2)
+    return t, true, true[:, 0] + 0.5, true + np.outer(t, [0.1, 0.01, -0.1]), np.full(5, 0.2)
 
 
 @pytest.mark.parametrize("draw", [figures.draw_line, figures.draw_kalman])
