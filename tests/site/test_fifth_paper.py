@@ -19,7 +19,7 @@ from oracles import plain_loop, van_loan
 
 import mpt_helpers as mpt
 from reproduction.__main__ import main
-from reproduction.ledger import keys, published, stored_verdicts
+from reproduction.ledger import Paper, keys, published, read_paper, stored_verdicts
 from reproduction.ledger.items import KINDS
 from reproduction.ledger.verdicts import BASES, CAUSE_KINDS
 
@@ -155,6 +155,22 @@ def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
     verdicts = stored_verdicts(copy / "notebooks" / f"{KEY}.ipynb")
     with pytest.raises(ValueError, match=f"{KEY}.toml and its notebook: no verdict on units"):
         published(KEY).complete([each for each in verdicts if each.id != "units"])
+
+
+def test_without_its_cause_a_failing_item_stops_the_run_in_the_words_of_the_page():
+    """The ledger of the page as it is before the first run."""
+    before = blocks("toml")[0].replace(', cause = "digits-exchanged"', "")
+    gain = (5**0.5 - 1) / 2  # the settled gain, and the settled variance
+    with pytest.raises(ValueError, match="needs a cause") as stopped:
+        read_paper(KEY, before).table("table1", [gain, gain])
+    _, _, message = str(stopped.value).partition("'table1.variance': ")
+    assert f"`{message}`" in PAGE
+
+
+def test_the_calls_of_the_page_are_those_of_a_paper():
+    calls = set(re.findall(r"`paper\.(\w+)", PAGE))
+    assert {"table", "equal", "claims", "lacking", "check", "claim", "cannot_check"} <= calls
+    assert [call for call in calls if not callable(getattr(Paper, call))] == []
 
 
 def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
