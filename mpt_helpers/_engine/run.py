@@ -1,24 +1,21 @@
-"""The run of a filter over tracks: from `Epochs` to states x, covariances P and innovations.
+"""The run of a filter over tracks: from `Epochs` to states x, covariances P and innovations, in one of two ways.
 
 1. *Tracks without gaps, with the time step and R of the model,* share A_k, B_k and P. These are computed once, and
    several steps are taken in one matrix product (`shared`).
 2. *All other tracks* are columns of arrays (`columns`), filtered epoch by epoch. A few long tracks are cut into pieces,
    which run side by side as columns (`pieces`).
-
-For one track with gaps, z (N, m, 1), the calls are
-
-    estimates -> Epochs.rows -> run_rows -> starts        runs each piece from zero (advance), then finds its start
-                                         -> _in_sequence  runs each piece from its start (advance)
 """
 
 import numpy as np
 
 from .. import _checks as checks
 from .columns import product
-from .digits import EPS, MOST_ROUNDING_OF_S, VAGUE, directions_seen, largest_S
-from .pieces import FEW_TRACKS, from_a_vague_start, of_each, run_rows
+from .pieces import FEW_TRACKS, VAGUE, directions_seen, from_a_vague_start, largest_S, of_each, run_rows
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
+EPS = np.finfo(float).eps
+# The largest fraction of an S that may be rounding error: NIS and likelihood are wrong by as much.
+MOST_ROUNDING_OF_S = 0.01
 # Most numbers in the covariances of the tracks that are computed together: 32 MB.
 MOST_NUMBERS = 4_000_000
 
