@@ -1,4 +1,6 @@
-"""How a filter runs over tracks; knows arrays and equations only. This is the way of z through `KalmanFilter.filter`:
+"""How a filter runs over tracks; knows arrays and equations only.
+
+This is the way of z through `KalmanFilter.filter`:
 
     _base    Filter.filter   z as (N, m, M); `epochs_of` adds the time steps and variances of its epochs
     run      estimates       tracks without gaps share A_k, B_k and P, made by filterpy (`next_step`): see `shared`

@@ -26,16 +26,16 @@ def estimates(estimator, epochs, x, covariances):
     P is (N, n, n, 1) where all tracks share it.
     """
     N, _, M = x.shape
-    shared = None
+    directions = directions_of(estimator, epochs)
+    if largest_S(directions, estimator.P0[..., None]) > VAGUE and estimator.optimal:
+        return _on_columns(estimator, epochs, x, covariances, directions)
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
     # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
-    directions = directions_of(estimator, epochs)
-    vague = largest_S(directions, estimator.P0[..., None]) > VAGUE and estimator.optimal
-    if epochs.dt is None and epochs.r is None and not vague and (unsearched or epochs.complete):
-        shared = estimator.shared_steps(N, M)
+    alike = epochs.dt is None and epochs.r is None and (unsearched or epochs.complete)
+    shared = estimator.shared_steps(N, M) if alike else None
     if shared is None:
-        return _on_columns(estimator, epochs, x, covariances, directions if vague else None)
+        return _on_columns(estimator, epochs, x, covariances)
     steps, products = shared
     run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:

@@ -21,7 +21,7 @@ from .shared import epochs_at_a_time
 # UNDRIVEN times its variance after the first measurement.
 DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
-# The largest S (see `digits`) after the first epoch: the smoothed states near a vague start are the small rest of a
+# The largest S (see `pieces`) after the first epoch: the smoothed states near a vague start are the small rest of a
 # large P, and rounding leaves one or two digits in it.
 MOST_TO_SMOOTH = 1e15
 
@@ -48,8 +48,7 @@ def smoothed(estimator, epochs):
 
     # The pass starts from x(N/N) and P(N/N), and writes to reversed views of x and P, epoch N - 1 first.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
-    held = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
-    require_held(held)
+    require_held(run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1]))
     return x, P
 
 
