@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import AXIS, dense_model
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
@@ -399,6 +399,7 @@ def test_innovations_of_a_joint_filter_are_the_means_of_those_of_both(seed, n, m
         np.testing.assert_allclose(new.S[..., track], (S_1 + S_2) / 2, rtol=1e-8, atol=1e-8)
 
 
+@settings(max_examples=6)
 @given(st.lists(st.tuples(st.integers(1, 90), st.integers(1, 5)), min_size=2, max_size=5), st.integers(0, 1000))
 def test_a_filter_that_is_used_again_keeps_nothing_of_other_tracks(sizes, seed):
     """Shorter or longer ones, more or fewer of them, as a new filter takes them."""

@@ -306,7 +306,11 @@ def test_z_is_the_position_at_the_end_of_the_step_save_the_push(verdicts):
     assert f"save a push of {push:.0f} cm against {noise:.0f} cm of noise." in found.reason
     assert "Does not hold: of s(k), the position when it begins." in found.reason
     assert found.reason.endswith(published("2014_gsm_2d").causes["measured"].sentence)
-    assert published("2014_gsm_2d").causes["measured"].meaning.startswith("In the paper's own example nothing is late.")
+    assert (
+        published("2014_gsm_2d")
+        .causes["measured"]
+        .meaning.startswith("Measurements that follow the paper's H are not late.")
+    )
 
 
 def test_one_column_below_the_other_is_the_state_of_equation_17(verdicts):

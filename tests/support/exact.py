@@ -5,6 +5,7 @@ PNG and SVG, the alt text and the description of each figure, which must also ch
 percent. The kernel works at the project's root, where `make reproduce` works in notebooks/: both must give the same.
 """
 
+import gc
 import os
 import re
 import sys
@@ -57,6 +58,16 @@ def pytest_xdist_make_scheduler(config, log):
 
     config.option.loadscopereorder = False
     return Scheduler(config, log)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let no collection of garbage look at the thousands of tests: they stay."""
+    gc.disable()
+    collected = yield
+    gc.freeze()
+    gc.enable()
+    return collected
 
 
 def pytest_collection_modifyitems(items):

@@ -333,8 +333,8 @@ AT_MOST = {
 
 # Each fault on a short recording; `make slow` runs all on all.
 FEW = [
-    ("hike_gpxo_2s", stuck),
-    ("hike_gpxo_2s", shift),
+    ("hike_korita_11s", stuck),
+    ("hike_korita_11s", shift),
     ("phone_ride_stoplight_1s", bursts),
     ("hike_korita_11s", singles),
 ]
@@ -413,7 +413,7 @@ def test_a_fix_without_one_axis_is_judged_by_the_other():
     assert np.isfinite(c.x[1:]).all()
 
 
-@pytest.mark.parametrize(("speed", "lost"), [(8.0, 60), (1.4, 120), (30.0, 20)])
+@pytest.mark.parametrize(("speed", "lost"), [(8.0, 60), (1.4, 120)])
 def test_good_fixes_on_the_way_to_where_a_receiver_stands_still_are_kept(speed, lost):
     """Those within a tenth of the step that follows, too."""
     rng = np.random.default_rng(5)
