@@ -138,7 +138,7 @@ def start_gain(P, C):
 
 
 def lainiotis_step(P, constants):
-    """Return A, B and P(k+1/k+1) of the Lainiotis filter from P(k/k) (2014 Eqs. 5-6, 2015 Eq. 2); all may be stacks.
+    """Return A, B and P(k+1/k+1) of the Lainiotis filter from P(k/k) (2014 Eqs. 5-6, 2015 Eq. 2); P may be a stack.
 
         A = F_n [I + P O_n]⁻¹,   B = K_n + A P K_m,   P <- P_n + F_n [I + P O_n]⁻¹ P F_nᵀ
 
@@ -150,9 +150,9 @@ def lainiotis_step(P, constants):
     """
     Fn, Kn, _, Pn, _, C, W = constants
     G = start_gain(P, C)
-    A = Fn @ (np.eye(Fn.shape[-1]) - G @ _transposed(C))
+    A = Fn @ (np.eye(len(Fn)) - G @ C.T)
     B = Kn + Fn @ G @ W  # A P K_m = F_n [I + P C Cᵀ]⁻¹ P C W = F_n G W
-    P = Pn + Fn @ corrected_covariance(P, G, _transposed(C), np.eye(C.shape[-1])) @ _transposed(Fn)
+    P = Pn + Fn @ corrected_covariance(P, G, C.T, np.eye(C.shape[1])) @ Fn.T
     return A, B, (P + _transposed(P)) / 2
 
 
