@@ -42,6 +42,16 @@ def test_no_number_depends_on_the_workers(expected, workers):
     np.testing.assert_array_equal(mpt.study(errors, 1500, 4, workers=workers), expected)
 
 
+def test_a_study_of_a_hundred_thousand_million_runs_begins_at_once():
+    """The seeds of all its blocks were made first: it hung, without a bar that says how long it would take."""
+
+    def interrupted(rng, M):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        mpt.study(interrupted, 10**11, 1)
+
+
 def test_workers_may_be_a_map(expected):
     with ThreadPoolExecutor(2) as pool:
         np.testing.assert_array_equal(mpt.study(errors, 1500, 4, workers=pool.map), expected)
