@@ -262,9 +262,6 @@ def pieces():
     expected = kf.filter(gappy)
     for name, work in works.items():
         same(work(), expected, name)
-    early = f"{track}: begun 40 rows early"
-    works[early] = lambda: lesson["begun_early"](gappy[:, 0], 80)[0]
-    same(works[early](), expected, early)
     whole = f"{track}, none missing: lfilter"
     works[whole] = partial(peers.by_lfilter(steady_of(axis)), z)
     same(works[whole]()[100:], kf.filter(z)[100:, 0], whole)  # in 100 rows the start is forgotten to 1e-16

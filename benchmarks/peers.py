@@ -22,7 +22,7 @@ from mpt_helpers.equations import predicted_covariance
 HERE = Path(__file__).parent
 COMPILER = shutil.which("cc")
 LESSON = HERE.parent / "notebooks" / "lessons" / "a_track_in_pieces.ipynb"
-TAUGHT = ("filter", "early", "pretend", "mend-code", "in-pieces")  # the cells of it that define its filters
+TAUGHT = ("filter", "pretend", "mend-code", "in-pieces")  # the cells of it that define its filters
 
 try:
     import jax
@@ -148,7 +148,7 @@ def dynamax_vmap(model):
 
 
 def taught():
-    """Return what the lesson on pieces defines, by name: `step`, `one_by_one`, `begun_early` and `in_pieces`."""
+    """Return what the lesson on pieces defines, by name: `step`, `one_by_one` and `in_pieces`."""
     names, cells = {}, json.loads(LESSON.read_text(encoding="utf-8"))["cells"]
     for cell in cells:
         if cell["id"] in TAUGHT:

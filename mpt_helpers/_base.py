@@ -43,7 +43,7 @@ from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.algebra import whitened
 from ._engine.columns import Epochs, LinearMap, Motion
-from ._engine.digits import is_vague
+from ._engine.digits import directions_seen
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
@@ -220,7 +220,7 @@ class Filter(Immutable):
             predictor, and a FIR filter.
 
         """
-        raise self._not_recursive()
+        raise self._not_recursive("smooth")
 
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
@@ -255,7 +255,7 @@ class Filter(Immutable):
             the filter is not a KalmanFilter.
 
         """
-        raise self._not_recursive()
+        raise self._not_recursive("step")
 
     @property
     def leaves(self) -> list[Filter]:
@@ -317,8 +317,8 @@ class Filter(Immutable):
         n, m = self.model.n, self.model.m
         return f"<{type(self).__name__}: {n} state{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}{given}>"
 
-    def _not_recursive(self) -> TypeError:
-        return TypeError(f"needs a filter with P0, covariances and step, got a {type(self).__name__}")
+    def _not_recursive(self, name: str = "estimator") -> TypeError:
+        return TypeError(f"{name}: needs a filter with P0, covariances and step, got a {type(self).__name__}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -326,7 +326,8 @@ class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance. A subclass defines `next_step`; all else follows from it.
 
     A subclass may add faster versions, `next_steps` and `advance`. They are inherited only together with `next_step`:
-    a subclass that overrides `next_step` alone falls back to the general ones, which call it.
+    a subclass that overrides `next_step` alone falls back to the general ones, which call it. Those take no times and
+    no variances: a KalmanFilter with t or r and a `next_step` of its own needs an `advance` of its own, too.
     """
 
     model: LinearModel
@@ -392,15 +393,31 @@ class RecursiveFilter(Filter):
         return np.array(A), np.array(B), np.array(P)
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks (see `_engine.columns`).
+        """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks.
 
-        Tracks that miss the same measurements are computed together. A subclass may have a faster version.
+        A subclass may have a faster version. It needs one to take times and variances with a `next_step` of its own.
+
+        Parameters
+        ----------
+        row : tuple
+            z (m, c, W), zero where missing; seen (m, W), which are there; F and Q (n, n, W) and r (m, W), or None where
+            they are the model's. Each of W columns has c tracks with one P (see `_engine.columns`).
+        x, P : ndarray (n, c, W), (n, n, W)
+            The states and covariances before the row, which are not modified.
+
+        Returns
+        -------
+        x, P : ndarray (n, c, W), (n, n, W)
+            The states and covariances after it. x is linear in x and z, and P depends on neither.
+        innovations : ndarray (m, c, W)
+            White, of unit variance, and zero where missing; (0, c, W) of a filter that is not `optimal`.
+
         """
         z, seen, F, _, r = row
         if F is not None or r is not None:
             name = "r" if F is None else "t"
             need = f"an `advance` of {type(self).__name__}, as its `next_step` is not given the {name} of a row"
-            checks.refuse(name, need, "none")
+            checks.refuse(name, need, "that of RecursiveFilter, which tells how to write one")
         innovations = x[:0]
         if self.optimal:
             expected, S = self.measurement(*self.motion(x, P))
@@ -414,9 +431,9 @@ class RecursiveFilter(Filter):
         return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
 
     @cached_property
-    def vague(self) -> bool:
-        """Whether P0 is too large to run the first epochs row by row in doubles; raises ValueError above `LARGEST`."""
-        return is_vague(self.model, self.P0, self.r) and self.optimal
+    def directions(self) -> Array:
+        """What the sensors see of a state within n steps, as the engine asks for it (`directions_seen`)."""
+        return directions_seen(self.model, self.model.R)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.

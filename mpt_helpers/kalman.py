@@ -51,6 +51,8 @@ class KalmanFilter(RecursiveFilter):
         Variances of the measurements in place of the model's R, such as the accuracy that a receiver states of each
         fix. They are ignored where z is NaN.
 
+    A subclass with a `next_step` of its own takes t or r only with an `advance` of its own (see RecursiveFilter).
+
     Raises
     ------
     ValueError

@@ -46,7 +46,7 @@ class Predictor(Filter):
 
     def __post_init__(self) -> None:
         checks.instance("estimator", self.estimator, Filter)
-        checks.count("steps", self.steps, least=0)
+        object.__setattr__(self, "steps", checks.count("steps", self.steps, least=0))  # an int, as filters are compared
 
     @property
     def model(self) -> LinearModel:

@@ -10,36 +10,32 @@ import numpy as np
 from .. import _checks as checks
 from ..equations import unit_measurements
 
+EPS = np.finfo(float).eps
 # Above this, rounding leaves about three digits in P after the measurement.
 VAGUE = 1e12
-# Rounding of I - K H causes an error of about 1e-31 S R in P after the measurement: here 1 % of R.
-LARGEST = 1e29
+# The rounding of the root of S causes an error of up to 1e-31 S R in P after the measurement: here some percent of R.
+LARGEST = 1e30
 # The largest fraction of a variance that may be rounding error after a step.
 MOST_ROUNDING = 0.1
+# The largest fraction of an S that may be rounding error: NIS and likelihood are wrong by as much.
+MOST_ROUNDING_OF_S = 0.01
 
 
-def is_vague(model, P0, r=None):
-    """Tell whether P0 (n, n) is vague relative to Q and R, or to the variances r (N, m, ...) in place of R.
+def directions_seen(model, R):
+    """Return |G| (rows, n): G x is what the sensors see of x within n steps, in units of their noise and that of Q.
 
-    Raises ValueError for a P0 above LARGEST.
+    An observable state shows within n steps.
     """
-    F, H, Q, R = model.F, model.H, model.Q, model.R
-    if r is not None:
-        smallest = np.where(r > 0, r, np.inf).min(axis=(0, *range(2, r.ndim)))
-        R = np.diag(np.where(np.isfinite(smallest), smallest, np.diag(R)))
+    G, seen = unit_measurements(model.H, model.H @ model.Q @ model.H.T + R)[0], []
+    for _ in range(model.n):
+        G = G @ model.F
+        seen.append(np.abs(G))
+    return np.concatenate(seen)
 
-    def largest_S(noise, steps):
-        G, largest = unit_measurements(H, noise)[0], 0.0
-        for _ in range(steps):
-            G = G @ F
-            largest = max(largest, float((G @ P0 @ G.T).max()))
-        return largest
 
-    first_S = largest_S(R, steps=1)
-    if not first_S < LARGEST:
-        noise = "R" if r is None else "the smallest r"
-        checks.refuse("P0", f"variances of what is measured below {LARGEST:g} {noise}", f"{first_S:.2g} {noise}")
-    return largest_S(H @ Q @ H.T + R, steps=len(F)) > VAGUE  # an observable state shows within n steps
+def largest_S(directions, P):
+    """Return the largest S to which the standard deviations of each P (n, n, W) may add up, (W,)."""
+    return ((directions @ np.sqrt(P.diagonal().T)) ** 2).max(axis=0)
 
 
 def require_digits(T_1, T_2, P, after, S, dt=None):
@@ -53,7 +49,7 @@ def require_digits(T_1, T_2, P, after, S, dt=None):
     if S < VAGUE and finite:
         return
     sigma = np.sqrt(np.abs(P.diagonal()))
-    rounding = np.finfo(float).eps * (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
+    rounding = EPS * (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
     if S < LARGEST and finite and (rounding <= MOST_ROUNDING * after.diagonal()).all():
         return
     if dt is not None:

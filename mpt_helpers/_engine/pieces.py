@@ -18,7 +18,9 @@ from itertools import repeat
 
 import numpy as np
 
-from ..equations import start_gain
+from .. import _checks as checks
+from ..equations import square_root, start_gain
+from .digits import LARGEST, VAGUE, largest_S
 
 # Up to this many tracks, a numpy call costs more in overhead than in arithmetic.
 FEW_TRACKS = 64
@@ -36,18 +38,12 @@ MOST_PASSES = 3
 NARROWEST = 1e-7
 
 
-def run_rows(advance, rows, x0, P0, x, P, vague=False):
+def run_rows(advance, rows, x0, P0, x, P):
     """Filter all rows from x0 (n, c, W) and P0 (n, n, W), in pieces where that is faster and loses no digits.
 
     The states x(1) ... x(N) are written to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None.
-    `vague` says that P0 is (see `digits`). Returns whether the covariances stayed within double precision.
+    Returns whether the covariances stayed within double precision.
     """
-    if vague:
-        try:
-            k, x0, P0 = _from_a_vague_start(advance, rows, x0, P0, x, P)
-        except np.linalg.LinAlgError:  # no digit of P is left
-            return False
-        rows, x, P = _of_each(rows, lambda array: array[k:]), x[k:], P if P is None else P[k:]
     N, _, c, W = x.shape
     K = rows_per_piece(N, c * W)
     with np.errstate(invalid="ignore"):  # the root of an S that rounding made negative: NaN, which is refused
@@ -75,7 +71,7 @@ def _in_sequence(advance, rows, x_k, P_k, x, P):
 def _in_pieces(advance, rows, K, x0, P0, x, P):
     """Filter the rows in pieces of K. Returns False where the pieces do not match."""
     N, W = len(x), x.shape[-1]
-    pieces = _of_each(rows, lambda array: cut(array, K))
+    pieces = of_each(rows, lambda array: cut(array, K))
     try:
         x_start, P_start = (each[..., :-W] for each in starts(advance, pieces, x0, P0))
     except np.linalg.LinAlgError:  # the gaps within a piece left no digit of its start
@@ -96,7 +92,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
     return False
 
 
-def _of_each(rows, function):
+def of_each(rows, function):
     """Return the rows with a function applied to each of their arrays."""
     return tuple(None if array is None else function(array) for array in rows)
 
@@ -205,29 +201,53 @@ def over_a_piece(row, x, P):
     return tuple(each.transpose(1, 2, 0) for each in (x, P, innovations))
 
 
-def _from_a_vague_start(advance, rows, x0, P0, x, P):
+def from_a_vague_start(advance, rows, x0, P0, x, P, directions):
     """Filter the first rows from a vague P0. Returns their number, and x and P after the last of them.
 
     Row by row, the first updates would lose as many digits as P0 / R has, and without process noise never regain them.
     So the rows 0 to k are treated as one piece, extended by one row at a time, and row k is its end. This continues
-    until each sensor of each track has measured 2 n times, or has no more measurements.
+    until P is no longer vague, by the `directions_seen`, and each sensor of each track has measured 2 n times;
+    or until a track has no more measurements.
     """
     n, c, W = x0.shape
-    seen = rows[1]
-    counts = np.cumsum(seen, axis=0)
-    settled = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=(1, 2))
-    K = min(1 + np.sum(~settled), len(x))
+    counts = np.cumsum(rows[1], axis=0)
+    often = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=1)
+    all_seen = (counts == counts[-1]).all(axis=1)
+    A = square_root(P0[..., 0])
     L, y = np.zeros((0, n, W)), np.zeros((0, c, W))
-    first_rows = _of_each(rows, lambda array: array[:K])
-    for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, first_rows, n)):
-        if seen[k].any():
+    for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, rows, n)):
+        if rows[1][k].any():
             L, y = _compressed(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
-        piece = np.concatenate([x_piece[:, :c], y]), x_piece[:, c:], P_piece, L
-        x_k, P_k, _ = over_a_piece(piece, x0, P0)
+        x_k, P_k = _after_a_piece(x_piece[:, :c], y, x_piece[:, c:], P_piece, L, x0, A)
         x[k] = x_k
         if P is not None:
             P[k] = P_k
-    return K, x_k, P_k
+        if (all_seen[k] | (often[k] & (largest_S(directions, P_k) < VAGUE))).all():
+            break
+    return k + 1, x_k, P_k
+
+
+def _after_a_piece(x_piece, y, T, P_piece, L, x0, A):
+    """Return x and P after a piece of `starts`, from x0 with the covariance A Aᵀ, whose digits outnumber a double's.
+
+    In units of A, the start has unit covariance, and y measures it by L A = V diag(s) Uᵀ: each of its components along
+    U by itself, with noise of variance 1 / s². That leaves a variance of 1 / (1 + s²). The largest s² is P0 / R, so s
+    has only half of its digits.
+    """
+    x_piece, y, T, P_piece, L, x0 = (np.moveaxis(each, 2, 0) for each in (x_piece, y, T, P_piece, L, x0))
+    V, s, U_t = np.linalg.svd(L @ A)
+    if not (s**2 < LARGEST).all():
+        need = f"a start that makes the first measurements less than {LARGEST:g} times as uncertain as their noise does"
+        checks.refuse("P0", need, f"{s.max() ** 2:.2g} times")
+    p = s.shape[1]
+    variances = np.ones(U_t.shape[:2])
+    variances[:, :p] = 1 / (1 + s**2)
+    TAU = T @ A @ U_t.swapaxes(-1, -2)
+    innovations = V.swapaxes(-1, -2) @ (y - L @ x0)
+    x = x_piece + T @ x0 + TAU[..., :p] @ (innovations * (s / (1 + s**2))[..., None])
+    P = P_piece + (TAU * variances[:, None]) @ TAU.swapaxes(-1, -2)
+    P = (P + P.swapaxes(-1, -2)) / 2
+    return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2)
 
 
 def _compressed(L, y):

@@ -14,7 +14,9 @@ For one track with gaps, z (N, m, 1), the calls are
 import numpy as np
 
 from .. import _checks as checks
-from .pieces import FEW_TRACKS, run_rows
+from .columns import product
+from .digits import EPS, MOST_ROUNDING_OF_S, VAGUE, directions_seen, largest_S
+from .pieces import FEW_TRACKS, from_a_vague_start, of_each, run_rows
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
 # Most numbers in the covariances of the tracks that are computed together: 32 MB.
@@ -31,15 +33,17 @@ def estimates(estimator, epochs, x, covariances):
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
     # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
-    if epochs.dt is None and epochs.r is None and not estimator.vague and (unsearched or epochs.complete):
+    directions = directions_of(estimator, epochs)
+    vague = largest_S(directions, estimator.P0[..., None]) > VAGUE and estimator.optimal
+    if epochs.dt is None and epochs.r is None and not vague and (unsearched or epochs.complete):
         shared = estimator.shared_steps(N, M)
     if shared is None:
-        return _on_columns(estimator, epochs, x, covariances)
+        return _on_columns(estimator, epochs, x, covariances, directions if vague else None)
     steps, products = shared
     run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:
         P = np.array([step.P for step in steps])[..., None]
-        _require_held(np.isfinite(P).all())
+        require_held(np.isfinite(P).all())
         return P
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.any():
@@ -49,7 +53,16 @@ def estimates(estimator, epochs, x, covariances):
     return None
 
 
-def _on_columns(estimator, epochs, x, covariances):
+def directions_of(estimator, epochs):
+    """Return the `directions_seen` of a filter; of variances r, the smallest of each sensor counts."""
+    if epochs.r is None:
+        return estimator.directions
+    smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
+    R = np.where(np.isfinite(smallest), smallest, np.diag(estimator.model.R))
+    return directions_seen(estimator.model, np.diag(R))
+
+
+def _on_columns(estimator, epochs, x, covariances, directions=None):
     """Compute the `estimates` of tracks as columns, tile by tile."""
     (N, n, M), W = x.shape, epochs.width
     P = np.empty((N, n, n, W)) if covariances else None
@@ -65,11 +78,15 @@ def _on_columns(estimator, epochs, x, covariances):
         # `run_rows` writes to these views. A P that only the tracks of this tile share is broadcast to each of them.
         x_part = x[..., part].reshape(N, n, c, width)
         P_part = P[..., part] if covariances and W > 1 else P
-        _require_held(run_rows(estimator.advance, rows, x0, P0, x_part, P_part, estimator.vague))
+        if directions is not None:
+            k, x0, P0 = from_a_vague_start(estimator.advance, rows, x0, P0, x_part, P_part, directions)
+            rows = of_each(rows, lambda array, k=k: array[k:])
+            x_part, P_part = x_part[k:], None if P_part is None else P_part[k:]
+        require_held(run_rows(estimator.advance, rows, x0, P0, x_part, P_part))
     return P
 
 
-def _require_held(held):
+def require_held(held):
     """Raise a ValueError where the covariances exceeded double precision."""
     if not held:
         need = "covariances within double precision (shorter gaps, a smaller P0, more similar variances)"
@@ -85,14 +102,22 @@ def innovations(estimator, epochs):
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
     x = np.empty((N, n, M))
     P = estimates(estimator, epochs, x, covariances=True)
-    values, S = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3]))
+    values, S, rounding = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3])), np.empty((N, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks.
         before = np.moveaxis(_before(x, model.x0, part), 1, 0), np.moveaxis(_before(P, estimator.P0, part), 0, 2)
-        expected, S_part = estimator.measurement(*epochs.motions(part)(*before))
+        motion = epochs.motions(part)
+        expected, S_part = estimator.measurement(*motion(*before))
         values[part] = epochs.z[part] - np.moveaxis(expected, 0, 1)
         S[part] = np.moveaxis(S_part, 2, 0)
-    return values, S + epochs.noise(model.R)
+        sigma = np.sqrt(np.einsum("ii...->i...", before[1]))
+        size = product(np.abs(model.H), product(np.abs(motion.matrix), sigma)) ** 2
+        rounding[part] = EPS * np.moveaxis(size, 1, 0)  # doubles round P_ij by ε σ_i σ_j
+    S += epochs.noise(model.R)
+    if (rounding > MOST_ROUNDING_OF_S * np.einsum("kii...->ki...", S)).any():
+        need = "a start that leaves digits of the innovations' covariances beside states that were never measured"
+        checks.refuse("P0", f"{need} (filter and estimates take a larger one)", "one that leaves none")
+    return values, S
 
 
 def _before(array, start, part):

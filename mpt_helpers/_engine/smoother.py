@@ -14,14 +14,18 @@ from scipy.linalg import eig
 from .. import _checks as checks
 from .algebra import solved
 from .columns import product, transposed
+from .digits import largest_S
 from .pieces import run_rows
-from .run import estimates
+from .run import directions_of, estimates, require_held
 from .shared import epochs_at_a_time
 
 # A mode is damped if its eigenvalue is below DAMPED, and undriven if the variance that Q adds to it per step is below
 # UNDRIVEN times its variance after the first measurement.
 DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
+# The largest S (see `digits`) after the first epoch: the smoothed states near a vague start are the small rest of a
+# large P, and rounding leaves one or two digits in it.
+MOST_TO_SMOOTH = 1e15
 
 
 def smoothed(estimator, epochs):
@@ -29,9 +33,13 @@ def smoothed(estimator, epochs):
     N, _, M = epochs.z.shape
     x = np.empty((N, estimator.model.n, M))
     P = estimates(estimator, epochs, x, covariances=True)
-    _warn_of_undriven_modes(epochs.motion, P[0])
     if N == 1:
         return x, P
+    _warn_of_undriven_modes(epochs.motion, P[0])
+    S = largest_S(directions_of(estimator, epochs), P[0]).max()
+    if S > MOST_TO_SMOOTH:
+        need = f"for smooth a start that leaves what is measured less than {MOST_TO_SMOOTH:g} times as uncertain as R"
+        checks.refuse("P0", f"{need} does after the first epoch (a smaller P0 says as little)", f"{S:.2g} times")
     d, C, D = np.empty_like(x[:-1]), np.empty_like(P[:-1]), np.empty_like(P[:-1])
     for part in epochs_at_a_time(N - 1, P[0].size):
         motion = epochs.motions(slice(part.start + 1, part.stop + 1))
@@ -42,7 +50,8 @@ def smoothed(estimator, epochs):
 
     # The pass starts from x(N/N) and P(N/N), and writes to reversed views of x and P, epoch N - 1 first.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
-    run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+    held = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+    require_held(held)
     return x, P
 
 

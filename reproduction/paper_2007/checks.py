@@ -13,6 +13,7 @@ import numpy as np
 from mpt_helpers import KalmanFilter, LinearModel, gps_ins
 from mpt_helpers.metrics import rms
 
+from .. import burden
 from . import experiments as runs
 from . import positioning, recorded
 
@@ -54,15 +55,17 @@ def line_track(z, smallest=5):
 def rough_kalman(rng, M, epochs=N):
     """Return the errors of rough positions by Kalman filters from 300 km away, {filter: (epochs, M)}, under M skies.
 
-    The filters linearise once for each epoch, as Eqs. 6 and 11 do, with a Q of which the paper says nothing; *iterated*
-    does so five times. *Fix first* is the paper's proposal: least squares, then the filter.
+    *Least squares* and the filters named by their Q, which the paper does not print, linearise once for each epoch, as
+    Eqs. 6, 7 and 11 do. *Fix first* is the paper's proposal: least squares with several steps on the first epoch, then
+    the filter. *Iterated* is the filter with five linearisations in an epoch.
     """
     away = np.diag(np.maximum(OFF, OFF[0] * np.array([1, 1, 1, 0])) ** 2)
     errors = {}
     for _ in range(M):
         satellites, X = runs.random_sky(rng)
         ranges = positioning.pseudoranges(satellites, X) + rng.standard_normal((epochs, len(satellites)))
-        made = {
+        made = {"least squares": positioning.position_steps(satellites, ranges, X + OFF, steps=epochs)[1:]}
+        made |= {
             f"Q = ({q} m)²": positioning.position_kalman(satellites, ranges, X + OFF, away, q**2 * np.eye(4), 1.0).X
             for q in (0, 1, 100)
         }
@@ -75,6 +78,38 @@ def rough_kalman(rng, M, epochs=N):
         for name, states in made.items():
             errors.setdefault(name, []).append(np.linalg.norm((states - X)[:, :3], axis=1))
     return {name: np.transpose(each) for name, each in errors.items()}
+
+
+def operations(m):
+    """Return the operations of a step of least squares and of the Kalman filter on m ranges, H and residuals made.
+
+    They are those of Eq. 7, last form, and of Eq. 11 with Φ = I, counted as `reproduction.burden` does.
+
+    >>> operations(8)
+    (404, 2712)
+    """
+    n = 4
+    fix = [
+        burden.symmetric_product(n, m),  # HᵀH
+        burden.inverse(n),
+        burden.product(n, m, 1),  # Hᵀ (P̃ - P)
+        burden.product(n, n, 1),
+        n,  # X̂0 + ...
+    ]
+    kalman = [
+        burden.product(m, n, n),  # H P⁻
+        burden.symmetric_product(m, n),  # H P⁻ Hᵀ
+        burden.symmetric_sum(m),
+        burden.inverse(m),
+        burden.product(n, m, m),  # K
+        burden.product(n, m, 1),  # K (Z - H X̂⁻)
+        n,
+        burden.product(n, m, n),  # K H
+        n,
+        burden.symmetric_product(n, n),  # (I - K H) P⁻
+        burden.symmetric_sum(n),  # P + Q
+    ]
+    return sum(fix), sum(kalman)
 
 
 def epochs_until(errors, below=METRES):

@@ -8,8 +8,6 @@ from scipy.stats import chi2
 
 import mpt_helpers as mpt
 
-from .. import burden
-
 
 def gap(one, *others):
     """Return the largest difference of arrays from the first, or of tuples of arrays member by member.
@@ -79,27 +77,6 @@ def forgets_its_start(axis):
         first, second = (mpt.KalmanFilter(start).covariances(400)[-1] for start in starts)
         found[name] = bool(np.abs(first - second).max() < 1e-12), should
     return found
-
-
-def ratio_of_rows(paper, operations, right, model, step):
-    """Return a function for `Paper.table`: of the printed ratio that μ rounds up, in which sense it is one.
-
-    operations(M) lists those of an estimate of FIR, right is its ratio to the operations of a step of the
-    constant gain; model is "A" or "B".
-    """
-    row = paper.items[f"table6.fir.{model.lower()}"].printed
-
-    def judged(printed):
-        sides = [side.strip() for side in printed.split("=")]
-        of_row = all(burden.value(side, M=M) == burden.value(row, M=M) / step for side in sides for M in range(1, 9))
-        of_operations, right_side, how = burden.formula(operations, right, "M", step)(printed)
-        return (
-            {"as the ratio of the rows of Table 6": of_row, "as that of the operations": of_operations},
-            right_side,
-            how,
-        )
-
-    return judged
 
 
 def closeness(axis, p0=0.0, steps=60):

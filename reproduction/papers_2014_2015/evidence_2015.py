@@ -65,10 +65,10 @@ def models(b, G, r, a, G_a):
     push = np.sqrt(b.Q[0, 0])  # of the position, within one step
     at_the_end = (
         f"of s(k+1), the position at the end of step k, save a push of {100 * push:.0f} cm against "
-        f"{100 * np.sqrt(r):.0f} cm of noise (σ)"
+        f"{100 * np.sqrt(r):.0f} cm of noise"
     )
-    now = "of s(k), which stands in x(k)"
-    at = {at_the_end: np.array_equal(b.H, position @ b.F), now: np.array_equal(b.H, position)}
+    at_its_start = "of s(k), the position when it begins"
+    at = {at_the_end: np.array_equal(b.H, position @ b.F), at_its_start: np.array_equal(b.H, position)}
     seen = "z(k) = s(k) + Δt v(k) + noise, and s(k+1) = s(k) + Δt v(k) + ½ Δt w(k)"
     beyond = f"fed with s(k), the filters are {late(b):.2g} m late at {WALK:g} m/s; fed with H x(k), they are not late"
     rng = np.random.default_rng(1)
@@ -82,11 +82,15 @@ def models(b, G, r, a, G_a):
 
 
 def exists(axis):
-    """Section 4: models that fulfil the theorem forget how P began, and one that does not remembers."""
-    tried = forgets_its_start(axis)
-    as_said = sum(forgot == should for forgot, should in tried.values())
-    shown = f"a theorem; {as_said} of {len(tried)} models tried behave as it says"
-    return {"exists": (as_said == len(tried), shown)}
+    """Section 4: models that fulfil the conditions of the theorem forget P0; of one more it says nothing."""
+    tried = forgets_its_start(axis).values()
+    fulfil = [forgot for forgot, should in tried if should]
+    (of_other,) = [forgot for forgot, should in tried if not should]
+    shown = (
+        f"a theorem; {sum(fulfil)} of {len(fulfil)} models tried that fulfil it forget P0; it is silent on one more, "
+        f"which {'does too' if of_other else 'does not'}"
+    )
+    return {"exists": (all(fulfil), shown)}
 
 
 def implementations(a, b, columns, printed):
@@ -99,7 +103,7 @@ def implementations(a, b, columns, printed):
     x, P = [(holds, f"six filters, {len(a['KF'][0])} steps: {size}") for holds, size in gaps]
     written_out = [[each] for column in columns for each in column[:, 0]]  # s_x v_x s_y v_y s_z v_z
     matrix = " × ".join(map(str, np.hstack(columns).T.shape))
-    joined = f"as blocks, the column of six that the line above writes out; strictly it is a matrix of {matrix}"
+    joined = f"one column below the other, as the line above shows; strictly it is a matrix of {matrix}"
     found = {"merge.x": x, "merge.joined": (gap(np.vstack(columns), written_out) == 0, joined), "merge.p": P}
     for id, said, row, one in (("a", 1, 1, burden.kalman(6, 3)), ("b", 2, 7, burden.kalman(2, 1))):
         total, each = int(printed[f"table3.{row}"]), burden.total(one)
@@ -115,6 +119,21 @@ def lists(a, b, printed):
         runs = all(np.isfinite(ran[name][0]).all() for name in FILTERS)
         found[id] = (runs, f"each of them runs, and so does {left_out}, which Table 1 has too")
     return found
+
+
+def sums(axes=3):
+    """Return how each total of Table 3 is made of those of single filters and joins, in the order of the table.
+
+    >>> sums()[6], sums()[8]
+    ('3 · 69', '3 · (69 + 89 + 10)')
+    """
+    made = []
+    for n, m, filters in ((2 * axes, axes, 1), (2, 1, axes)):
+        kinds = burden.kalman, burden.lainiotis, burden.join, burden.steady_state, burden.join_steady_state
+        kf, lf, join, ss, join_ss = (burden.total(each(n, m)) for each in kinds)
+        of_one = kf, lf, f"({kf} + {lf} + {join})", ss, ss, f"({ss} + {ss} + {join_ss})"
+        made += [f"{filters} · {each}" for each in of_one]
+    return made
 
 
 def spread(some, a, b):
@@ -133,8 +152,8 @@ def example(a, b, axis):
         f"{below(near['gap'])} on"
     )
     beyond = (
-        f"from P0 = 100 I it is {unknown['metres'][0]:.1f} m at step 1, and below σ/10 from step "
-        f"{below(unknown['gap'])} on"
+        f"from P0 = 100 I it is {unknown['metres'][0]:.1f} m at step 1, below σ from step "
+        f"{below(unknown['gap'], 1)} on, and below σ/10 from step {below(unknown['gap'])} on"
     )
     return {
         "behaviour.1": rounding(spread(INVARIANT, a, b)),
@@ -165,14 +184,16 @@ def faster(counts):
 def conclusion(counts, of_example):
     """Section 7 and the abstract; of_example is what `example` returned."""
     share, shown = shares(counts)
-    (close, apart, _), (alike, size) = of_example["behaviour.3"], of_example["behaviour.4"]
+    (close, apart, elsewhere), (alike, size) = of_example["behaviour.3"], of_example["behaviour.4"]
+    at_most, unknown = apart.partition(",")[0], elsewhere.partition(",")[0]
+    behaviour = f"models A and B: {size}; steady state: {at_most}; beyond the example, {unknown}"
     last = all(counts[f"JKLF {model}"] > max(counts[f"KF {model}"], counts[f"LF {model}"]) for model in "AB")
     most = {model: max(counts[f"{name} {model}"] for name in STEADY) for model in "AB"}
     least = {model: min(counts[f"{name} {model}"] for name in INVARIANT) for model in "AB"}
     in_steady = "; ".join(f"model {model}: at most {most[model]}, against at least {least[model]}" for model in "AB")
     beyond = f"across models one is slower: JSSKLF A with {most['A']} than KF B with {least['B']}"
     return {
-        "abstract.behaviour": (close and alike, f"models A and B: {size}; steady state: {apart.partition(',')[0]}"),
+        "abstract.behaviour": (close and alike, behaviour, elsewhere),
         "abstract.burden": (all(each != 1 for each in share), f"with model B {shown}"),
         "speed.2": (last, operations(counts, "JKLF", "KF", "LF")),
         "speed.3": (all(most[model] < least[model] for model in "AB"), in_steady, beyond),

@@ -48,7 +48,7 @@ def said_by(call):
 # The search
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(SEEDS)
 def test_twice_all_covariances_leave_the_estimates_and_make_S_twice_as_large(seed):
     """The search along a ratio rests on it; with times, gaps and variances of each fix."""
@@ -101,14 +101,12 @@ def test_the_ratio_is_searched_along_only_where_both_parameters_scale_all_covari
     assert (fitting._search_along_ratio(likelihood, np.zeros(2), n=2) is not None) == scales
 
 
-@pytest.mark.parametrize("name", [name for name, (_, scales) in MAKES.items() if scales])
-def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(name, monkeypatch):
-    """Without a ratio to search along both are one search."""
-    make, _ = MAKES[name]
-    z = THREE_HUNDRED[:150] if name != "a filter with r" else THREE_HUNDRED
-    found = quiet_fit(make, z, q=1.0, r=1.0)
+def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(monkeypatch):
+    """Of a filter whose P0 does not scale, so that the best scale is only near the maximum."""
+    make, _ = MAKES["a filter with r"]
+    found = quiet_fit(make, THREE_HUNDRED, q=1.0, r=1.0)
     monkeypatch.setattr(fitting, "_search_along_ratio", lambda *_: None)
-    by_simplex = quiet_fit(make, z, q=1.0, r=1.0)
+    by_simplex = quiet_fit(make, THREE_HUNDRED, q=1.0, r=1.0)
     assert found.log_likelihood == pytest.approx(by_simplex.log_likelihood, abs=1e-5)
     if np.isfinite(max(found.log_errors.values())):
         assert found.values == pytest.approx(by_simplex.values, rel=1e-3)
@@ -120,9 +118,8 @@ def near():
     return mpt.fit(axis, THREE_HUNDRED, q=0.1, r=1.0)
 
 
-@pytest.mark.parametrize("guess", [(1e-12, 1e-12), (1e-12, 1e12)])
-def test_a_guess_that_is_far_off_finds_the_same_and_says_so(guess, near):
-    found = []
+def test_a_guess_that_is_far_off_finds_the_same_and_says_so(near):
+    guess, found = (1e-12, 1e12), []
     said = said_by(lambda: found.append(mpt.fit(axis, THREE_HUNDRED, q=guess[0], r=guess[1])))
     assert found[0].values == pytest.approx(near.values, rel=1e-3)
     far = [name for name, value in zip("qr", guess, strict=True) if not 1e-5 < near.values[name] / value < 1e5]
@@ -319,7 +316,8 @@ def test_two_errors_hold_95_percent_of_fits_where_the_noise_is_not_normal():
         assert np.sum(np.abs(off) < 2) >= 13, name
 
 
-@pytest.mark.parametrize("name", [pytest.param("paraglider_napret_1hz", marks=pytest.mark.slow), "run_fenix2_1hz"])
+@pytest.mark.slow  # the guides state such errors, and how many times those of the curvature they are
+@pytest.mark.parametrize("name", ["paraglider_napret_1hz", "run_fenix2_1hz"])
 def test_the_errors_of_a_recorded_track_are_the_scatter_of_its_quarters_and_few_filters_tell_them(name):
     """By the curvature, the scatter of log q was 7.4 to 9.4 times what it should be.
 
@@ -375,12 +373,11 @@ def test_the_distance_of_a_start_is_that_of_least_squares_with_the_scale_of_what
     assert fitting._distance_of_x0(mpt.KalmanFilter(one, t=t), z) == pytest.approx(max(due), rel=1e-6)
 
 
-@pytest.mark.parametrize(("rows", "far"), [(6, 50), (20, 200)])
-def test_a_fit_far_from_its_start_says_so_on_few_rows_too(rows, far):
+def test_a_fit_far_from_its_start_says_so_on_few_rows_too():
     """A line at 1 m a second with noise of 0.3 m: q of hundreds explains the way from 0 ± 1 to its first fix."""
-    line = (np.arange(1.0, rows + 1) + np.random.default_rng(1).normal(0, 0.3, rows))[:, None]
+    line = (np.arange(1.0, 7) + np.random.default_rng(1).normal(0, 0.3, 6))[:, None]
     told = "the first measurements are"
-    assert any(told in each for each in said_by(lambda: mpt.fit(axis, far + line, q=1.0, r=1.0)))
+    assert any(told in each for each in said_by(lambda: mpt.fit(axis, 50 + line, q=1.0, r=1.0)))
     assert not any(told in each for each in said_by(lambda: mpt.fit(axis, line, q=1.0, r=1.0)))
 
 
@@ -439,7 +436,7 @@ def test_a_fix_after_a_long_rest_is_not_far_off():
 
 @pytest.mark.parametrize("name", [pytest.param("paraglider_napret_1hz", marks=pytest.mark.slow), "walkrun_mallorca_4s"])
 def test_a_recorded_track_is_not_suspicious_and_one_bad_fix_in_it_is(name):
-    t, z = recorded(name, rows=1500)
+    t, z = recorded(name, rows=600)
     for far, kinds in ((0, set()), (1e7, {"far off"})):
         y = z.copy()
         y[500] += far
@@ -449,11 +446,11 @@ def test_a_recorded_track_is_not_suspicious_and_one_bad_fix_in_it_is(name):
 
 @pytest.mark.parametrize(
     ("change", "dt", "names"),
-    [(1.0, 1.0, ""), (1.0, 1e3, "q"), (1e3, 1.0, "qr")],
+    [(1.0, 1e3, "q"), (1e3, 1.0, "qr")],
 )
 def test_a_fit_asks_for_the_units(change, dt, names):
     """Of milliseconds and millimetres, given a guess for metres and seconds."""
-    z, t = change * track(), dt * np.arange(600)
+    z, t = change * track()[:200], dt * np.arange(200)
     said = said_by(lambda: mpt.fit(lambda q, r: mpt.KalmanFilter(plane(q, r), t=t), z, q=0.2, r=4.0))
     assert [each[5] for each in said if "are z and t in the units of the guess" in each] == list(names)
     others = [each for each in said if "standard deviations from what x0" not in each]  # 7 m/s are 7000 mm/s
@@ -470,7 +467,7 @@ def test_a_fit_of_one_bad_fix_says_which_and_nothing_of_units():
 
 def test_a_maximum_many_decades_away_is_found():
     """R is 450, and r 1e53."""
-    z = 30 * mpt.simulate(axis(0.04, 0.5), 300, np.random.default_rng(4))[1]
+    z = 30 * THREE_HUNDRED[:100]
     found = quiet_fit(lambda r: axis(36.0, r**0.05), z, r=1.0)
     assert found.values["r"] ** 0.05 == pytest.approx(
         quiet_fit(lambda r: axis(36.0, r), z, r=1.0).values["r"], rel=1e-3

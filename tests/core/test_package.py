@@ -153,7 +153,7 @@ def test_a_module_is_a_module():
             assert isinstance(attrgetter(name)(mpt), ModuleType)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def frozen():
     """No collection looks at what was there before: pytest holds a million objects."""
     gc.collect()

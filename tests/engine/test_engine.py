@@ -1,6 +1,5 @@
 """Any track: gaps, times and precisions of its own, in one piece or in many; the smoother, predictions and fits."""
 
-import re
 import warnings
 from dataclasses import replace
 from functools import partial
@@ -9,7 +8,7 @@ import numpy as np
 import precise
 import pytest
 from conftest import AXIS, dense_model
-from oracles import gaussian_conditioning_of_steps, gaussian_log_density, matrices
+from oracles import gaussian_conditioning_of_steps, gaussian_covariance, gaussian_log_density, matrices
 from scipy.optimize import minimize
 
 import mpt_helpers as mpt
@@ -123,8 +122,8 @@ def filters_of(model):
     }
 
 
-# Each kind of gaps, for one track and for several; the last piece is shorter, of one row, or as long as the others.
-CUT = [("none", None, 7), ("own", None, 59), ("shared", 3, 7), ("own", 3, 2)]
+# Of one track and of several; the last piece is shorter, or as long as the others. test_paths draws all other kinds.
+CUT = [("none", None, 7), ("own", 3, 2)]
 
 
 @pytest.mark.parametrize(("gaps", "tracks", "pieces"), CUT)
@@ -320,6 +319,22 @@ def test_a_predictor_of_a_filter_with_times_looks_ahead_by_steps_of_the_model():
     model, t = start(mpt.constant_velocity), [0.0, 0.0, 3.0]
     kf, z = mpt.KalmanFilter(model, t=t), [[1.0], [2.0], [np.nan]]
     np.testing.assert_allclose(mpt.Predictor(kf, 2).filter(z), kf.filter(z) @ (model.F @ model.F).T, rtol=1e-12)
+
+
+def test_a_number_of_steps_is_one_whatever_its_type():
+    kf = mpt.KalmanFilter(AXIS)
+    assert mpt.Predictor(kf, np.int64(3)) == mpt.Predictor(kf, 3)
+
+
+@pytest.mark.parametrize("name", ["predictor", "steady predictor", "FIR"])
+def test_a_filter_without_a_start_of_its_own_is_refused_by_name(name):
+    axis = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)
+    steady = mpt.SteadyStateFilter.from_kalman(axis)
+    each = (filters_of(axis) | {"FIR": mpt.FIRFilter.from_steady_state(steady)})[name]
+    ahead = partial(metrics.ahead, seconds=2.0)
+    for function in (ahead, metrics.innovations, metrics.nis, metrics.log_likelihood):
+        with pytest.raises(TypeError, match=f"estimator: needs a filter with P0, .*, got a {type(each).__name__}"):
+            function(each, np.arange(20.0)[:, None])
 
 
 @pytest.mark.parametrize("tracks", [None, 2])
@@ -555,7 +570,7 @@ def test_stable_models_with_modes_that_nothing_drives_have_a_steady_state(seed, 
     noise = V[:, :driven] @ rng.standard_normal((driven, driven))
     F = V @ np.diag(rng.uniform(-0.95, 0.95, n)) @ np.linalg.inv(V)
     model = mpt.LinearModel(F=F, H=rng.standard_normal((m, n)), Q=noise @ noise.T, R=np.eye(m), P0=np.eye(n))
-    limit = mpt.KalmanFilter(model).coefficients(1000)  # 0.95^1000 is 1e-22
+    limit = mpt.KalmanFilter(model).coefficients(400)  # P comes near as 0.95^800, which is 1e-18
     six = mpt.six_filters(model)
     for name in ("SSKF", "SSLF"):
         # The modes are as well conditioned as V: rounding of 1e-16 times some thousands.
@@ -567,22 +582,27 @@ def make_axis(q, r):
     return mpt.constant_velocity(1.0, q, r, P0=np.eye(2))
 
 
-def test_the_errors_of_a_fit_are_the_spread_of_its_values():
-    """Over 12 of 20 simulated tracks, whose spread is known to 21 %, and over all of them together."""
-    z = mpt.simulate(make_axis(0.04, 0.5), 150, np.random.default_rng(9), 20)[1]
-    fits = [mpt.fit(make_axis, z[..., i], q=0.1, r=1.0) for i in range(12)]
-    together = mpt.fit(make_axis, z, q=0.1, r=1.0)
-    assert together.log_likelihood == pytest.approx(metrics.log_likelihood(together.filter, z).sum(), rel=1e-12)
-    for name, true in {"q": 0.04, "r": 0.5}.items():
-        logs = np.log([each.values[name] for each in fits])
-        stated = np.median([each.log_errors[name] for each in fits])
-        assert 0.36 < logs.std() / stated < 1.64  # three standard errors
-        assert abs(np.median(logs) - np.log(true)) < 4 * 1.25 * stated / np.sqrt(12)
-        off = [np.log(each.values[name] / true) / each.log_errors[name] for each in fits]
-        assert np.sum(np.abs(off) < 2) >= 10  # 11 are due, and fewer than 10 once in 60 times
-        assert abs(np.log(together.values[name] / true)) < 4 * together.log_errors[name]
-        # Each of the 12 states Student's factor of six blocks, 1.31, all 20 together theirs of 20 blocks, 1.07.
-        assert together.log_errors[name] == pytest.approx(stated * 1.07 / 1.31 / np.sqrt(20), rel=0.5)
+def information(N, q, r):
+    """The information of N measurements on log q and log r: 1/2 tr(C^-1 dC C^-1 dC), C their covariance."""
+
+    def covariance(q, r):
+        return gaussian_covariance(*matrices(make_axis(q, r)), N)
+
+    C = covariance(q, r)
+    relative = [np.linalg.solve(C, q * (covariance(q + 1, r) - C)), np.linalg.solve(C, r * (covariance(q, r + 1) - C))]
+    return np.array([[np.trace(one @ other) / 2 for one in relative] for other in relative])
+
+
+def test_the_errors_of_a_fit_are_those_that_the_exact_information_gives():
+    """Of 200 simulated tracks, whose scores tell an error to 5 %, or 6 where q rests on the few slow innovations."""
+    true = {"q": 0.04, "r": 0.5}
+    z = mpt.simulate(make_axis(**true), 60, np.random.default_rng(9), 200)[1]
+    found = mpt.fit(make_axis, z, q=0.1, r=1.0)
+    assert found.log_likelihood == pytest.approx(metrics.log_likelihood(found.filter, z).sum(), rel=1e-12)
+    exact = np.sqrt(np.diag(np.linalg.inv(200 * information(60, **true))))
+    for error, (name, value) in zip(exact, true.items(), strict=True):
+        assert found.log_errors[name] == pytest.approx(error, rel=0.18)  # three of these 5 to 6 %
+        assert abs(np.log(found.values[name] / value)) < 4 * error
 
 
 def test_a_fit_takes_times_and_gaps():
@@ -599,32 +619,13 @@ def test_a_fit_takes_times_and_gaps():
         assert by_time.values[name] == pytest.approx(by_grid.values[name], rel=1e-3)
 
 
-UNKNOWN = {
-    "a smooth track": (make_axis, lambda x, z: x[:, :1], "r: the likelihood does not fall as it goes to zero"),
-    "a product": (lambda q, r, a=1.0: make_axis(q * a, r), lambda x, z: z, "a: the likelihood is flat"),
-    "a far start": (make_axis, lambda x, z: z + 30, "the first measurements are .* standard deviations from"),
-}
-
-
-@pytest.mark.parametrize("name", UNKNOWN)
-def test_a_fit_says_what_it_does_not_know(name):
-    make, taken, words = UNKNOWN[name]
-    track = taken(*mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11)))
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        mpt.fit(make, track, q=1.0, r=1.0, **({"a": 1.0} if name == "a product" else {}))
-    assert [each for each in said if re.search(words, str(each.message))]
-
-
 @pytest.mark.filterwarnings("ignore:fit. row 0 of z is far off")  # said too, where it is
-@pytest.mark.parametrize("away", [50.0, 1000.0])
-def test_a_far_start_is_told_even_if_the_noise_takes_it(away):
+def test_a_far_start_is_told_even_if_the_noise_takes_it():
     """A variance of the measurements may grow until the start seems near: it stands out from the later ones."""
-    z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(11))[1] + away
+    z = mpt.simulate(make_axis(0.04, 0.5), 40, np.random.default_rng(11))[1] + 1000
     with pytest.warns(UserWarning, match="the first measurements are"):
         found = mpt.fit(make_axis, z, q=1.0, r=1.0)
-    if away > 100:
-        assert found.values["r"] > 100
+    assert found.values["r"] > 100
 
 
 def test_a_fit_of_measurements_that_never_change_knows_upper_limits_only():
@@ -642,8 +643,8 @@ def test_what_runs_to_zero_leaves_the_errors_of_the_others():
 
 
 def test_a_flat_direction_leaves_the_errors_of_the_others():
-    z = mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11))[1]
-    alone = mpt.fit(make_axis, z, q=1.0, r=1.0)
+    z = mpt.simulate(make_axis(0.04, 0.5), 100, np.random.default_rng(11))[1]
+    alone = mpt.fit(make_axis, z, q=1.0, r=1.0)  # says nothing: a warning is an error in these tests
     with pytest.warns(UserWarning, match="the likelihood is flat") as said:
         found = mpt.fit(lambda q, r, a: make_axis(q * a, r), z, q=0.3, r=1.0, a=2.0)
     assert sorted(str(each.message)[5] for each in said) == ["a", "q"]
@@ -665,11 +666,6 @@ def test_a_fit_from_a_process_noise_far_too_small_finds_the_same():
         far = mpt.fit(make_plane, z, q1=q, r1=r, q2=q, r2=r)
     assert far.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-3)
     assert far.values == pytest.approx(found.values, rel=1e-2)
-
-
-def test_a_fit_of_what_is_known_says_nothing():
-    z = mpt.simulate(make_axis(0.04, 0.5), 200, np.random.default_rng(11))[1]
-    mpt.fit(make_axis, z, q=1.0, r=1.0)  # a warning is an error in these tests
 
 
 @pytest.mark.parametrize(
@@ -741,8 +737,7 @@ VAGUE_STARTS = {
 }
 
 
-@pytest.mark.parametrize("rows", [5, 60])
-@pytest.mark.parametrize("gaps", [0.0, 0.3])
+@pytest.mark.parametrize(("rows", "gaps"), [(5, 0.0), (60, 0.3)])
 @pytest.mark.parametrize(("model", "r"), VAGUE_STARTS.values(), ids=VAGUE_STARTS)
 def test_a_vague_start_costs_few_digits(model, r, gaps, rows):
     """Against 60 digits; of many tracks with their own gaps, and of one that is cut into pieces."""
@@ -763,7 +758,10 @@ def test_a_vague_start_costs_few_digits(model, r, gaps, rows):
             assert (np.abs(both.P - P) < 1e-2 * sigma[:, :, None] * sigma[:, None]).all()
 
 
-@pytest.mark.parametrize("power", [8, 12, 15, 16, 20, 27, 30, 40])
+TOO_VAGUE = r"P0: needs a start that makes the first measurements less than 1e\+30 times as uncertain as their noise"
+
+
+@pytest.mark.parametrize("power", [8, 12, 16, 26, 30])
 @pytest.mark.parametrize("make", [mpt.gsm_axis, *MAKERS.values()])
 @pytest.mark.parametrize("kind", [mpt.KalmanFilter, mpt.LainiotisFilter])
 def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):
@@ -784,7 +782,7 @@ def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):
     if power < 28:
         assert is_right(each.estimates(z), 0.1)
     else:
-        with pytest.raises(ValueError, match=r"P0: needs variances of what is measured below 1e\+29 R"):
+        with pytest.raises(ValueError, match=TOO_VAGUE):
             each.estimates(z)
     if power <= 12:
         both = each.coefficients(6)
@@ -795,14 +793,20 @@ def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):
 
 
 def test_a_vague_start_is_compared_with_the_variances_that_are_used():
-    """The model's R, 1e-12, would make P0 too vague; the variances of the measurements replace it."""
-    model = mpt.LinearModel(F=[[1]], H=[[1]], Q=[[0.01]], R=[[1e-12]], P0=[[1e20]])
-    z = np.ones((5, 1))
-    found = mpt.KalmanFilter(model, r=np.ones((5, 1))).estimates(z)
+    """The model's R, 1e-32, would make P0 too vague; the variances of the measurements that are there replace it."""
+    model = mpt.LinearModel(F=[[1]], H=[[1]], Q=[[0.0]], R=[[1e-32]], P0=[[1.0]])
+    z, r = np.ones((5, 1)), np.ones((5, 1))
     exact = mpt.KalmanFilter(replace(model, R=np.eye(1))).estimates(z)
-    np.testing.assert_allclose(found.P, exact.P, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"P0: needs variances of what is measured below 1e\+29 the smallest r"):
-        mpt.KalmanFilter(model, r=np.full((5, 1), 1e-12)).filter(z)
+    np.testing.assert_allclose(mpt.KalmanFilter(model, r=r).estimates(z).P, exact.P, rtol=1e-12)
+    z[2] = np.nan
+    r[2] = 1e-32
+    kf = mpt.KalmanFilter(model, r=r)
+    exact = mpt.KalmanFilter(replace(model, R=np.eye(1))).estimates(z)
+    np.testing.assert_allclose(kf.estimates(z).P, exact.P, rtol=1e-12)
+    kf.smooth(z)
+    z[2] = 1.0
+    with pytest.raises(ValueError, match=TOO_VAGUE):
+        kf.filter(z)
 
 
 def test_a_variance_below_zero_is_refused():

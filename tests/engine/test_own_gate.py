@@ -1,4 +1,4 @@
-"""A gate of a user's own, as CONTRIBUTING.md writes it, is a plain loop."""
+"""A gate of a user's own, as docs/extending.md writes it, is a plain loop."""
 
 import re
 
@@ -7,7 +7,7 @@ from conftest import ROOT
 
 import mpt_helpers as mpt
 
-(TEXT,) = re.findall(r"```python gate\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL)
+(TEXT,) = re.findall(r"```python gate\n(.*?)```", (ROOT / "docs/extending.md").read_text(encoding="utf-8"), re.DOTALL)
 LIMIT, PATIENCE = 9.0, 2
 
 

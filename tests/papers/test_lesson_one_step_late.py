@@ -315,7 +315,7 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_an_f_that_lets_the_speed_decay_fails_a_ramp():
-    says("And if F lets the speed decay, a filter fails the ramp even where it is right.")
+    says("if F lets the speed decay, a filter fails the ramp even where it is right.")
     off = after_ramp(np.array([[1.0, 1.0], [0.0, 0.95]]), NOW, motion(1.0, 0.01)[2], 0.1, 0.0)
     assert (np.abs(off) > 0.1).all()
 
@@ -402,7 +402,7 @@ def test_a_mark_that_is_passed_twice_tells_the_delay():
 
 def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     """There the paper's H is right: the settled filter errs by what it states, and NIS is that of the late filter."""
-    says("If the sensor really showed the next position, the same numbers would raise the same alarms")
+    says("of a sensor that shows the next position, for which nothing is late, they would be the same")
     push = 1.0
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))

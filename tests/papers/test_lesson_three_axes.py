@@ -117,7 +117,7 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
     """By errors of simulated tracks too: 20,000 know a standard deviation to 0.5 %."""
     best, frozen = lesson.after_silence(30, steps=15)
     says(f"knows the height to {best[0]:.2f} m at once")
-    says(f"In the first second its σ is {frozen[0]:.2f} m, and it takes ten seconds until it is nearly as good as")
+    says(f"At the first measurement its true σ is {frozen[0]:.2f} m, and it takes ten seconds until it is nearly as")
     says("after the next measurement its σ is 7 % above that of a gain computed anew")
     assert np.divide(*lesson.after_silence(1, steps=1)[::-1]).item() == pytest.approx(1.07, abs=0.006)
     says("(After two misses it is 23 %, after three 46 %.)")
@@ -134,12 +134,11 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
 
 
 def test_axes_that_are_linked():
-    says(
-        "The 33 and the 52 % are for east and north, beside a height whose σ of measurement is ten times as large, with"
-    )
-    says("with correlations of 0.9 between the errors and, but for the 33 %, −0.45 between the changes")
+    says("With correlations of 0.9 between the errors and −0.45 between the changes, equal axes lose 30 %.")
     assert lesson.losses_apart([1, 1, 10], errors=0.9, changes=-0.45)[:2, 0].round().tolist() == [52, 52]
-    says("strong links of opposite signs (30 %, equal axes), or if one axis is poor (33 %); with both we saw 52 %.")
+    says("strong links of opposite signs: there we saw 30 to 52 %.")
+    says("equal axes lose 30 %. Beside")
+    says("east and north lose 33 % with the first of these links alone, and 52 % with both")
     assert round(lesson.losses_apart([1, 1, 1], errors=0.9, changes=-0.45)[0, 0]) == 30
     assert round(lesson.losses_apart([1, 1, 10], errors=0.9)[0, 0]) == 33
     says("So for equal axes one link of 0.5 costs 2 % in each coordinate")
@@ -147,7 +146,7 @@ def test_axes_that_are_linked():
         assert round(lesson.losses_apart([1, 1, 1], **{link: 0.5})[0, 0]) == 2
     says("the small filters state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says("told 0.9 where 0.3 is true, it states a σ of 4.4 m after the silence where 10.9 m is true, and axes kept")
+    says("told 0.9 where 0.3 is true, the big filter states a σ of 4.4 m after the silence, where 10.9 m is")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
@@ -236,9 +235,7 @@ def test_a_corner_puts_the_filter_off(settled):
 
 
 def test_a_gain_that_has_not_moved_in_ten_times_as_many_steps_is_settled(taught):
-    says(
-        "Run ten times as many steps as it took to settle, on zeros, since $P$ needs no measurement, and freeze if the"
-    )
+    says("run ten times as many steps as it took to settle, on zeros, since $P$ needs no measurement, and see that the")
     rng, frozen = np.random.default_rng(0), 0
     for _ in range(30):
         dt, q, r = 10 ** rng.uniform([-2, -4, -3], [1, 2, 3])
@@ -258,7 +255,7 @@ def test_a_gain_that_has_not_moved_in_ten_times_as_many_steps_is_settled(taught)
 
 def test_a_large_gain_of_the_velocity_does_not_bear_misses():
     """Every second measurement missed, the hardest of single misses: bounded below a gain of 1, and not much above."""
-    says("the gain of the velocity, times the step, is below 1 (here it is 0.213): above, single misses can make")
+    says("the gain of the velocity, times the step, is below 1 (here it is 0.213): after a miss the surprise holds")
     rng = np.random.default_rng(4)
     seen = {True: 0, False: 0}
     for _ in range(200):

@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md followed to the letter: a fifth paper in a copy of the project; a motion, a filter and a gate.
+"""Pages followed to the letter: a fifth paper in a copy of the project; a motion, a filter and a gate.
 
 Those that need the copy run in `make test-all`: only who adds something to the project meets them.
 """
@@ -23,7 +23,8 @@ from reproduction.ledger import keys, published, stored_verdicts
 from reproduction.ledger.items import KINDS
 from reproduction.ledger.verdicts import BASES, CAUSE_KINDS
 
-PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "reproduction" / "README.md").read_text(encoding="utf-8")
+EXTENDING = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 KEY = re.search(r"The key is .*, here `(\w+)`", PAGE)[1]
 KERNEL = json.loads(re.search(r"has the metadata `(\{.*?\})`", PAGE)[1])
 FOLDED = json.loads(re.search(r"folded by the metadata `(\{.*?\})`", PAGE)[1])
@@ -168,14 +169,16 @@ def test_the_page_names_every_kind_of_item_and_cause_and_every_basis():
 
 
 def test_the_page_names_every_part():
-    (table,) = re.findall(r"(?s)\| part \|.*?\n\n", PAGE)
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"(?s)\| part \|.*?\n\n", contributing)
     for name in ("mpt_helpers/", "reproduction/", "ledger/", "notebooks/", "docs/", "benchmarks/", "tests/"):
         assert f"`{name}`" in table, name
 
 
 def text_of(kind):
     """The name and the text of the module of a motion, a filter or a gate, as the page has it."""
-    (found,) = re.findall(rf"Here `mpt_helpers/(\w+)\.py`(?:(?!Here `).)*?```python {kind}\n(.*?)```", PAGE, re.DOTALL)
+    block = rf"Here is `(\w+)\.py`(?:(?!Here is `).)*?```python {kind}\n(.*?)```"
+    (found,) = re.findall(block, EXTENDING, re.DOTALL)
     return found
 
 
@@ -254,7 +257,7 @@ def test_the_three_files_are_as_the_project_wants_its_modules(copy):
     for kind in ("motion", "filter", "gate"):
         name, text = text_of(kind)
         files.append(f"mpt_helpers/{name}.py")
-        (copy / files[-1]).write_text(text, encoding="utf-8")
+        (copy / files[-1]).write_text(text.replace("from mpt_helpers.", "from ."), encoding="utf-8")
     shutil.copy(ROOT / "pyproject.toml", copy)
     run(copy, "-m", "ruff", "check", *files)
     run(copy, "-m", "ruff", "format", "--check", *files)

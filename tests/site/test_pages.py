@@ -203,7 +203,7 @@ def test_links_in_a_checkout_lead_to_what_can_be_read_there():
     def shown(path):
         return re.sub(r"(?ms)^ *```.*?^ *```", "", path.read_text(encoding="utf-8"))
 
-    written = [*ROOT.glob("*.md"), *ROOT.glob("[bdnt]*/*.md"), *ROOT.glob("notebooks/*/*.md")]
+    written = [*ROOT.glob("*.md"), *ROOT.glob("[bdnrt]*/*.md"), *ROOT.glob("notebooks/*/*.md")]
     templates = [path for path in written if re.search(r"{[{%]", shown(path))]
     texts = {path: shown(path) for path in written if path not in templates}
     for path in NOTEBOOKS:

@@ -39,6 +39,11 @@ def _joint(F, H, Q, R, x0, P0, N):
     return mean, H_all @ mean, C, C @ H_all.T, H_all @ C @ H_all.T + np.kron(np.eye(N), R)
 
 
+def gaussian_covariance(F, H, Q, R, x0, P0, N):
+    """The joint covariance of all measurements."""
+    return _joint(F, H, Q, R, x0, P0, N)[-1]
+
+
 def gaussian_conditioning(F, H, Q, R, x0, P0, z):
     """x(k/k) and P(k/k) by conditioning the joint Gaussian of all states on the measurements that are there."""
     (N, m), n = z.shape, len(F)

@@ -309,8 +309,8 @@ AT_MOST = {
 
 # Each fault on a short recording; `make slow` runs all on all.
 FEW = [
-    ("hike_gpxo_2s", stuck),
-    ("hike_gpxo_2s", shift),
+    ("hike_korita_11s", stuck),
+    ("hike_korita_11s", shift),
     ("phone_ride_stoplight_1s", bursts),
     ("hike_korita_11s", singles),
 ]
@@ -389,7 +389,7 @@ def test_a_fix_without_one_axis_is_judged_by_the_other():
     assert np.isfinite(c.x[1:]).all()
 
 
-@pytest.mark.parametrize(("speed", "lost"), [(8.0, 60), (1.4, 120), (30.0, 20)])
+@pytest.mark.parametrize(("speed", "lost"), [(8.0, 60), (1.4, 120)])
 def test_good_fixes_on_the_way_to_where_a_receiver_stands_still_are_kept(speed, lost):
     """Those within a tenth of the step that follows, too."""
     rng = np.random.default_rng(5)
@@ -399,16 +399,21 @@ def test_good_fixes_on_the_way_to_where_a_receiver_stands_still_are_kept(speed, 
     np.testing.assert_array_equal(mpt.tracks.clean(t, z).refused, np.arange(300, 300 + lost))
 
 
-def test_a_start_too_vague_for_doubles_is_refused_by_name():
-    """One that left the engine as numpy's own "Singular matrix"; most others pass, or fail in the gate."""
+def test_a_start_however_vague_is_none_or_refused_by_name():
+    """At 1e24 it left the engine as numpy's own "Singular matrix"."""
     rng = np.random.default_rng(400)
     axis = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0)
     _, z = mpt.simulate(mpt.stack(axis, axis), 120, rng)
     z[rng.random(120) < 0.05] += 1e3 * rng.standard_normal(2)
     z[rng.random((120, 2)) < 0.2] = np.nan
-    vague = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0, P0=1e24 * np.eye(2))
-    with pytest.raises(ValueError, match="double precision"):
-        mpt.gated(mpt.KalmanFilter(mpt.stack(vague, vague)), z)
+
+    def gated_from(variance):
+        vague = mpt.constant_velocity(dt=1.0, q=0.1, r=1.0, P0=variance * np.eye(2))
+        return mpt.gated(mpt.KalmanFilter(mpt.stack(vague, vague)), z)
+
+    np.testing.assert_array_equal(gated_from(1e24), gated_from(1e8))
+    with pytest.raises(ValueError, match="P0: needs a start that makes the first measurements"):
+        gated_from(1e32)
 
 
 def test_times_of_one_column_are_times():
