@@ -23,7 +23,7 @@ import reproduction
 
 PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
-CORE = ["_checks", "_immutable", "equations", "_engine.algebra", "_engine.digits", "_engine.shared"]
+CORE = ["_checks", "_immutable", "equations", "_engine.shared"]
 CORE += ["_engine.columns", "_engine.pieces", "_engine.run", "_engine.smoother", "model", "riccati", "_base", "kalman"]
 CORE += ["lainiotis", "steady", "predictor", "combined", "bands", "metrics", "search", "fitting", "monte_carlo"]
 # The engine knows arrays and equations only.
