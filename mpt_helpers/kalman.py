@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _checks as checks
-from ._base import RecursiveFilter
+from ._base import RecursiveFilter, require_digits
 from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns
-from ._engine.digits import require_digits
 from ._engine.shared import Step
 from .equations import masked, unit_measurements
 from .model import LinearModel, half_step_gap
@@ -40,6 +39,8 @@ class KalmanFilter(RecursiveFilter):
     filterpy computes the gains and covariances of single steps, and those shared by tracks without gaps. Tracks with
     gaps, times or variances are filtered side by side as columns of arrays, by the same equations (`_engine.columns`).
 
+    A subclass with a `next_step` of its own takes t or r only with an `advance` of its own (see RecursiveFilter).
+
     Parameters
     ----------
     model : LinearModel
@@ -50,8 +51,6 @@ class KalmanFilter(RecursiveFilter):
     r : array_like (N, m) or (N, m, M), optional
         Variances of the measurements in place of the model's R, such as the accuracy that a receiver states of each
         fix. They are ignored where z is NaN.
-
-    A subclass with a `next_step` of its own takes t or r only with an `advance` of its own (see RecursiveFilter).
 
     Raises
     ------

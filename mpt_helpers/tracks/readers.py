@@ -218,20 +218,20 @@ def _named_columns(name, names, columns):
 
 def _times(name, column, texts):
     """Return times in microseconds, and whether they are dates; without a zone they are UTC."""
-    seconds, dates = _parsed(texts, float), _parsed(texts, _microseconds)
+    seconds, times = _parsed(texts, float), _parsed(texts, _microseconds)
+    seconds[np.abs(seconds) >= LATEST] = math.nan
     known = seconds[np.isfinite(seconds)]
-    dated = not len(known) or np.isfinite(dates).sum() > len(known)
-    times = dates if dated else np.round(1e6 * np.where(np.abs(seconds) < LATEST, seconds, math.nan))
-    if not dated and not _are_seconds(known):
-        times = np.full(len(times), math.nan)
+    dated = not len(known) or np.isfinite(times).sum() > len(known)
+    if not dated:
+        times = np.round(1e6 * seconds) if _are_seconds(known) else np.full(len(seconds), math.nan)
     return _checked(name, column, texts, times, "ISO 8601, Unix seconds, or seconds from 0"), dated
 
 
 def _are_seconds(times):
     """Tell whether numbers are Unix seconds or seconds from 0, and not the digits of a clock after midnight."""
-    usual, step = np.median(times), np.median(np.diff(times)) if len(times) > 1 else 0.0
+    step = np.median(np.diff(times)) if len(times) > 1 else 0.0
     clock = step < CLOCK_STEP and times.max() >= FROM_ZERO and (times % 100 < 60).all()
-    return UNIX <= usual < LATEST or (0 <= times[0] < FROM_ZERO and usual < LATEST and not clock)
+    return np.median(times) >= UNIX or (0 <= times[0] < FROM_ZERO and not clock)
 
 
 def _parsed(texts, parse):

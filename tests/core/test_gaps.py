@@ -112,8 +112,7 @@ def test_innovations_nis_and_likelihood_are_the_textbooks(case):
 
 
 @both_filters
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("gaps", [(0.0, 0.0), (0.3, 0.3)])
+@pytest.mark.parametrize(("seed", "gaps"), [(0, (0.0, 0.0)), (1, (0.3, 0.3)), (2, (0.3, 0.3))])
 def test_the_likelihood_is_the_joint_density_of_what_was_measured(make, seed, gaps):
     model = dense_model(seed)
     z = with_gaps(model, seed, gaps, N=8)

@@ -56,7 +56,7 @@ def test_times_gaps_and_variances_are_dense_conditioning(make, P0, own):
     rng = np.random.default_rng(0)
     model = replace(plane(make), P0=P0 * plane(make).P0)
     N, shape = 16, () if own is None else (own,)
-    lengths = rng.choice([0.0, 0.1, 0.7, 3.0], (N, *shape))
+    lengths = rng.choice([0.0, 0.0, 1e-9, 0.1, 0.7, 3.0], (N, *shape))  # so that some three rows have one time
     t, z = np.cumsum(lengths, axis=0), gappy(model, rng, N, own)
     r = rng.uniform(0.1, 3.0, z.shape)
     kf = mpt.KalmanFilter(model, t=t, r=np.where(np.isnan(z), np.nan, r))
@@ -737,8 +737,7 @@ VAGUE_STARTS = {
 }
 
 
-@pytest.mark.parametrize("rows", [5, 60])
-@pytest.mark.parametrize("gaps", [0.0, 0.3])
+@pytest.mark.parametrize(("rows", "gaps"), [(5, 0.0), (60, 0.3)])
 @pytest.mark.parametrize(("model", "r"), VAGUE_STARTS.values(), ids=VAGUE_STARTS)
 def test_a_vague_start_costs_few_digits(model, r, gaps, rows):
     """Against 60 digits; of many tracks with their own gaps, and of one that is cut into pieces."""
@@ -762,7 +761,7 @@ def test_a_vague_start_costs_few_digits(model, r, gaps, rows):
 TOO_VAGUE = r"P0: needs a start that makes the first measurements less than 1e\+30 times as uncertain as their noise"
 
 
-@pytest.mark.parametrize("power", [8, 12, 15, 16, 20, 26, 30, 40])
+@pytest.mark.parametrize("power", [8, 12, 16, 26, 30])
 @pytest.mark.parametrize("make", [mpt.gsm_axis, *MAKERS.values()])
 @pytest.mark.parametrize("kind", [mpt.KalmanFilter, mpt.LainiotisFilter])
 def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):

@@ -10,7 +10,7 @@ from contextlib import chdir
 
 import pytest
 from conftest import ROOT, write_notebook
-from exact import every_change_is_described
+from drawn import every_change_is_described
 
 from reproduction import figures, plots
 from reproduction.__main__ import main

@@ -274,10 +274,15 @@ def test_seconds_are_those_since_1970_or_from_zero(tmp_path, seconds):
     np.testing.assert_allclose(r.time / 1e6, seconds)
 
 
-@pytest.mark.parametrize("name", ["MMSI", "icao24", "tag-local-identifier"])
-@pytest.mark.parametrize("apart", [20.0, 600.0])
-@pytest.mark.parametrize("order", ["in turn", "one after the other"])
-@pytest.mark.parametrize("in_degrees", [True, False])
+@pytest.mark.parametrize(
+    ("name", "apart", "order", "in_degrees"),
+    [
+        ("MMSI", 20.0, "in turn", True),
+        ("icao24", 600.0, "in turn", False),
+        ("tag-local-identifier", 20.0, "one after the other", False),
+        ("MMSI", 600.0, "one after the other", True),
+    ],
+)
 def test_two_mobiles_in_one_table_are_refused_by_the_name_of_their_column(tmp_path, name, apart, order, in_degrees):
     t = np.r_[10 * np.arange(N), 10 * np.arange(N) + 4]
     z = np.r_[WALK, WALK + np.array([0, apart])] + np.random.default_rng(1).normal(0, 2, (2 * N, 2))
