@@ -20,6 +20,8 @@ from ..search import AROUND, SIGNIFICANT, along_a_line
 # a fix the variance of the velocity grows by q T, which must reach the square of FORGOTTEN usual speeds. That of the
 # position grows by q T³ / 3, which must stay below HELD times r for double precision.
 HOUR_BETWEEN, FORGOTTEN, HELD = 3600.0, 8, 1e20
+# The largest variance of an unknown start, over r: of a larger one rounding leaves the smoother few digits.
+VAGUE = 1e13
 # q and r are fitted to at most MOST_FITTED fixes, in parts spread over the track. These determine both to 1 %.
 MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
 # Limits of log(r / q), with r / q in units of the median step cubed (s³); the points of the global search; and the
@@ -183,9 +185,11 @@ def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes
 def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> KalmanFilter:
     """Return the filter of one axis, with an initial sigma of a hundred usual steps and ten usual speeds.
 
-    It filters each axis of z (K, 1, m) as a track.
+    It filters each axis of z (K, 1, m) as a track. Beside a tiny r less says as little, and leaves the smoother its
+    digits.
     """
-    P0 = np.diag([(100 * scale.speed * scale.step) ** 2, (10 * scale.speed) ** 2])
+    most = VAGUE * r
+    P0 = np.diag([min((100 * scale.speed * scale.step) ** 2, most), min((10 * scale.speed) ** 2, most / scale.step**2)])
     axis = constant_velocity(dt=scale.step, q=q, r=r, P0=P0)
     return KalmanFilter(axis, t=line.t, r=None if line.relative is None else r * line.relative[:, None])
 
