@@ -10,20 +10,8 @@ Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, b
 
 Their covariances are (N, n, n, M), or (N, n, n, 1) where all tracks share them.
 
-A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest. This is how `filter`
-processes z:
-
-    Filter.filter                  z as (N, m, M)
-    RecursiveFilter.run            Epochs: z with its gaps, time steps and variances
-    _engine.run.estimates          one of two ways:
-      1 shared.make_shared_steps     tracks without gaps: A_k, B_k and P, computed once by `next_step`
-        shared.run_shared            x <- A x + B z, several steps in one product
-      2 columns.Epochs.rows          all others: tracks as columns
-        pieces.run_rows              row by row, or a long track in pieces
-          advance                    one row: predict and correct x and P of all tracks
-
-The general `advance` calls `next_step` for each track. KalmanFilter has a faster one, in `_engine.columns`. `smooth`
-and `innovations_of` begin with `estimates`, too.
+A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest; how z goes through it is
+told in `_engine/__init__.py`. The general `advance` calls `next_step` for each track, KalmanFilter has a faster one.
 """
 
 from __future__ import annotations
@@ -41,9 +29,8 @@ from . import _checks as checks
 from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
-from ._engine.algebra import whitened
-from ._engine.columns import Epochs, LinearMap, Motion
-from ._engine.digits import directions_seen
+from ._engine.columns import Epochs, LinearMap, Motion, whitened
+from ._engine.pieces import LARGEST, VAGUE, directions_seen
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
@@ -53,6 +40,8 @@ from .model import LinearModel
 # Gains, states and covariances of two filters are the same if they agree to this fraction of the size or standard
 # deviation: the gains from the two Riccati equations agree to at least six digits.
 SAME = 1e-6
+# The largest fraction of a variance that may be rounding error after a single step.
+MOST_ROUNDING = 0.1
 
 
 class Estimates(NamedTuple):
@@ -509,3 +498,23 @@ class RecursiveFilter(Filter):
 def _owner(cls, name):
     """Return the class from which cls takes an attribute."""
     return next(each for each in cls.__mro__ if name in vars(each))
+
+
+def require_digits(T_1, T_2, P, after, S, dt=None):
+    """Raise a ValueError if the step x <- T_1 T_2 x + B z leaves no correct digit in the covariance `after` it (n, n).
+
+    One term of that covariance is T_1 T_2 P (T_1 T_2)ᵀ, with the P (n, n) before the step. Doubles round P_ij by
+    ε σ_i σ_j, and hence this term by up to ε (|T_1| |T_2| σ)². S is the largest variance of a predicted measurement.
+    The error names dt where it is given.
+    """
+    finite = np.isfinite(after).all()
+    if S < VAGUE and finite:
+        return
+    sigma = np.sqrt(np.abs(P.diagonal()))
+    rounding = np.finfo(float).eps * (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
+    if S < LARGEST and finite and (rounding <= MOST_ROUNDING * after.diagonal()).all():
+        return
+    if dt is not None:
+        checks.refuse("dt", "a time over which the prediction keeps digits beside the measurement noise", f"{dt:.6g} s")
+    need = "a covariance that keeps digits beside the measurement noise (filter and estimates take a larger P0)"
+    checks.refuse("P", need, f"{S:.2g} times the noise variance")

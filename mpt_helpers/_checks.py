@@ -235,7 +235,10 @@ def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
 
 def as_seconds(value: object) -> object:
     """Return a timedelta of Python, numpy or pandas in seconds; anything else as it is."""
-    return float(value / np.timedelta64(1, "s")) if isinstance(value, timedelta | np.timedelta64) else value
+    if isinstance(value, timedelta | np.timedelta64):
+        with suppress(TypeError):  # of months and years, which have no length
+            return float(value / np.timedelta64(1, "s"))
+    return value
 
 
 def _each_in_seconds(value, values):

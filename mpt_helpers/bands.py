@@ -34,7 +34,7 @@ from scipy.special import ndtri
 from . import _checks as checks
 from ._base import Filter
 from ._checks import Array, Seconds
-from ._engine.algebra import whitened
+from ._engine.columns import whitened
 from .model import LinearModel
 
 __all__ = [

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _checks as checks
-from ._base import RecursiveFilter
+from ._base import RecursiveFilter, require_digits
 from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns
-from ._engine.digits import require_digits
 from ._engine.shared import Step
 from .equations import masked, unit_measurements
 from .model import LinearModel, half_step_gap

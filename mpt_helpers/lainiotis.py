@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ._base import RecursiveFilter
+from ._base import RecursiveFilter, require_digits
 from ._checks import Array
-from ._engine.digits import VAGUE, require_digits
+from ._engine.pieces import VAGUE
 from .equations import lainiotis_matrices, lainiotis_step, masked, start_gain
 
 

@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 from . import _checks as checks
 from ._base import Filter, one_or_many
 from ._checks import Array
-from ._engine.algebra import whitened
+from ._engine.columns import whitened
 from ._engine.shared import epochs_at_a_time
 from .bands import ahead, coverage, following, interval_score
 from .equations import corrected_covariance, predicted_covariance

@@ -60,14 +60,14 @@ def study(
     if not callable(experiment):
         checks.refuse("experiment", "a callable of (rng, M)", type(experiment).__name__, TypeError)
     runs, seed = checks.count("runs", runs), checks.count("seed", seed, least=0)
-    streams = np.random.SeedSequence(seed).spawn(-(-runs // BLOCK))
+    blocks = -(-runs // BLOCK)
     parts = []
     with _mapper(workers) as mapper, tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
-        for part in mapper(partial(_run_block, experiment), streams):
+        for part in mapper(partial(_run_block, experiment, seed), range(blocks)):
             parts.append(part)
             bar.update(min(BLOCK, runs - bar.n))
-    if len(parts) != len(streams):
-        checks.refuse("workers", "a callable like map", f"one that gives {len(parts)} of {len(streams)} results")
+    if len(parts) != blocks:
+        checks.refuse("workers", "a callable like map", f"one that gives {len(parts)} of {blocks} results")
     shapes = {part.shape[:-1] for part in parts}
     if len(shapes) > 1:
         checks.refuse("experiment", "results of one shape", " and ".join(f"{(*shape, BLOCK)}" for shape in shapes))
@@ -82,8 +82,9 @@ def _let_the_process_keep_memory():
     np.empty(2**25 - 2**16, np.uint8)
 
 
-def _run_block(experiment, stream):
+def _run_block(experiment, seed, number):
     _let_the_process_keep_memory()
+    stream = np.random.SeedSequence(seed, spawn_key=(number,))  # as `spawn` makes it
     part = experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK)
     if np.asarray(part).dtype != bool:
         part = checks.real_numbers("experiment", part, RESULT)

@@ -83,7 +83,8 @@ def _settled(fig):
                 path.vertices = np.column_stack([*map(_nine_digits, path.vertices.T, scales)])
     if fig.get_layout_engine():
         fig.get_layout_engine().execute(fig)
-    fig.set_layout_engine("none")  # the layout stands: making it takes longer than writing the file
+    with matplotlib.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
+        fig.set_layout_engine(None)  # the layout stands; with "none" matplotlib would draw twice for each file
     for ax in fig.axes:
         ax.set_position(np.round(ax.get_position().bounds, 6))
         ax.set(xlim=_nine_digits(ax.get_xlim(), ax.get_xscale()), ylim=_nine_digits(ax.get_ylim(), ax.get_yscale()))

@@ -13,7 +13,7 @@ from sockets import talk_through_files
 
 import mpt_helpers as mpt
 
-COMMON = {"derandomize": True, "deadline": None, "database": None, "max_examples": 20}
+COMMON = {"derandomize": True, "deadline": None, "database": None, "max_examples": 12}
 settings.register_profile("properties", **COMMON)
 settings.load_profile("properties")
 talk_through_files()

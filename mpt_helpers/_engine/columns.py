@@ -260,3 +260,26 @@ def product(A, B):
 def transposed(A):
     """Return the transposed matrices of A (a, b, ...)."""
     return A.swapaxes(0, 1)
+
+
+def whitened(values, C):
+    """Return values (d, ...) at unit covariance, and log det C (...), from their covariances C (d, d, ...).
+
+    A NaN is a missing value: it becomes zero and does not contribute to the determinant. Each component in turn is
+    decorrelated from the preceding ones. Where C is not positive definite the results are not finite.
+
+    >>> whitened(np.array([3.0, np.nan]), np.array([[4.0, 1.0], [1.0, 1.0]]))
+    (array([1.5, 0. ]), array(1.38629436))
+    """
+    values, C = values.copy(), np.broadcast_to(C, (*C.shape[:2], *values.shape[1:])).copy()
+    log_det = np.zeros(values.shape[1:])
+    for j in range(len(values)):
+        seen = ~np.isnan(values[j])
+        pivot = np.where(seen, np.where(C[j, j] > 0, C[j, j], np.nan), 1.0)
+        value = np.where(seen, values[j], 0.0)
+        share = C[j + 1 :, j] * (seen / pivot)
+        values[j + 1 :] -= share * value
+        C[j + 1 :, j + 1 :] -= share[:, None] * C[j, j + 1 :]
+        values[j] = value / np.sqrt(pivot)
+        log_det += np.log(pivot)
+    return values, log_det

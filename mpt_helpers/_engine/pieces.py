@@ -19,8 +19,7 @@ from itertools import repeat
 import numpy as np
 
 from .. import _checks as checks
-from ..equations import square_root, start_gain
-from .digits import LARGEST, VAGUE, largest_S
+from ..equations import square_root, start_gain, unit_measurements
 
 # Up to this many tracks, a numpy call costs more in overhead than in arithmetic.
 FEW_TRACKS = 64
@@ -34,6 +33,11 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # The most runs of step 3. Where the pieces do not match, each runs again from the end of the preceding one; if they do
 # not match after the last run, the track is filtered uncut.
 MOST_PASSES = 3
+# S is the variance of a predicted measurement due to P, in units of its noise. Above VAGUE, rounding leaves about three
+# digits in P after the measurement. The root of S, by which a vague start is solved, has twice as many digits: above
+# LARGEST, its rounding causes an error of some percent of R in P.
+VAGUE = 1e12
+LARGEST = 1e30
 # Eigenvalues of a correlation matrix are taken to be at least this: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
 
@@ -184,8 +188,9 @@ def _from_exact_zero(advance, rows, n):
 def over_a_piece(row, x, P):
     """Return x, P and the innovations after one piece: the `advance` of a track whose rows are pieces.
 
-    It is one Lainiotis step. A row is z = [x_piece; y], T, P_piece and L of `starts`. The start is corrected by the
-    measurement y = L x + noise of unit variance, with P in Joseph's form, and propagated by T.
+    It is one Lainiotis step, with F_n = T, P_n = P_piece and O_n = Lᵀ L. A row is z = [x_piece; y], T, P_piece and L of
+    `starts`. The start is corrected by the measurement y = L x + noise of unit variance, and propagated by T; P is that
+    of `lainiotis_step` in fewer products.
     """
     n = len(x)
     z, T, P_piece, L, x, P = (each.transpose(2, 0, 1) for each in (*row, x, P))  # stacks of matrices
@@ -199,6 +204,23 @@ def over_a_piece(row, x, P):
     P = (P + P.swapaxes(-1, -2)) / 2
     innovations = np.linalg.solve(root_of_S, innovations)
     return tuple(each.transpose(1, 2, 0) for each in (x, P, innovations))
+
+
+def directions_seen(model, R):
+    """Return |G| (rows, n): G x is what the sensors see of x within n steps, in units of their noise and that of Q.
+
+    An observable state shows within n steps.
+    """
+    G, seen = unit_measurements(model.H, model.H @ model.Q @ model.H.T + R)[0], []
+    for _ in range(model.n):
+        G = G @ model.F
+        seen.append(np.abs(G))
+    return np.concatenate(seen)
+
+
+def largest_S(directions, P):
+    """Return the largest S to which the standard deviations of each P (n, n, W) may add up, (W,)."""
+    return ((directions @ np.sqrt(P.diagonal().T)) ** 2).max(axis=0)
 
 
 def from_a_vague_start(advance, rows, x0, P0, x, P, directions):
@@ -235,10 +257,11 @@ def _after_a_piece(x_piece, y, T, P_piece, L, x0, A):
     has only half of its digits.
     """
     x_piece, y, T, P_piece, L, x0 = (np.moveaxis(each, 2, 0) for each in (x_piece, y, T, P_piece, L, x0))
-    V, s, U_t = np.linalg.svd(L @ A)
-    if not (s**2 < LARGEST).all():
+    S = np.square(L @ A).sum(axis=(1, 2)).max()
+    if not S < LARGEST:
         need = f"a start that makes the first measurements less than {LARGEST:g} times as uncertain as their noise does"
-        checks.refuse("P0", need, f"{s.max() ** 2:.2g} times")
+        checks.refuse("P0", need, f"{S:.2g} times")
+    V, s, U_t = np.linalg.svd(L @ A)
     p = s.shape[1]
     variances = np.ones(U_t.shape[:2])
     variances[:, :p] = 1 / (1 + s**2)

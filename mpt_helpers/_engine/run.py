@@ -1,24 +1,21 @@
-"""The run of a filter over tracks: from `Epochs` to states x, covariances P and innovations.
+"""The run of a filter over tracks: from `Epochs` to states x, covariances P and innovations, in one of two ways.
 
 1. *Tracks without gaps, with the time step and R of the model,* share A_k, B_k and P. These are computed once, and
    several steps are taken in one matrix product (`shared`).
 2. *All other tracks* are columns of arrays (`columns`), filtered epoch by epoch. A few long tracks are cut into pieces,
    which run side by side as columns (`pieces`).
-
-For one track with gaps, z (N, m, 1), the calls are
-
-    estimates -> Epochs.rows -> run_rows -> starts        runs each piece from zero (advance), then finds its start
-                                         -> _in_sequence  runs each piece from its start (advance)
 """
 
 import numpy as np
 
 from .. import _checks as checks
 from .columns import product
-from .digits import EPS, MOST_ROUNDING_OF_S, VAGUE, directions_seen, largest_S
-from .pieces import FEW_TRACKS, from_a_vague_start, of_each, run_rows
+from .pieces import FEW_TRACKS, VAGUE, directions_seen, from_a_vague_start, largest_S, of_each, run_rows
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
+EPS = np.finfo(float).eps
+# The largest fraction of an S that may be rounding error: NIS and likelihood are wrong by as much.
+MOST_ROUNDING_OF_S = 0.01
 # Most numbers in the covariances of the tracks that are computed together: 32 MB.
 MOST_NUMBERS = 4_000_000
 
@@ -29,16 +26,16 @@ def estimates(estimator, epochs, x, covariances):
     P is (N, n, n, 1) where all tracks share it.
     """
     N, _, M = x.shape
-    shared = None
+    directions = directions_of(estimator, epochs)
+    if largest_S(directions, estimator.P0[..., None]) > VAGUE and estimator.optimal:
+        return _on_columns(estimator, epochs, x, covariances, directions)
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
     # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
-    directions = directions_of(estimator, epochs)
-    vague = largest_S(directions, estimator.P0[..., None]) > VAGUE and estimator.optimal
-    if epochs.dt is None and epochs.r is None and not vague and (unsearched or epochs.complete):
-        shared = estimator.shared_steps(N, M)
+    alike = epochs.dt is None and epochs.r is None and (unsearched or epochs.complete)
+    shared = estimator.shared_steps(N, M) if alike else None
     if shared is None:
-        return _on_columns(estimator, epochs, x, covariances, directions if vague else None)
+        return _on_columns(estimator, epochs, x, covariances)
     steps, products = shared
     run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:

@@ -12,10 +12,8 @@ import numpy as np
 from scipy.linalg import eig
 
 from .. import _checks as checks
-from .algebra import solved
 from .columns import product, transposed
-from .digits import largest_S
-from .pieces import run_rows
+from .pieces import largest_S, run_rows
 from .run import directions_of, estimates, require_held
 from .shared import epochs_at_a_time
 
@@ -23,7 +21,7 @@ from .shared import epochs_at_a_time
 # UNDRIVEN times its variance after the first measurement.
 DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
-# The largest S (see `digits`) after the first epoch: the smoothed states near a vague start are the small rest of a
+# The largest S (see `pieces`) after the first epoch: the smoothed states near a vague start are the small rest of a
 # large P, and rounding leaves one or two digits in it.
 MOST_TO_SMOOTH = 1e15
 
@@ -50,8 +48,7 @@ def smoothed(estimator, epochs):
 
     # The pass starts from x(N/N) and P(N/N), and writes to reversed views of x and P, epoch N - 1 first.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
-    held = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
-    require_held(held)
+    require_held(run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1]))
     return x, P
 
 
@@ -68,13 +65,33 @@ def _steps_back(motion, x, P):
     """
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
     FP = motion.of_state(P)
-    C = transposed(solved(motion.of_covariance(P), FP))
+    C = transposed(_solved(motion.of_covariance(P), FP))
     d = x - product(C, motion.of_state(x))
     kept = P - product(C, FP)  # (I - C F) P
     # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero except for the rounding error of `kept`, which it removes.
     left = transposed(motion.of_state(transposed(kept))) - product(C, motion.noise_of(P))
     D = kept - product(left, transposed(C))
     return np.moveaxis(d, 1, 0), np.moveaxis(C, 2, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
+
+
+def _solved(S, X):
+    """Return S⁻¹ X (n, c, ...) for covariances S (n, n, ...), which may be singular, and X (n, c, ...).
+
+    A direction of zero variance is known exactly and gets zeros: its pivot is pure rounding.
+    """
+    n = len(S)
+    S, X = S.copy(), X.copy()
+    least = n * np.finfo(float).eps * np.einsum("jj...->j...", S)
+    weights = np.zeros_like(least)
+    for j in range(n):
+        there = S[j, j] > least[j]
+        weights[j] = there / np.where(there, S[j, j], 1.0)
+        share = (S[j + 1 :, j] * weights[j])[:, None]
+        S[j + 1 :, j + 1 :] -= share * S[j, j + 1 :]
+        X[j + 1 :] -= share * X[j]
+    for j in reversed(range(n)):
+        X[j] = weights[j] * (X[j] - np.einsum("i...,ic...->c...", S[j, j + 1 :], X[j + 1 :]))
+    return X
 
 
 def _warn_of_undriven_modes(motion, P):

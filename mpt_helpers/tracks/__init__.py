@@ -23,7 +23,7 @@ from .._checks import Array, Seconds
 from . import geodesy, report
 from .cleaning import Cleaned, Source, clean
 from .fixes import FEWEST, grid_of
-from .readers import MANY, NO_TIME, Recording, moment_of, read, read_frame
+from .readers import MANY, Recording, moment_of, read, read_frame
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 
@@ -205,11 +205,11 @@ def degrees(z: ArrayLike, origin: tuple[float, ...]) -> tuple[Array, Array]:
 
 
 def longest_in_order(time: Array) -> Array:
-    """Return the rows of the longest increasing subsequence of times (Fredman 1975), in microseconds or NO_TIME.
+    """Return the rows of the longest increasing subsequence of times (Fredman 1975), NaN where there is none.
 
     One clock error then costs one fix, not all that follow it.
     """
-    known = np.flatnonzero(time != NO_TIME)
+    known = np.flatnonzero(np.isfinite(time))
     if (np.diff(time[known]) > 0).all():
         return known
     # Of all increasing subsequences of k + 1 rows, the one that ends earliest can be continued by most: ends[k] is its
@@ -321,7 +321,7 @@ def track(
     is_frame = hasattr(source, "itertuples")  # which neither a path nor a pandas series has
     path = "frame" if is_frame else Path(source)
     recording = read_frame(source, columns) if is_frame else read(path, columns)
-    known = recording.time[recording.time != NO_TIME]
+    known = recording.time[np.isfinite(recording.time)]
     back = np.sum(np.diff(known) < 0)
     if back > UNSORTED * len(known):
         got = f"{back} of {len(known)} earlier than the one before: frame.sort_values('time') sorts them"
@@ -359,7 +359,7 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
             raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat, lon)}")
     else:
         somewhere = np.isfinite(recording.metres).all(axis=1)
-    timed = time != NO_TIME
+    timed = np.isfinite(time)
     kept = [np.empty(0, dtype=int)]
     for number in np.unique(recording.segment):
         rows = np.flatnonzero((recording.segment == number) & somewhere & timed)

@@ -268,7 +268,8 @@ class Cleaned:
         Returns
         -------
         pandas.DataFrame
-            `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y` (m/s),
+            `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y` (m/s)
+            (`x0`, `x1`, ... of more than three axes),
             `sigma` and `sigma_v`, the standard deviations of these (the largest of the axes), `kept`, and the number of
             the segment; NaN and -1 outside of segments. Of a track in degrees the velocities are those east and north
             on the Earth, while `x`, `y` lie on a chart of the segment, which is true near its middle only. The rows

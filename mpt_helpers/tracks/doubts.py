@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import Array
 
@@ -73,28 +72,23 @@ def refuse_signs(name: str, others: dict[str, list[str]], column: str, degrees: 
             raise ValueError(f"{name}: needs signed degrees, got {got}")
 
 
-def refuse_several(name: str, others: dict[str, list[str]], time: NDArray[np.int64], position: Array) -> None:
+def refuse_several(name: str, others: dict[str, list[str]], time: Array, position: Array) -> None:
     """Refuse a table of several mobiles, as ships with an MMSI, and name the column that tells them apart.
 
     A fix of one mobile lies between the fixes before and after it, whatever the other columns say. With several mobiles
     it lies only between fixes with its own value of the column that tells them apart.
     """
-    rows = np.flatnonzero((time != np.iinfo(np.int64).min) & np.isfinite(position).all(axis=1))
+    rows = np.flatnonzero(np.isfinite(time) & np.isfinite(position).all(axis=1))
     rows = rows[np.argsort(time[rows], kind="stable")]
-    time, position, in_turn = time[rows] / 1e6, position[rows], np.arange(len(rows))
     for column, cells in others.items():
         values, value = np.unique([cells[row] for row in rows], return_inverse=True)
-        changes = np.diff(value) != 0
-        if changes.sum() < FEWEST_CHANGES or len(values) * FIXES_OF_EACH > len(rows):
+        if len(values) * FIXES_OF_EACH > len(rows):
             continue
-        mixed = np.append(changes, False) | np.append(False, changes)
-        apart = _off_the_line(time, position, in_turn)[mixed]
-        own = _off_the_line(time, position, np.argsort(value, kind="stable"))[mixed]
-        if np.median(apart) > FARTHER * np.median(own):
+        apart, own = _off_the_lines(time[rows] / 1e6, position[rows], value)
+        if apart > FARTHER * own:
             one = f"frame[frame[{column!r}].astype(str) == {str(values[np.argmax(np.bincount(value))])!r}]"
-            raise ValueError(
-                f"{name}: needs one mobile, got {len(values)}, by their column {column!r}: take one: {one}"
-            )
+            got = f"{len(values)}, by their column {column!r}: take one: {one}"
+            raise ValueError(f"{name}: needs one mobile, got {got}")
 
 
 def take_turns(time: Array, position: Array) -> bool:
@@ -102,12 +96,21 @@ def take_turns(time: Array, position: Array) -> bool:
 
     Rounded times of one mobile have the same effect, but move no fix farther than the mobile goes in two steps.
     """
-    if len(time) < FEWEST_CHANGES:
-        return False
-    apart = np.median(_off_the_line(time, position, np.arange(len(time))))
-    own = np.median(_off_the_line(time, position, np.argsort(np.arange(len(time)) % 2, kind="stable")))
-    way = np.median(np.linalg.norm(position[2:] - position[:-2], axis=1))
-    return bool(apart > FARTHER * own and apart > way)
+    apart, own = _off_the_lines(time, position, np.arange(len(time)) % 2)
+    return bool(apart > FARTHER * own and apart > np.median(np.linalg.norm(position[2:] - position[:-2], axis=1)))
+
+
+def _off_the_lines(time, position, value):
+    """Return how far fixes beside one of another value are from the line between their neighbours, at the median.
+
+    The neighbours are first those in time, then those of the same value. Both are 0 if the value hardly ever changes.
+    """
+    changes = np.diff(value) != 0
+    if changes.sum() < FEWEST_CHANGES:
+        return 0.0, 0.0
+    beside_another = np.append(changes, False) | np.append(False, changes)
+    orders = np.arange(len(time)), np.argsort(value, kind="stable")
+    return [np.median(_off_the_line(time, position, order)[beside_another]) for order in orders]
 
 
 def _off_the_line(time, position, order):

@@ -16,7 +16,6 @@ of real tracks, whose motion is alternately smooth and highly dynamic.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -27,12 +26,10 @@ from scipy.linalg.lapack import dposv
 from .. import _checks as checks
 from .. import metrics
 from .._checks import Array
+from ..equations import corrected_covariance, gain, predicted_covariance, unit_measurements
 from ..kalman import KalmanFilter
 from ..lainiotis import LainiotisFilter
 
-# Number of fixes after a fault that are filtered one by one. After them, and before the first fault, the filter takes
-# many rows at once: as many as there have been fixes since the last fault.
-ONE_BY_ONE = 200
 # A speed is too high above FASTER times the usual speed, the 95 % quantile of the steps. Clean tracks stay below.
 FASTER, OF_STEPS = 2.0, 0.95
 # A fix within the limit of its segment still goes to a new start if its -2 log density there is lower by more than
@@ -59,6 +56,8 @@ GAP = 10
 LOOK_BACK = 30
 # Two fixes at the same time count as this many seconds apart.
 LEAST_STEP = 1e-9
+# Where S is this many times R, the difference P - K H P has lost digits, and Joseph's form takes its place.
+MUCH_LARGER = 1e6
 
 
 def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 3) -> NDArray[np.intp]:
@@ -125,7 +124,10 @@ def segments_of(kf, z, begins, limit, patience):
     A recording begins at each row of `begins`: the filter restarts there, no segment continues across it, and the step
     to it is no jump. The filter starts row 0 from x0 and P0 unless a recording begins there.
     """
-    found = _in_sequence(_Track(kf, z), begins, limit, patience)
+    try:
+        found = _in_sequence(_RowFilter(kf, z), begins, limit, patience)
+    except np.linalg.LinAlgError:
+        checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
     if len(begins) == 0 and np.isfinite(z).any() and not found[0]:
         nis = metrics.nis(kf, z)
         off = math.sqrt(nis[np.isfinite(nis)][0])
@@ -142,85 +144,88 @@ def segments_of(kf, z, begins, limit, patience):
     return number
 
 
-class _Track:
-    """The rows of a track z (N, m) for a Kalman filter. A state is x (n,) and P (n, n).
+class _RowFilter:
+    """The Kalman filter of a track z (N, m), one row at a time.
 
-    Row k is a step by F and Q, followed by a measurement z = H x + noise of unit variance. A missing measurement has a
-    row of zeros in H and a zero in z.
+    A state is a matrix [[P, x], [xᵀ, -c]] (n + 1, n + 1), with the sum c of all NIS so far. One product predicts it,
+    and sets z against it; the Schur complement of S corrects it:
+
+                   [ H F  0 ]         [ H F  0 ]ᵀ   [ H Q Hᵀ + R  H Q  -z ]   [ S      H P   H x - z ]
+        state  ->  [  F   0 ]  state  [  F   0 ]  + [   Q Hᵀ       Q    0 ] = [ P Hᵀ    P       x    ]
+                   [  0   1 ]         [  0   1 ]    [   -zᵀ        0    0 ]   [ ...     xᵀ     -c    ]
+
+    A missing measurement has a row of zeros in H and z, and of the identity in R. Lists have an item for each row.
     """
 
     def __init__(self, kf, z):
-        self.kf, self.z = kf, z
-        model, self.seen = kf.model, np.isfinite(z)
+        self.kf, self.seen = kf, np.isfinite(z)
         self.fixes = self.seen.any(axis=1)
-        epochs = kf.epochs_of(z[..., None])
+        self.z = np.where(self.seen, z, 0.0)
+        model, epochs = kf.model, kf.epochs_of(z[..., None])
+        (N, m), n = z.shape, model.n
         R = epochs.noise(model.R)[..., 0]
-        root = np.linalg.cholesky(np.where(self.seen[:, :, None] & self.seen[:, None], R, np.eye(model.m)))
-        self.H = list(np.linalg.solve(root, self.seen[..., None] * model.H))
-        self.unit_z = list(np.linalg.solve(root, np.where(self.seen, z, 0.0)[..., None])[..., 0])
-        self.F, self.Q = [model.F] * len(z), [model.Q] * len(z)
-        self.dt = epochs.dt
-        if self.dt is not None:
-            self.F, self.Q = map(list, model.over(self.dt[:, 0]))
-        self.unit_of_state, self.unit_of_fix = np.eye(model.n), np.eye(model.m)
+        self.R = np.where(self.seen[:, :, None] & self.seen[:, None], R, np.eye(m))
+        self.H = self.seen[:, :, None] * model.H
+        F, Q = (model.F, model.Q) if epochs.dt is None else model.over(epochs.dt[:, 0])
+        HQ = self.H @ Q
+        step, noise = np.zeros((N, m + n + 1, n + 1)), np.zeros((N, m + n + 1, m + n + 1))
+        step[:, :m, :n], step[:, m:-1, :n], step[:, -1, -1] = self.H @ F, F, 1.0
+        noise[:, :m, :m], noise[:, :m, m:-1], noise[:, :m, -1] = HQ @ self.H.swapaxes(1, 2) + self.R, HQ, -self.z
+        noise[:, m:-1, :m], noise[:, m:-1, m:-1] = HQ.swapaxes(1, 2), Q
+        noise[:, -1, :m] = -self.z
+        self.steps, self.noises = list(step), list(noise)
+        self.large = (MUCH_LARGER * self.R.trace(axis1=1, axis2=2)).tolist()
+        self.x, self.P = model.F @ model.x0, predicted_covariance(model, model.P0)  # of a start, before its fix
+        self.starts = {}
+
+    def after(self, state, k):
+        """Return the state after row k without and with its measurement, the NIS, and S."""
+        # On such small matrices `dot` and LAPACK's own routine are much faster than `@` and np.linalg.
+        m, step = self.z.shape[1], self.steps[k]
+        both = step.dot(state).dot(step.T) + self.noises[k]
+        S, predicted = both[:m, :m], both[m:, m:]
+        _, solved, fails = dposv(S, both[:m, m:])
+        corrected = predicted - both[m:, :m].dot(solved)
+        nis = float(predicted[-1, -1] - corrected[-1, -1])
+        if fails or not nis < math.inf:
+            raise np.linalg.LinAlgError
+        if sum(S.diagonal().tolist()) > self.large[k]:
+            corrected[:-1, :-1] = corrected_covariance(predicted[:-1, :-1], solved[:, :-1].T, self.H[k], self.R[k])
+        return predicted, corrected, nis, S
 
     def start(self, k):
         """Return the state after row k as a first fix: x0 and P0 are moved there."""
-        model = self.kf.model
-        x, P = model.F @ model.x0, model.F @ model.P0 @ model.F.T + model.Q
-        x = x + np.linalg.pinv(self.H[k]) @ (self.unit_z[k] - self.H[k] @ x)
-        return self._corrected((x, P), k)[0]
+        H, R, z = self.H[k], self.R[k], self.z[k]
+        conditions = self.seen[k].tobytes(), R.tobytes()
+        if conditions not in self.starts:
+            H_1, W = unit_measurements(H, R)
+            K = gain(self.P, H, R)
+            self.starts[conditions] = np.linalg.pinv(H_1) @ W, K, corrected_covariance(self.P, K, H, R)
+        to_fix, K, P = self.starts[conditions]
+        x = self.x + to_fix @ (z - H @ self.x)
+        return _state(x + K @ (z - H @ x), P)
 
-    def without_fix(self, state, k):
-        """Return the state after row k if nothing is measured there."""
-        (x, P), F = state, self.F[k]
-        return F @ x, F @ P @ F.T + self.Q[k]
+    def before_a_fault(self, stop, limit):
+        """Return the fixes before the first fault, up to row `stop`, and the state after them; also the next row.
 
-    def with_fix(self, state, k):
-        """Return the state after row k, the NIS of its fix, and the covariance of its innovation at unit noise."""
-        return self._corrected(self.without_fix(state, k), k)
-
-    def _corrected(self, state, k):
-        (x, P), H = state, self.H[k]
-        HP = H @ P
-        S = HP @ H.T + self.unit_of_fix
-        innovation = self.unit_z[k] - H @ x
-        # On such small matrices LAPACK's own routine is much faster than np.linalg.
-        _, solved, fails = dposv(S, np.column_stack([HP, innovation]))
-        nis = float(innovation @ solved[:, -1])
-        if fails or not 0 <= nis < math.inf:
-            checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
-        K = solved[:, :-1].T
-        keep = self.unit_of_state - K @ H
-        return (x + K @ innovation, keep @ P @ keep.T + K @ K.T), nis, S
-
-    def rows_without_fault(self, state, k, stop, limit):
-        """Return the number of rows from k to `stop` that precede the first fault."""
-        faults = np.flatnonzero(metrics.nis(self._from(state, k, stop), self.z[k:stop]) > limit)
-        return int(faults[0]) if len(faults) else stop - k
-
-    def after_rows(self, state, k, stop):
-        """Return the state after the rows k to `stop`, with all their fixes."""
-        x, P = self._from(state, k, stop).estimates(self.z[k:stop])
-        return x[-1], P[-1]
-
-    def _from(self, state, k, stop):
-        """Return the filter of the rows k to `stop`, from a state before them."""
-        model = replace(self.kf.model, x0=state[0], P0=state[1])
-        dt, r = (None if each is None else each[k:stop] for each in (self.dt, self.kf.r))
-        return _WithSteps(model, dt, r)
+        With a P0 so vague that P would lose its digits row by row, the engine takes these rows; otherwise none.
+        """
+        model, z = self.kf.model, np.where(self.seen, self.z, np.nan)
+        count, state = 0, _state(model.x0, model.P0)
+        if self.kf.vague:
+            z[stop:] = np.nan
+            faults = np.flatnonzero(metrics.nis(self.kf, z) > limit)
+            count = int(faults[0]) if len(faults) else stop
+            z[count:] = np.nan
+            state = _state(*(each[count - 1] for each in self.kf.estimates(z))) if count else state
+        return _Start(np.flatnonzero(self.fixes[:count]).tolist(), state), count
 
 
-class _WithSteps(KalmanFilter):
-    """A Kalman filter with steps dt (N, 1) in s in place of times, with which the first step is the model's."""
-
-    def __init__(self, model, dt, r):
-        super().__init__(model, r=r)
-        object.__setattr__(self, "dt", dt)
-
-    def epochs_of(self, z):
-        """Return z (N, m, 1) with the steps and variances of its epochs."""
-        return replace(super().epochs_of(z), dt=self.dt)
+def _state(x, P):
+    """Return the state of a `_RowFilter`, (n + 1, n + 1)."""
+    state = np.zeros((len(x) + 1, len(x) + 1))
+    state[:-1, :-1], state[:-1, -1], state[-1, :-1] = P, x, x
+    return state
 
 
 class _Start(NamedTuple):
@@ -230,62 +235,46 @@ class _Start(NamedTuple):
     state: tuple[Array, Array]
 
 
-def _in_sequence(track, begins, limit, patience):
+def _in_sequence(row_filter, begins, limit, patience):
     """Return the rows of each segment by rules 1 and 2, ordered by first row."""
-    found = []
-    for begin, stop in pairwise(sorted({0, *begins, len(track.z)})):
+    found, seen = [], row_filter.seen
+    for begin, stop in pairwise(sorted({0, *begins, len(seen)})):
         if begin not in begins:
-            origin = _Start([], (track.kf.model.x0, track.kf.model.P0))
-            found += _of_recording(track, origin, begin, stop, limit, patience)
+            start, begin = row_filter.before_a_fault(stop, limit)
+            found += _of_recording(row_filter, start, begin, stop, limit, patience)
             continue
         # Only a fix with all axes says where each of them begins.
-        whole = begin + np.flatnonzero(track.seen[begin:stop].all(axis=1))
+        whole = begin + np.flatnonzero(seen[begin:stop].all(axis=1))
         if len(whole):
             first = int(whole[0])
-            start = _Start([first], track.start(first))
-            found += _of_recording(track, start, first + 1, stop, limit, patience)
+            start = _Start([first], row_filter.start(first))
+            found += _of_recording(row_filter, start, first + 1, stop, limit, patience)
     return found
 
 
-def _of_recording(track, start, k, stop, limit, patience):
-    """Return the rows of each segment from row k to `stop`; the first segment begins with the rows of a start."""
+def _of_recording(row_filter, start, begin, stop, limit, patience):
+    """Return the rows of each segment from row `begin` to `stop`; the first segment begins with the rows of a start."""
     (rows, state), found, starts = start, [], []
-    calm = stop - k  # the number of fixes since the last fault; before the first fault, all rows
-    if not rows:  # x0 and P0 may be so vague that P would lose its digits row by row
-        calm = max(calm, ONE_BY_ONE)
-    while k < stop:
-        if calm >= ONE_BY_ONE and not starts:
-            at_most = min(k + calm, stop)
-            count = track.rows_without_fault(state, k, at_most, limit)
-            rows += (k + np.flatnonzero(track.fixes[k : k + count])).tolist()
-            if 0 < count < stop - k:
-                state = track.after_rows(state, k, k + count)
-            k += count
-            calm = calm + count if k == at_most else 0
+    for k in range(begin, stop):
+        without_fix, with_fix, nis, S = row_filter.after(state, k)
+        if not row_filter.fixes[k]:
+            state = without_fix
+            starts = [_Start(each.rows, row_filter.after(each.state, k)[0]) for each in starts]
             continue
-        if not track.fixes[k]:
-            state = track.without_fix(state, k)
-            starts = [_Start(each.rows, track.without_fix(each.state, k)) for each in starts]
-            k += 1
-            continue
-        after, nis, S = track.with_fix(state, k)
         agreed, expected = [], nis <= limit
         for each in starts:
-            own, own_nis, own_S = track.with_fix(each.state, k)
+            _, own, own_nis, own_S = row_filter.after(each.state, k)
             if own_nis <= limit:
                 agreed.append(_Start([*each.rows, k], own))
                 expected = expected and _deviance(nis, S) <= _deviance(own_nis, own_S) + CLEARLY_LOWER
         if expected:
-            state, starts = after, []
+            state, starts = with_fix, []
             rows.append(k)
-            calm += 1
-        else:
-            state, starts = track.without_fix(state, k), [*agreed, _Start([k], track.start(k))]
-            calm = 0
-            if len(starts[0].rows) == patience:
-                found.append(rows)
-                (rows, state), starts = starts[0], []
-        k += 1
+            continue
+        state, starts = without_fix, [*agreed, _Start([k], row_filter.start(k))]
+        if len(starts[0].rows) == patience:
+            found.append(rows)
+            (rows, state), starts = starts[0], []
     return [*found, rows]
 
 
@@ -402,18 +391,19 @@ def _cheapest_chain(found, moves):
     """Return the rows of the segments that are kept by rule 3; those without a jump between them are joined.
 
     A segment is dropped by parts: the fixes between two that are refused, and those at its ends, one or a few beyond a
-    gap, which may be faults that agreed with the others by chance. The cheapest chain up to part j, which follows part
-    i or is the first, costs
+    gap, which may be faults that agreed with the others by chance. The cheapest chain that ends with part j, which
+    follows part i or is the first, costs, compared to dropping all fixes,
 
-        cost[j] = to_keep[j] + min over i of (cost[i] + fixes of the parts between i and j + JUMP if there is one)
-        cost[j] = to_keep[j] + fixes of all parts before j
+        cost[j] = to_keep[j] - fixes of part j + min(0, min over i of (cost[i] + JUMP if there is one))
     """
     parts, segment = [], []
     for number, rows in enumerate(found):
         own = _parts(rows, moves)
         parts += own
         segment += [number] * len(own)
-    dropped = np.cumsum([0, *map(len, parts)]).tolist()  # [j]: the fixes of all parts before j
+    rows, part = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(each) for each in parts])
+    too_fast = moves.too_fast(rows[:-1], rows[1:]) & (part[:-1] == part[1:])
+    to_keep = JUMP * np.minimum(np.bincount(part[1:][too_fast], minlength=len(parts)), MOST_TOO_FAST)
 
     def jump(i, j):
         """Tell whether the move from the end of part i to the start of part j, of another segment, is too fast.
@@ -425,16 +415,13 @@ def _cheapest_chain(found, moves):
         return segment[i] != segment[j] and bool(moves.too_fast(parts[i][-1], parts[j][0], at_most))
 
     cost, before = [], []  # before[j]: the part that is kept before j, or None
-    for j, rows in enumerate(parts):
-        ways = [(dropped[j], 0, None)] if j < LOOK_BACK else []  # cost, how far back i is, and i
-        for i in range(max(j - LOOK_BACK, 0), j):
-            ways.append((cost[i] + dropped[j] - dropped[i + 1] + JUMP * jump(i, j), j - i, i))
-        least, _, i = min(ways, key=lambda each: each[:2])  # of equal costs the nearest
-        to_keep = JUMP * min(int(moves.too_fast(rows[:-1], rows[1:]).sum()), MOST_TOO_FAST)
-        cost.append(least + to_keep)
+    for j in range(len(parts)):
+        ways = [(0, 0, None)] if j < LOOK_BACK else []  # cost, how far back i is, and i
+        ways += [(cost[i] + JUMP * jump(i, j), j - i, i) for i in range(max(j - LOOK_BACK, 0), j)]
+        least, _, i = min(ways)  # of equal costs the nearest
+        cost.append(int(to_keep[j]) - len(parts[j]) + least)
         before.append(i)
-    last = range(len(parts))[-LOOK_BACK:]
-    j = min(last, key=lambda j: (cost[j] + dropped[-1] - dropped[j + 1], -j))
+    j = min(range(len(parts))[-LOOK_BACK:], key=lambda j: (cost[j], -j))
     kept = []
     while j is not None:
         kept.insert(0, j)

@@ -18,7 +18,6 @@ LONG = 3 * 3600.0  # s: longer tracks are drawn over hours
 MOSTLY_PAUSES = 20.0  # a recording so many times longer than its rides is drawn without its pauses
 # Panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.
 WIDTH, MAP_HEIGHT, SPEED_HEIGHT = 5.2, 5.0, 3.2
-LONGEST_LINE = 5_000  # points of a curve, roughly; longer ones are thinned
 NUMBERS = 5  # steps along an axis at most: six numbers of five digits fit
 
 
@@ -51,15 +50,11 @@ def _on_one_map(c, z):
     return z / 1000
 
 
-def _thinned(rows):
-    return rows[:: max(1, len(rows) // LONGEST_LINE)]
-
-
 def _draw_map(ax, c, line, refused, start):
     position = _on_one_map(c, c.x[:, :4:2])
     number = segment_of_rows(c)
     for k in range(c.stretches):
-        rows = _thinned(np.flatnonzero(number == k))
+        rows = np.flatnonzero(number == k)
         ax.plot(*position[rows].T, color=line, linewidth=1.4, label="smoothed" if k == 0 else None)
     inside = np.isfinite(position[:, 0])
     for row in c.starts:
@@ -93,9 +88,9 @@ def _draw_speed(ax, c, line, refused, band):
     time = time / seconds
     number = segment_of_rows(c)
     for k in range(c.stretches):
-        rows = _thinned(np.flatnonzero(number == k))
+        rows = np.flatnonzero(number == k)
         low, high = (np.maximum(speed[rows] + sign * 1.96 * sigma[rows], 0) * KM_H for sign in (-1, 1))
-        label = "95 % band" if k == 0 else None
+        label = "stated 95 % band" if k == 0 else None
         ax.fill_between(time[rows], low, high, color=band, alpha=0.6, linewidth=0, label=label)
         ax.plot(time[rows], speed[rows] * KM_H, color=line, linewidth=0.9)
     known = speed[np.isfinite(speed)]

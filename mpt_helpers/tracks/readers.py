@@ -15,6 +15,7 @@ import math
 import re
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -25,14 +26,14 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import Array
+from .._checks import Array, refuse
 from .doubts import conversion_of, refuse_other_kinds, refuse_several, refuse_signs
 
-NO_TIME = -(2**63)  # a missing time, in microseconds; it is also the integer of numpy's NaT
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+YEARS = range(1900, 2250)  # of dates; a double holds their microseconds
 CUT = [expat.errors.codes[words] for words in ("no element found", "unclosed token", "partial character")]
-ZONE = re.compile(r"([Zz]|:.*[+-]\d\d(:?\d\d)?)\s*$")
 COLUMNS = ("time", "lat", "lon", "x", "y", "ele", "hdop", "accuracy")
+GPX_COLUMNS = ("time", "lat", "lon", "ele", "hdop")
 MISSING = frozenset(["", "nan", "nat", "none", "null", "na", "n/a", "<na>", "-"])
 MANY = 0.1  # share of cells: if more of a column cannot be read, all of it is in another format
 # Unix seconds lie between UNIX and LATEST, the years 1973 and 2255. Smaller numbers count as seconds if the first is
@@ -45,7 +46,7 @@ UNIX, LATEST, FROM_ZERO, CLOCK_STEP = 1e8, 9e9, 100.0, 40.0
 class Recording:
     """The N fixes of a file, in file order, faults included."""
 
-    time: NDArray[np.int64]  # microseconds since 1970 in UTC, NO_TIME where there is none
+    time: Array  # whole microseconds since 1970 in UTC, NaN where there is none
     lat: Array | None  # degrees as written, or None where the file has metres
     lon: Array | None
     metres: Array | None  # x and y (N, 2), or None where the file has degrees
@@ -59,7 +60,7 @@ class Recording:
     index: Any = None  # the labels of a frame's rows
 
 
-def moment_of(time: int) -> datetime:
+def moment_of(time: float) -> datetime:
     """Return microseconds since 1970 as a datetime."""
     return EPOCH + timedelta(microseconds=int(time))
 
@@ -77,7 +78,7 @@ def read(path: Path, columns: Mapping[str, str] | None = None) -> Recording:
 def _contents(path):
     """Return the uncompressed bytes of a file, and notes if its end is missing."""
     if path.exists() and not path.is_file():
-        raise ValueError(f"{path}: needs a file, got a folder, a pipe or a device")
+        refuse(path, "a file", "a folder, a pipe or a device")
     data, said = path.read_bytes(), []
     if data.startswith(b"\x1f\x8b"):
         file, parts = gzip.GzipFile(fileobj=io.BytesIO(data)), []
@@ -87,7 +88,7 @@ def _contents(path):
         except EOFError:
             said.append("ATTENTION: the compressed file is cut off: the rest is lost")
         except (OSError, zlib.error) as error:
-            raise ValueError(f"{path}: needs a file that can be decompressed, got a damaged one ({error})") from None
+            refuse(path, "a file that can be decompressed", f"a damaged one ({error})")
         data = b"".join(parts)
     if data.endswith(b"\0"):
         data = data.rstrip(b"\0")
@@ -98,18 +99,19 @@ def _contents(path):
 
 def _read_gpx(path, data, said):
     """Return the Recording of a GPX file, whose names may have a prefix; if it is cut off, of its complete fixes."""
-    fixes, segments = [], 0
+    fixes, segment, ended = [], [], 0
     parser, builder = expat.ParserCreate(), TreeBuilder()
 
     def end(name):
-        nonlocal segments
+        nonlocal ended
         element, name = builder.end(name), name.rpartition(":")[2]
         if name == "trkseg":
-            segments += 1
+            ended += 1
         elif name == "trkpt":
             texts = {each.tag.rpartition(":")[2]: each.text or "" for each in reversed(element)}  # the first one counts
-            inside = (texts.get(what, "") for what in ("time", "ele", "hdop"))
-            fixes.append((segments + 1, element.get("lat", ""), element.get("lon", ""), *inside))
+            texts |= element.attrib
+            fixes.append([texts.get(what, "") for what in GPX_COLUMNS])
+            segment.append(ended + 1)
             element.clear()
 
     parser.buffer_text = True
@@ -118,164 +120,155 @@ def _read_gpx(path, data, said):
         parser.Parse(data, True)
     except (expat.ExpatError, LookupError, ValueError) as error:
         if getattr(error, "code", None) not in CUT or not fixes:
-            raise ValueError(f"{path}: needs a GPX file, got one that cannot be read ({error})") from None
+            refuse(path, "a GPX file", f"one that cannot be read ({error})")
         said, data = [*said, f"ATTENTION: the file is cut off after {len(fixes)} fixes: the rest is lost"], b""
     if not fixes:
-        raise ValueError(f"{path}: needs a recorded track, got no trkpt: routes and waypoints have no times")
-    segment, lat, lon, time, height, hdop = map(list, zip(*fixes, strict=True))
-    lat, lon = _numbers(path, "lat", lat), _numbers(path, "lon", lon)
-    time = _whole_microseconds(path, "time", time, np.array([_microseconds(text) for text in time]), "ISO 8601")
-    height, hdop = (np.array([_number(text) for text in texts]) for texts in (height, hdop))
-    accuracy = np.full(len(time), math.nan)
-    return Recording(time, lat, lon, None, height, hdop, accuracy, np.array(segment), tuple(said), data)
-
-
-def _number(text):
-    """Return the finite number in a text, or NaN."""
-    try:
-        value = float(text)
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan
-
-
-def _microseconds(text):
-    """Return the time in an ISO 8601 text, in microseconds, or NaN; without a zone it is UTC."""
-    try:
-        moment = datetime.fromisoformat(text.strip().replace("/", "-"))
-        since = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - EPOCH
-    except (ValueError, OverflowError):
-        return math.nan
-    return since // timedelta(microseconds=1) if abs(since) < timedelta(seconds=LATEST) else math.nan
-
-
-def _is_empty(text):
-    return text.strip().lower() in MISSING
-
-
-def _checked(name, column, texts, values, need):
-    """Return the values of a column, or refuse it as another format: many cells, or one with a comma, are unread."""
-    unread = [texts[row] for row in np.flatnonzero(np.isnan(values)) if not _is_empty(texts[row])]
-    if len(unread) > MANY * len(texts) or any("," in text for text in unread):
-        raise ValueError(f"{name}: needs {need} in column {column!r}, got {conversion_of(column, unread[0])}")
-    return values
-
-
-def _numbers(name, column, texts):
-    """Return the numbers of a column (N,), NaN where there is none."""
-    return _checked(name, column, texts, np.array([_number(text) for text in texts]), "decimal numbers")
-
-
-def _whole_microseconds(name, column, texts, times, need="ISO 8601, Unix seconds, or seconds from 0"):
-    """Return times of a column (N,), NaN where there is none, in whole microseconds."""
-    times = _checked(name, column, texts, times, need)
-    return np.where(np.isnan(times), NO_TIME, times).astype(np.int64)
+        refuse(path, "a recorded track", "no trkpt: routes and waypoints have no times")
+    return _recording(path, GPX_COLUMNS, zip(*fixes, strict=True), None, said, segment=np.array(segment), data=data)
 
 
 def _read_csv(path, text, columns, said):
     """Return the Recording of a CSV with a line of names; lines before it that begin with # are skipped."""
     lines = filter(str.strip, re.split(r"[\r\n]+", text))
     lines = list(itertools.dropwhile(lambda line: line.startswith("#"), lines)) or ["nothing"]
-    try:
-        names, *rows = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines]
-    except csv.Error as error:
-        raise ValueError(f"{path}: needs a CSV file, got one that cannot be read ({error})") from None
-    if text[-1:] not in "\r\n" and len(rows) > 1 and (said or _is_cut(rows)):
-        del rows[-1]
+    if text[-1:] not in "\r\n" and len(lines) > 2 and (said or _is_cut(lines[1:])):
+        del lines[-1]
         said = [*said, "ATTENTION: the last line is cut off, and left out"]
-    in_turn = zip(lines, [names, *rows], strict=False)
-    wrong = [line for line, row in in_turn if line.count('"') % 2 or (len(names) > 1 and any(row[len(names) :]))]
-    if wrong:
+    rows, reader = [], csv.reader(lines, strict=True)
+    try:
+        for row in reader:
+            too_many = rows and len(rows[0]) > 1 and any(row[len(rows[0]) :])
+            if too_many or reader.line_num > len(rows) + 1:  # a quote was closed in a later line
+                raise csv.Error
+            rows.append(row)
+    except csv.Error:
         skip = "pandas.read_csv(FILE, quoting=3, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
         way = f"are commas decimal, too? Then put ; between cells. Otherwise {skip}"
-        need = f"{len(names)} cells in each line, as in {lines[0]!r:.60}, and quotes that close"
-        raise ValueError(f"{path}: needs {need}, got {wrong[0]!r:.60}: {way}")
+        need = f"as many cells in each line as in {lines[0]!r:.60}, and quotes that close"
+        refuse(path, need, f"{lines[len(rows)]!r:.60}: {way}")
+    names, *rows = rows
     cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
-    return _from_table(str(path), [name.strip() for name in names], cells, columns, said)
+    return _recording(path, [name.strip() for name in names], cells, columns, said)
 
 
-def _is_cut(rows):
-    """Tell whether the last row is shorter than 99 % of the others, in cells or in decimals of its last cell."""
-    ends = [(len(row), "." in row[-1], len(row[-1].rpartition(".")[2])) for row in rows]
+def _is_cut(lines):
+    """Tell whether the last line is shorter than 99 % of the others, in cells or in decimals of its last cell."""
+    cells = [line.split(",") for line in lines]
+    ends = [(len(row), "." in row[-1], len(row[-1].rpartition(".")[2])) for row in cells]
     return ends[-1] < sorted(ends[:-1])[len(ends) // 100]
 
 
 def read_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Recording:
     """Return the Recording of a pandas frame, whose index may be the time. Raises ValueError for another table."""
-    names, values = [str(name) for name in frame.columns], [frame.iloc[:, k] for k in range(len(frame.columns))]
     time = columns.get("time", "time") if isinstance(columns, Mapping) else "time"
-    if time not in names and (frame.index.name == time or _kind(frame.index) in ("M", "m")):
-        names, values, columns = [*names, "the index"], [*values, frame.index], {**(columns or {}), "time": "the index"}
-    return _from_table("frame", names, values, columns, [], frame.index)
+    table = frame
+    if time not in frame.columns and (frame.index.name == time or frame.index.dtype.kind in "mM"):
+        table = frame.rename_axis(time).reset_index()
+    in_turn = [table.iloc[:, k] for k in range(len(table.columns))]
+    cells = [list(map(str, each.dt.total_seconds() if each.dtype.kind == "m" else each)) for each in in_turn]
+    return _recording("frame", list(map(str, table.columns)), cells, columns, [], index=frame.index)
 
 
-def _kind(values):
-    return getattr(getattr(values, "dtype", None), "kind", "")
-
-
-def _from_table(name, names, values, columns, said, index=None):
-    """Return the Recording of a table of named columns of numbers, times or texts."""
+def _recording(name, names, cells, columns, said, segment=None, **more):
+    """Return the Recording of named columns of texts; segment (N,) numbers the segments of a GPX file."""
     found = _named_columns(name, names, {} if columns is None else columns)
-    texts = {column: list(map(str, each)) for column, each in zip(names, values, strict=True)}
-    numbers = {what: _numbers(name, column, texts[column]) for what, column in found.items() if what != "time"}
-    time, dated = _times(name, found["time"], values[names.index(found["time"])], texts[found["time"]])
+    texts = dict(zip(names, cells, strict=True))
+    numbers = {}
+    for what, column in found.items():
+        if what != "time":
+            numbers[what] = _checked(name, column, texts[column], _parsed(texts[column], float), "decimal numbers")
+    time, dated = _times(name, found["time"], texts[found["time"]])
     others = {column: texts[column] for column in names if column not in found.values()}
     lat, lon, metres = numbers.get("lat"), numbers.get("lon"), None
     if lat is None:
         metres = position = np.column_stack([numbers["x"], numbers["y"]])
     else:
+        position = np.column_stack([lon * np.cos(np.radians(lat)), lat])
         refuse_signs(name, others, found["lat"], lat, "NORTH", "SOUTH")
         refuse_signs(name, others, found["lon"], lon, "EAST", "WEST")
-        position = np.column_stack([lon * np.cos(np.radians(lat)), lat])
     refuse_several(name, others, time, position)
-    more = [numbers.get(what, np.full(len(time), math.nan)) for what in ("ele", "hdop", "accuracy")]
-    one = np.ones(len(time), dtype=np.int64)
-    return Recording(time, lat, lon, metres, *more, one, tuple(said), dated=dated, index=index)
+    height, hdop, accuracy = (numbers.get(what, np.full(len(time), math.nan)) for what in ("ele", "hdop", "accuracy"))
+    if segment is None:
+        segment = np.ones(len(time), dtype=np.int64)
+        _refuse_mixed_zones(name, found["time"], texts[found["time"]])
+    return Recording(time, lat, lon, metres, height, hdop, accuracy, segment, tuple(said), dated=dated, **more)
 
 
 def _named_columns(name, names, columns):
     """Return {what: its column} of a table: the names of COLUMNS, or those given instead."""
     if not isinstance(columns, Mapping) or not set(columns) <= set(COLUMNS):
-        need = f"names of some of {', '.join(COLUMNS)}, as {{'time': 'when'}}"
-        raise ValueError(f"columns: needs {need}, got {columns!r:.80}")
+        refuse("columns", f"names of some of {', '.join(COLUMNS)}, as {{'time': 'when'}}", f"{columns!r:.80}")
     found = {what: what for what in COLUMNS if what in names} | dict(columns)
     in_metres = "x" in columns or ("x" in found and "lat" not in found)
     place = ("x", "y") if in_metres else ("lat", "lon")
     got = f"{', '.join(map(ascii, names)):.300}"
     lacking = [what for what in ("time", *place) if what not in found]
     if lacking:
-        need = "columns time and lat, lon (degrees) or x, y (metres), with commas between"
         options = " ".join(f"--{what} NAME" for what in lacking)
         way = f"name the others: {options}, or in Python columns={dict.fromkeys(lacking, 'NAME')}"
         if len(names) == 1 and (separator := re.search(r"[;\t| ]", names[0])):
             way = f"pandas.read_csv(FILE, sep={separator[0]!r}, decimal=',').to_csv('new.csv') makes commas"
-        raise ValueError(f"{name}: needs {need}, got {got}: {way}")
+        refuse(name, "columns time and lat, lon (degrees) or x, y (metres), with commas between", f"{got}: {way}")
     found = {what: found[what] for what in ("time", *place, "ele", "hdop", "accuracy") if what in found}
     for what, column in found.items():
         if names.count(column) != 1 or list(found.values()).count(column) != 1:
-            raise ValueError(f"{name}: needs one column {column!r} of {what} alone, got {got}")
+            refuse(name, f"one column {column!r} of {what} alone", got)
     return found
 
 
-def _times(name, column, values, texts):
-    """Return times in microseconds, and whether they are dates."""
-    if (kind := _kind(values)) in ("M", "m"):
-        return np.asarray(values, dtype=f"{kind}8[us]").astype(np.int64), kind == "M"
-    times = np.array([_number(text) for text in texts])
-    known = times[np.isfinite(times)]
-    if len(known) > 0.5 * sum(not _is_empty(text) for text in texts):
-        seconds = np.where(_are_seconds(known) & (np.abs(times) < LATEST), times, math.nan)
-        return _whole_microseconds(name, column, texts, np.round(seconds * 1e6)), False
-    times = np.array([_microseconds(text) for text in texts])
-    zoned = [text for text, time in zip(texts, times, strict=True) if math.isfinite(time) and ZONE.search(text)]
-    if 0 < len(zoned) < np.isfinite(times).sum():
-        way = f"pandas.to_datetime(frame[{column!r}], utc=True, format='ISO8601') where the others are UTC"
-        raise ValueError(f"{name}: needs a zone in all times or none, got one in {zoned[0]!r:.40} only: {way}")
-    return _whole_microseconds(name, column, texts, times), True
+def _times(name, column, texts):
+    """Return times in microseconds, and whether they are dates; without a zone they are UTC."""
+    seconds, times = _parsed(texts, float), _parsed(texts, _microseconds)
+    seconds[np.abs(seconds) >= LATEST] = math.nan
+    known = seconds[np.isfinite(seconds)]
+    dated = not len(known) or np.isfinite(times).sum() > len(known)
+    if not dated:
+        times = np.round(1e6 * seconds) if _are_seconds(known) else np.full(len(seconds), math.nan)
+    return _checked(name, column, texts, times, "ISO 8601, Unix seconds, or seconds from 0"), dated
 
 
 def _are_seconds(times):
     """Tell whether numbers are Unix seconds or seconds from 0, and not the digits of a clock after midnight."""
-    usual, step = np.median(times), np.median(np.diff(times)) if len(times) > 1 else 0.0
+    step = np.median(np.diff(times)) if len(times) > 1 else 0.0
     clock = step < CLOCK_STEP and times.max() >= FROM_ZERO and (times % 100 < 60).all()
-    return UNIX <= usual < LATEST or (0 <= times[0] < FROM_ZERO and usual < LATEST and not clock)
+    return np.median(times) >= UNIX or (0 <= times[0] < FROM_ZERO and not clock)
+
+
+def _parsed(texts, parse):
+    """Return the finite number that `parse` makes of each text, NaN where it makes none."""
+    values = np.full(len(texts), math.nan)
+    for row, text in enumerate(texts):
+        with suppress(ValueError):
+            values[row] = parse(text)
+    values[np.isinf(values)] = math.nan
+    return values
+
+
+def _checked(name, column, texts, values, need):
+    """Return the values of a column, or refuse it as another format: many cells, or one with a comma, are unread."""
+    unread = [texts[row] for row in np.flatnonzero(np.isnan(values)) if texts[row].strip().lower() not in MISSING]
+    if len(unread) > MANY * len(texts) or any("," in text for text in unread):
+        refuse(name, f"{need} in column {column!r}", conversion_of(column, unread[0]))
+    return values
+
+
+def _refuse_mixed_zones(name, column, texts):
+    """Refuse times with a zone among times without one, which may be local."""
+    zoned = _parsed(texts, lambda text: _moment(text).tzinfo is not None)
+    if len(np.unique(zoned[np.isfinite(zoned)])) > 1:
+        way = f"pandas.to_datetime(frame[{column!r}], utc=True, format='ISO8601') where the others are UTC"
+        refuse(name, "a zone in all times or none", f"some of each in column {column!r}: {way}")
+
+
+def _moment(text):
+    """Return the time in an ISO 8601 text."""
+    moment = datetime.fromisoformat(text.strip().replace("/", "-"))
+    if moment.year not in YEARS:
+        raise ValueError(moment)
+    return moment
+
+
+def _microseconds(text):
+    """Return the time in an ISO 8601 text, in microseconds; without a zone it is UTC."""
+    moment = _moment(text)
+    return ((moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - EPOCH) / timedelta(microseconds=1)

@@ -33,6 +33,8 @@ BAND_FIELDS = ("seconds", "half_width", "asked", "held", "own", "checked", "inde
 # Recorded speeds lie between those of a snail and of a fighter jet. If fixes are RARELY seconds apart and slow, their
 # times are probably in milliseconds.
 VERY_FAST, VERY_SLOW, SLOW_AND_RARE, RARELY = 400.0, 0.02, 0.4, 100.0  # m/s, m/s, m/s, s
+# Noise scatters alike along the way and across it: of FEW fixes the ratio is 1 with a standard error of a tenth.
+FEW, UNEVEN = 100, 1.5
 MANY = 0.1  # share of the fixes: if more are refused, they are hardly all faults
 
 
@@ -91,11 +93,31 @@ def unusual(c: Cleaned) -> list[str]:
             found.append("ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians?")
     if take_turns(c.t[fixes], c.z[fixes]):
         found.append("ATTENTION: every other fix lies on a path of its own: are these two receivers, or two mobiles?")
+    along, across, count = _along_and_across(c)
+    if count >= FEW and along > UNEVEN * across:
+        why = "the speed varies between them (short stops count as motion), or their times are wrong"
+        found.append(
+            f"ATTENTION: in motion the fixes scatter by {_digits(along)} m along the way, but by {_digits(across)} m "
+            f"across it: {why}. The smoothed line may be farther from the true way than the fixes"
+        )
     share = _share_refused(c)
     if share > MANY:
         asked = "So many are hardly faults: are digits missing, or is the noise large?"
         found.append(f"ATTENTION: {share:.0%} of the fixes are refused. {asked}")
     return found
+
+
+def _along_and_across(c):
+    """Return how far fixes in motion are from the smoothed line, along it and across it (rms, m), and their number."""
+    position, velocity = c.x[:, :4:2], c.x[:, 1:4:2]
+    speed = np.linalg.norm(velocity, axis=1)
+    moving = np.isfinite(c.z).all(axis=1) & c.mask & (speed > MOVING)
+    if c.z.shape[1] == 1 or not moving.any():
+        return 0.0, 0.0, 0
+    off = (c.z[:, :2] - position)[moving]
+    along = np.sum(off * velocity[moving], axis=1) / speed[moving]
+    squares = np.sum(off**2, axis=1)
+    return math.sqrt(np.mean(along**2)), math.sqrt(np.mean(squares - along**2)), len(along)
 
 
 def _share_refused(c):
@@ -157,8 +179,8 @@ def _moments(c, rows):
 
 def _motion(c):
     return (
-        f"motion: within a second the velocity changes by about {_digits(math.sqrt(c.q))} m/s on each axis "
-        f"({_symbol('q', c.q, 'm²/s³')}, {_known(c.log_errors['q'])})"
+        f"motion: within a second the velocity changes by about {_digits(math.sqrt(c.q))} m/s, east and north each "
+        f"(process noise {_symbol('q', c.q, 'm²/s³')}, {_known(c.log_errors['q'])})"
     )
 
 
@@ -166,16 +188,19 @@ def _precision(c):
     sigma, r = _digits(math.sqrt(c.r)), _symbol("r", c.r, "m²")
     if c.rounding:
         return (
-            "fixes: the recorder had smoothed them already, so how far they are from the true way does not show; they "
-            f"count as exact to {sigma} m, the rounding of the numbers ({r})"
+            "fixes: the recorder had smoothed them already, so their errors do not show; the filter takes them as "
+            f"exact to {sigma} m, the rounding of the numbers (variance {r})"
         )
     if math.isinf(c.log_errors["r"]):
         return (
-            "fixes: how far each is from the line does not show beside the motion between two of them; at most about "
-            f"{sigma} m, east and north each ({r})"
+            "fixes: their scatter does not show beside the motion between two of them; it is at most about "
+            f"{sigma} m, east and north each (variance {r})"
         )
     known = _known(c.log_errors["r"])
-    return f"fixes: each scatters around the line by about {sigma} m, east and north each ({r}, {known})"
+    return (
+        f"fixes: they scatter around the smoothed line by about {sigma} m, east and north each (variance {r}, "
+        f"{known}). Errors that neighbouring fixes share are not in it; the line keeps them"
+    )
 
 
 def _symbol(name, value, unit):
@@ -194,10 +219,11 @@ def _prediction(c):
         return "prediction: the track is too short, or its fixes too far apart, to test one"
     few = "" if b.independent >= 30 else f" (only {b.independent} of them apart in time: too few to rely on)"
     return (
-        f"prediction: {b.seconds:g} s ahead the position can be told to ± {_digits(b.half_width)} m, east and north "
-        f"each. Tested on the second half of the track, with q and r of the first: {b.held:.0%} of "
-        f"{b.checked:,} fixes that were not refused lay within, {b.asked:.0%} was the aim{few}. The band that the "
-        f"filter states by itself, without a test, would have held {b.own:.0%}."
+        f"prediction: a fix {b.seconds:g} s ahead is predicted to ± {_digits(b.half_width)} m, east and north each, at "
+        f"the median of a band that follows the errors made so far. Tested on the second half of the track, with q "
+        f"and r of the first: {b.held:.0%} of {b.checked:,} fixes that were not refused lay within the band, and "
+        f"{b.asked:.0%} was the aim{few}. The filter's own band, which no errors have corrected, would have held "
+        f"{b.own:.0%}."
     )
 
 
@@ -265,8 +291,8 @@ def _distance(c):
     moving = way["moving_seconds"]
     motion = "" if moving is None else f", in motion for {_clock(moving)}"
     return (
-        f"way: {way['kilometres']:.2f} km{motion}. Speed in motion: {way['median_speed_km_h']:.1f} km/h at the median, "
-        f"{way['fastest_km_h']:.1f} at most, but for one fix in a thousand; standard error "
+        f"way: {way['kilometres']:.2f} km{motion}. Speed in motion: {way['median_speed_km_h']:.1f} km/h at the median; "
+        f"one fix in a thousand is faster than {way['fastest_km_h']:.1f} km/h. The filter states a standard error of "
         f"{_digits(way['speed_error_km_h'])} km/h"
     )
 

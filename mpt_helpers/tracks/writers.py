@@ -127,12 +127,12 @@ def frame_of(c: Cleaned) -> Any:
     if recording is not None:
         time = recording.time[c.source.rows] / 1e6
         if recording.dated:
-            time = pandas.to_datetime(recording.time[c.source.rows], unit="us", utc=True)
+            time = pandas.to_datetime(recording.time[c.source.rows].astype(np.int64), unit="us", utc=True)
         index = c.source.rows if recording.index is None else recording.index[c.source.rows]
     columns = {"time": time}
     if recording is not None and recording.metres is None:
         columns["lat"], columns["lon"] = degrees_of(c, c.x[:, :4:2])
-    axes = "xyz"[: c.z.shape[1]]
+    axes = "xyz"[: c.z.shape[1]] if c.z.shape[1] <= 3 else [f"x{k}" for k in range(c.z.shape[1])]
     columns |= {axis: c.x[:, 2 * k] for k, axis in enumerate(axes)}
     columns |= {f"v_{axis}": each for axis, each in zip(axes, velocities_of(c).T, strict=True)}
     variances = c.P.diagonal(axis1=1, axis2=2)

@@ -83,6 +83,8 @@ def _tracks(ax, t, x, measured, estimates, colour):
     ax["x"].plot([], [], ":", color=plots.COLOUR_OF["truth"], label="true")
     ax["V"].plot(t, x[:, 1], ":", color=plots.COLOUR_OF["truth"])
     ax["V"].plot(t, estimates[:, 1], "--", color=colour)
+    settled = estimates[len(t) // 5 :, 1]
+    ax["V"].set_ylim(settled.min() - np.ptp(settled), settled.max() + np.ptp(settled))  # the start would hide the rest
     for name, title in {"x": "coordinate x (m)", "V": "velocity (m/s)"}.items():
         ax[name].set_xlim(0, t[-1])
         plots.finish(ax[name], "", title)

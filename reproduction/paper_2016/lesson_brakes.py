@@ -67,5 +67,5 @@ def draw_braking():
     first = axes["to a standstill"]
     first.set_ylabel(f"predicted {SECONDS:g} s ahead,\nbeyond the true position (m)")
     fig.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=1)
-    fig.suptitle("Which filter misses less depends on the brake", x=0.02, ha="left", weight="bold")
+    fig.suptitle("Which filter misses less depends on the driver", x=0.02, ha="left", weight="bold")
     return fig

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import AXIS, dense_model
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import gaussian_conditioning, matrices, textbook_kalman
 
@@ -227,7 +227,7 @@ def test_nothing_that_is_passed_in_is_changed(model, z):
         model.F[0, 0] = 2
 
 
-@pytest.mark.parametrize("late", [7, 8, 30, 39])
+@pytest.mark.parametrize("late", [7, 8, 39])
 @pytest.mark.parametrize("make", [*FILTERS, *SOLVED, joint])
 def test_tracks_that_differ_in_one_missed_epoch_are_told_apart(make, late):
     _, z = mpt.simulate(AXIS, 40, np.random.default_rng(1), tracks=3)
@@ -277,8 +277,8 @@ def test_no_memory_is_taken_beside_the_estimates(make, most):
     assert peak < most * x.nbytes
 
 
-@pytest.mark.parametrize("steps", [1, 2, 3, 4, 31, 32, 33, 65])
-@pytest.mark.parametrize("tracks", [1, 40, 200, 800, 20_000])
+@pytest.mark.parametrize("steps", [1, 31, 32, 33, 65])
+@pytest.mark.parametrize("tracks", [1, 800, 20_000])
 def test_any_number_of_steps_and_tracks_is_the_recursion(steps, tracks):
     """Whole blocks of steps and parts of them, one tile of tracks and several."""
     _, z = mpt.simulate(AXIS, steps, np.random.default_rng(1), tracks=tracks)
@@ -399,6 +399,7 @@ def test_innovations_of_a_joint_filter_are_the_means_of_those_of_both(seed, n, m
         np.testing.assert_allclose(new.S[..., track], (S_1 + S_2) / 2, rtol=1e-8, atol=1e-8)
 
 
+@settings(max_examples=6)
 @given(st.lists(st.tuples(st.integers(1, 90), st.integers(1, 5)), min_size=2, max_size=5), st.integers(0, 1000))
 def test_a_filter_that_is_used_again_keeps_nothing_of_other_tracks(sizes, seed):
     """Shorter or longer ones, more or fewer of them, as a new filter takes them."""

@@ -60,8 +60,9 @@ MODELS = {"forgetful": forgetful, "singer": singer, "two kinds, correlated noise
 SAME = {"rtol": 1e-8, "atol": 1e-9}
 
 
-@pytest.mark.parametrize("own", [None, 3], ids=["one track", "tracks of their own times"])
-@pytest.mark.parametrize("precise", [False, True], ids=["R", "variances of their own"])
+@pytest.mark.parametrize(
+    ("precise", "own"), [(False, None), (True, 3)], ids=["one track, R", "tracks of their own times and variances"]
+)
 @pytest.mark.parametrize("make", MODELS.values(), ids=MODELS)
 def test_a_motion_of_ones_own_takes_steps_of_any_length(make, precise, own):
     """Filter, covariances, innovations, likelihood and smoother, over 60 rows with gaps: in pieces too."""

@@ -23,7 +23,7 @@ import reproduction
 
 PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
-CORE = ["_checks", "_immutable", "equations", "_engine.algebra", "_engine.digits", "_engine.shared"]
+CORE = ["_checks", "_immutable", "equations", "_engine.shared"]
 CORE += ["_engine.columns", "_engine.pieces", "_engine.run", "_engine.smoother", "model", "riccati", "_base", "kalman"]
 CORE += ["lainiotis", "steady", "predictor", "combined", "bands", "metrics", "search", "fitting", "monte_carlo"]
 # The engine knows arrays and equations only.
@@ -153,7 +153,7 @@ def test_a_module_is_a_module():
             assert isinstance(attrgetter(name)(mpt), ModuleType)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def frozen():
     """No collection looks at what was there before: pytest holds a million objects."""
     gc.collect()

@@ -32,11 +32,11 @@ ALL = {
 
 def all_filters(test):
     """Try fewer models with each of the filters."""
-    return pytest.mark.parametrize("make", ALL.values(), ids=ALL)(settings(max_examples=8)(test))
+    return pytest.mark.parametrize("make", ALL.values(), ids=ALL)(settings(max_examples=4)(test))
 
 
 seeds = st.integers(0, 2**32 - 1)
-few = settings(max_examples=10)  # of what `test_paths` looks at too, under more conditions
+few = settings(max_examples=5)  # of what `test_paths` looks at too, under more conditions
 
 
 def rotation(rng, n):

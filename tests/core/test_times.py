@@ -139,7 +139,9 @@ def test_times_that_may_be_seconds_are_taken(t):
     np.testing.assert_array_equal(mpt.KalmanFilter(MODEL, t=t).t, t)
 
 
-@pytest.mark.parametrize("dt", [DATES[0], np.datetime64("2024-05-03"), np.timedelta64("NaT", "s")])
+@pytest.mark.parametrize(
+    "dt", [DATES[0], np.datetime64("2024-05-03"), np.timedelta64("NaT", "s"), np.timedelta64(1, "M")]
+)
 def test_a_date_is_no_length_of_time(dt):
     with pytest.raises((TypeError, ValueError), match="dt: needs a number"):
         mpt.KalmanFilter(MODEL).step(MODEL.x0, MODEL.P0, [1.0], dt=dt)

@@ -737,8 +737,7 @@ VAGUE_STARTS = {
 }
 
 
-@pytest.mark.parametrize("rows", [5, 60])
-@pytest.mark.parametrize("gaps", [0.0, 0.3])
+@pytest.mark.parametrize(("rows", "gaps"), [(5, 0.0), (60, 0.3)])
 @pytest.mark.parametrize(("model", "r"), VAGUE_STARTS.values(), ids=VAGUE_STARTS)
 def test_a_vague_start_costs_few_digits(model, r, gaps, rows):
     """Against 60 digits; of many tracks with their own gaps, and of one that is cut into pieces."""
@@ -762,7 +761,7 @@ def test_a_vague_start_costs_few_digits(model, r, gaps, rows):
 TOO_VAGUE = r"P0: needs a start that makes the first measurements less than 1e\+30 times as uncertain as their noise"
 
 
-@pytest.mark.parametrize("power", [8, 12, 15, 16, 20, 26, 30, 40])
+@pytest.mark.parametrize("power", [8, 12, 16, 26, 30])
 @pytest.mark.parametrize("make", [mpt.gsm_axis, *MAKERS.values()])
 @pytest.mark.parametrize("kind", [mpt.KalmanFilter, mpt.LainiotisFilter])
 def test_a_vague_start_is_right_or_refused_by_name(kind, make, power):

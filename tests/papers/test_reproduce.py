@@ -218,26 +218,23 @@ def test_a_kernel_that_dies_is_named_and_leaves_everything_as_it_was(project, ca
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a signal of POSIX")
-def test_the_end_of_the_terminal_is_an_end_like_another():
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup may have had it ignored
+@pytest.mark.parametrize("end", ["SIGTERM", "SIGHUP"])
+def test_a_termination_and_the_end_of_the_terminal_are_ends_like_an_interrupt(end):
+    end = getattr(signal, end)
+    before = signal.signal(end, signal.SIG_DFL)  # nohup may have had it ignored
     try:
         with runner._ends_interrupt():
-            stop = signal.getsignal(signal.SIGHUP)
-        assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+            stop = signal.getsignal(end)
+        assert signal.getsignal(end) == signal.SIG_DFL
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(end, before)
     with pytest.raises(SystemExit) as done:
         stop()
     assert done.value.code == 143
 
 
-@pytest.mark.parametrize(
-    ("end", "said", "code", "keys"),
-    [("SIGINT", "interrupted", 130, ["small", "other"]), ("SIGTERM", "terminated", 143, ["small"])],
-)
-def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(
-    project, tmp_path_factory, end, said, code, keys
-):
+def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(project, tmp_path_factory):
+    keys = ["small", "other"]
     signs = tmp_path_factory.mktemp("signs")
     for key in keys:
         sleeps = SLEEPS.format(sign=str(signs / key))
@@ -255,9 +252,9 @@ def test_an_interrupt_ends_all_kernels_and_leaves_everything_as_it_was(
             assert running.poll() is None, running.communicate()
             time.sleep(0.05)
         kernels = [path.read_text() for path in signs.iterdir()]
-        running.send_signal(getattr(signal, end))
+        running.send_signal(signal.SIGINT)
         _, err = running.communicate(timeout=60)
-    assert (running.returncode, err) == (code, f"error: {said}\n")
+    assert (running.returncode, err) == (130, "error: interrupted\n")
     assert files(project) == before
     assert not list(project.glob(".reproduce-*"))
     for kernel in kernels:
@@ -393,16 +390,19 @@ def test_a_full_disk_or_an_interrupt_leaves_every_file_whole(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a limit of the size of files, which stands for a full disk")
-def test_a_copy_that_fails_is_named(project):
+def test_a_copy_that_fails_is_named(project, capsys):
     """Not as a list of all files."""
     for name in ("a", "b"):
         (project / "notebooks" / name).write_bytes(bytes(100_000))
-    shutil.rmtree(project / "reproduction")  # which is not the package that the command runs
-    code = "import resource, sys; from reproduction.__main__ import main;"
-    code += "resource.setrlimit(resource.RLIMIT_FSIZE, 2 * (50_000,)); sys.exit(main(['reproduce']))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert run.returncode == 1
-    assert re.fullmatch(rf"error: {project}/notebooks/[ab]: cannot be copied: .*File too large.*\n", run.stderr)
+    resource = pytest.importorskip("resource")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, limits[1]))
+    try:
+        assert main(["reproduce"]) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    told = capsys.readouterr().err
+    assert re.fullmatch(rf"error: {project}/notebooks/[ab]: cannot be copied: .*File too large.*\n", told)
     assert not list(project.glob(".reproduce-*"))
 
 
@@ -664,17 +664,17 @@ def test_verdicts_into_a_file_are_utf_8_whatever_the_terminal_has():
     assert "σ" in str(json.loads(ran.stdout.decode("utf-8")))
 
 
-def test_a_reader_that_closes_the_pipe_leaves_reproduce_unfinished():
+def test_a_reader_that_closes_the_pipe_leaves_reproduce_unfinished(project, monkeypatch):
     """What was not executed was not reproduced; `verdicts | head` is."""
-    text = """
-import sys
-import reproduction.__main__ as m
-def closed(*_):
-    raise BrokenPipeError
-m.reproduce_and_say = m.show_verdicts = closed
-sys.exit(10 * m.main(["reproduce"]) + m.main(["verdicts"]))
-"""
-    assert subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True).returncode == 10
+
+    def closed(*_):
+        raise BrokenPipeError
+
+    for name in ("reproduce_and_say", "show_verdicts"):
+        monkeypatch.setattr(f"reproduction.__main__.{name}", closed)
+    with monkeypatch.context() as patch:
+        patch.setattr("os.dup2", lambda nothing, _: os.close(nothing))  # the output of the tests stays
+        assert [main([command]) for command in ("reproduce", "verdicts")] == [1, 0]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="elsewhere kernels use ports")

@@ -59,7 +59,7 @@ def test_the_front_says_what_the_verdicts_say(cells, record):
         "kalman.longer",
     }
     share, with_row_3 = re.findall(r"0\.\d+", found["kalman.changing"].computed)
-    assert f"its error is at most {share} of that of a line through 100 positions ({with_row_3} with our" in front
+    assert f"its error is at most {with_row_3} of that of a line through 100 positions ({share} without" in front
     low, high = record.newest.min(), record.newest.max()
     assert f"left {low:.2f} to {high:.2f} of the error of a single position, instead of 0.20" in front
     assert positioning.line_sigma(100, np.array([0, 100])) == pytest.approx(2 / np.sqrt(100), rel=0.02)
@@ -118,7 +118,7 @@ def made():
     """Five seconds of a track, measured and estimated."""
     t = np.arange(1.0, 6)
     true = checks.track(0.2, 5)
-    return t, true, true[:, 0] + 0.5, true + np.array([0.1, 0.01, -0.1]), np.full(5, 0.2)
+    return t, true, true[:, 0] + 0.5, true + np.outer(t, [0.1, 0.01, -0.1]), np.full(5, 0.2)
 
 
 @pytest.mark.parametrize("draw", [figures.draw_line, figures.draw_kalman])
@@ -249,7 +249,7 @@ def test_the_error_of_the_velocity_is_told_beside_the_velocity(cells):
         assert error < v
         assert f"{100 * error / v:.0f} % of {v:g} m/s" in given
     assert "0.0105 m/s in $V$, which is 5 % of 0.2 m/s" in said
-    assert "now 0.0105 m/s is 53 % of the velocity" in said
+    assert "Now 0.0105 m/s is 53 % of it." in said
     H = np.vander(np.arange(1.0, 101), 2)
     slope = np.sqrt(np.linalg.inv(H.T @ H)[0, 0])  # the error of the slope of the line
     assert f"{slope:.4f} m/s is {100 * slope / 0.2:.0f} % of 0.2 m/s, and {100 * slope / 0.02:.0f} % of 0.02" in said
@@ -329,7 +329,7 @@ def test_one_reading_of_the_third_row_leaves_more_than_half(cells):
         f"One reading, *{above}*, misses our limit of half of GPS's error of 1 m: it leaves {made[above]:.2f}"
         in prose(cells)
     )
-    assert verdicts()["kalman.precise"].computed.endswith(f"above half by {above} only")
+    assert verdicts()["kalman.precise"].computed.endswith(f"at most half, but for {above}")
 
 
 def test_recordings_are_judged_by_line_and_filter(record):

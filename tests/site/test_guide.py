@@ -379,9 +379,8 @@ def drawn_values(fig):
     return np.concatenate([line.get_xydata() for ax in fig.axes for line in ax.lines])
 
 
-FEW_STEPS = [  # `make slow` runs all
-    name if name.startswith(("segments", "25 fixes")) else pytest.param(name, marks=pytest.mark.slow)
-    for name in OTHER_STEPS
+FEW_STEPS = [  # pauses, steps of all lengths, few fixes; `make slow` runs the others
+    name if name.startswith("segments") else pytest.param(name, marks=pytest.mark.slow) for name in OTHER_STEPS
 ]
 
 
@@ -452,6 +451,7 @@ def enough(a, band, where):
         return []
 
 
+@pytest.mark.slow  # five recordings, which change only where the code does: the guides print what it makes of one
 def test_what_the_short_guide_says_that_sparse_tracks_hide():
     """How well a position is known without its own fix, a fix every 10 s; and what good fixes are off there."""
     known, off = {}, {}

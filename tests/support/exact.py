@@ -5,21 +5,24 @@ PNG and SVG, the alt text and the description of each figure, which must also ch
 percent. The kernel works at the project's root, where `make reproduce` works in notebooks/: both must give the same.
 """
 
+import gc
 import os
 import re
 import sys
 import tempfile
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
+
+from reproduction.execute import settings_of_nobody
+from tests.support.drawn import DRAWN
+from tests.support.sockets import talk_through_files
 
 # Or jsonschema, which nbval's plugin imports, takes seconds to make a grammar of web addresses: notebooks need none.
 sys.modules.setdefault("rfc3987_syntax", None)
 
 TESTS = Path(__file__).parent
 NOT_SEEN = ("execution_count", "prompt_number", "traceback")  # the count is tested where nothing runs
-DRAWN = "MPT_HELPERS_DRAWN"  # names the folder into which the kernels draw
 STARTUP = "startup.py"  # in this folder: what a kernel runs before its first cell
 # Each processor takes whole files, since the tests of a file share a kernel, or what takes seconds to make. First the
 # longest ones, that no processor has to wait for another at the end. The tests of some are spread one by one.
@@ -36,13 +39,11 @@ SPREAD = (
 
 def pytest_configure(config):
     """Make the folder into which the kernels draw, and in it the code that each runs before its first cell."""
-    from tests.support.sockets import talk_through_files  # here: a kernel, which imports this file, needs none of it
-
     talk_through_files()
     drawn = tempfile.TemporaryDirectory(prefix="drawn-")
     config.add_cleanup(drawn.cleanup)
     os.environ[DRAWN] = drawn.name
-    Path(drawn.name, STARTUP).write_text('__import__("exact").watch()\n', encoding="utf-8")  # leaves no name behind
+    Path(drawn.name, STARTUP).write_text('__import__("drawn").watch()\n', encoding="utf-8")  # leaves no name behind
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -57,6 +58,16 @@ def pytest_xdist_make_scheduler(config, log):
 
     config.option.loadscopereorder = False
     return Scheduler(config, log)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let no collection of garbage look at the thousands of tests: they stay."""
+    gc.disable()
+    collected = yield
+    gc.freeze()
+    gc.enable()
+    return collected
 
 
 def pytest_collection_modifyitems(items):
@@ -78,8 +89,6 @@ def is_cell(item):
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item):
     """Let the kernel of a notebook, which its first cell starts, run `watch`; kernels of other tests must not."""
-    from reproduction.execute import settings_of_nobody  # here: a kernel, which imports this file, needs none of it
-
     with pytest.MonkeyPatch.context() as here:
         if is_cell(item):
             for name, value in settings_of_nobody(Path(os.environ[DRAWN])).items():
@@ -105,58 +114,3 @@ def pytest_runtest_call(item):
             drawn, committed = Path(os.environ[DRAWN], file), item.config.rootpath / "figures" / file
             assert drawn.read_bytes() == committed.read_bytes(), f"figures/{file} is not what this cell draws"
     return result
-
-
-def watch():
-    """In the kernel: go to the project's root, test each figure that is saved, and save it elsewhere."""
-    from reproduction import figures
-
-    os.chdir(figures.project())
-    save = figures.save_figure
-
-    def save_figure(fig, name):
-        figures.project()  # is found from here too
-        every_change_is_described(fig, figures)
-        return save(fig, name, os.environ[DRAWN])
-
-    figures.save_figure = save_figure
-
-
-def every_change_is_described(fig, figures):
-    """Scale each line, area, bar and image by 1.01, one at a time: the description, which nbval compares, must change.
-
-    Drawn values below figures.QUANTUM are described with one digit, and left out here; of many bars, twenty are tried.
-    """
-    for outer in fig.axes:
-        alone = SimpleNamespace(axes=[outer], texts=[], legends=[])  # faster than the whole figure each time
-        before = figures.describe(alone)
-        for ax in (outer, *outer.child_axes):
-            for artist in (*ax.lines, *ax.collections, *ax.patches[:20], *ax.images):
-                for values, put in drawn_numbers(artist):
-                    if max(map(abs, values.ravel()), default=0) > figures.QUANTUM:
-                        put(1.01 * values)
-                        changed = figures.describe(alone) != before
-                        assert changed, f"1 % more is not described: {artist} {artist.get_label()}"
-                        put(values)
-        assert figures.describe(alone) == before
-
-
-def drawn_numbers(artist):
-    """Yield each array of numbers that an artist draws, and how to put another in its place."""
-    import numpy as np
-
-    if hasattr(artist, "get_data_3d"):
-        yield np.array(artist.get_data_3d()), lambda data: artist.set_data_3d(*data)
-    elif hasattr(artist, "get_xdata"):
-        yield np.array(artist.get_xdata(), float), artist.set_xdata
-        yield np.array(artist.get_ydata(), float), artist.set_ydata
-    elif hasattr(artist, "get_height"):
-        yield np.array(artist.get_height(), float), artist.set_height
-        yield np.array(artist.get_width(), float), artist.set_width
-    elif hasattr(artist, "get_offsets") and len(artist.get_offsets()) > 1:
-        yield np.array(artist.get_offsets(), float), artist.set_offsets
-    elif hasattr(artist, "get_paths"):
-        for path in artist.get_paths():
-            yield path.vertices.copy(), lambda vertices, path=path: setattr(path, "vertices", vertices)
-    if hasattr(artist, "get_array") and artist.get_array() is not None:
-        yield np.array(artist.get_array(), float), artist.set_array

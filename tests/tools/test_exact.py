@@ -10,7 +10,7 @@ from contextlib import chdir
 
 import pytest
 from conftest import ROOT, write_notebook
-from exact import every_change_is_described
+from drawn import every_change_is_described
 
 from reproduction import figures, plots
 from reproduction.__main__ import main
@@ -39,10 +39,8 @@ CELLS = {
     "gone": ("print(1)", lambda cell, folder: cell.update(outputs=[])),
     "png": (figure("png"), lambda cell, folder: cell["outputs"][0]["data"].update({"image/png": "AAAA"})),
     "alt": (figure("alt"), lambda cell, folder: cell["outputs"][0]["metadata"]["image/png"].update(alt="a curve")),
-    "words": (figure("words"), lambda cell, folder: cell["outputs"][0]["data"].update({"text/plain": "words"})),
     "png_file": (figure("png_file"), lambda cell, folder: (folder / "small_png_file.png").write_bytes(b"other")),
     "svg_file": (figure("svg_file"), lambda cell, folder: (folder / "small_svg_file.svg").write_text("<svg/>")),
-    "no_file": (figure("no_file"), lambda cell, folder: (folder / "small_no_file.svg").unlink()),
     "left": (figure("left"), None),
     "printed": ("print(17)", None),
     "table": (TABLE, None),

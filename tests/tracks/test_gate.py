@@ -130,20 +130,20 @@ def test_each_step_has_the_nis_of_the_engine_for_any_model_times_variances_corre
     elif kind == 1:
         kf = mpt.LainiotisFilter(stable_model(seed))
     else:
-        t = np.cumsum(rng.choice([0.5, 1, 2, 7], N))
+        t = np.cumsum(rng.choice([0.5, 1, 2, 7, 1e6], N, p=[0.3, 0.3, 0.2, 0.18, 0.02]))
         r = rng.uniform(1, 9, (N, 2)) if kind == 2 else rng.uniform(1, 9, (N, 1)) * np.ones(2)
         kf = mpt.KalmanFilter(model(), t=t, r=r)
     _, z = mpt.simulate(kf.model, N, rng)
     if kind < 3:
         z[rng.random(z.shape) < 0.2] = np.nan
     refused = rng.random(N) < 0.2
-    steps = gate._Track(kf, z)
-    state, found = (kf.model.x0, kf.model.P0), np.full(N, np.nan)
+    row_filter = gate._RowFilter(kf, z)
+    state, found = gate._state(kf.model.x0, kf.model.P0), np.full(N, np.nan)
     for k in range(N):
-        if steps.fixes[k] and not refused[k]:
-            state, found[k], _ = steps.with_fix(state, k)
-        else:
-            state = steps.without_fix(state, k)
+        without_fix, with_fix, nis, _ = row_filter.after(state, k)
+        used = row_filter.fixes[k] and not refused[k]
+        state = with_fix if used else without_fix
+        found[k] = nis if used else np.nan
     masked = np.where(refused[:, None], np.nan, z)
     np.testing.assert_allclose(found, mpt.metrics.nis(kf, masked), rtol=1e-6)
     assert np.isfinite(found).sum() > 60
@@ -160,25 +160,6 @@ def test_a_vague_start_refuses_no_good_fix(make):
         np.testing.assert_array_equal(np.flatnonzero(mpt.gated(kf, z) == -1), [40])
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_many_rows_at_once_are_judged_as_one_after_the_other(seed, monkeypatch):
-    """With times, two fixes at one time, variances, gaps, partial rows, faults, jumps, and two recordings."""
-    rng = np.random.default_rng(seed)
-    t = np.cumsum(rng.choice([1, 2, 5], 400)).astype(float)
-    t[250] = t[249]
-    kf = mpt.KalmanFilter(model(), t=t, r=rng.uniform(1, 9, (400, 2)))
-    if seed == 0:
-        kf = mpt.LainiotisFilter(stable_model(seed))
-    _, z = mpt.simulate(kf.model, 400, rng)
-    z[rng.choice(400, 6, replace=False)] += 900 * z.std()
-    z[150:] -= 700 * z.std()
-    z[rng.random(z.shape) < 0.05] = np.nan
-    at_once = gate._in_sequence(gate._Track(kf, z), [90, 300], 100.0, 3)
-    monkeypatch.setattr(gate, "ONE_BY_ONE", 1000)
-    assert at_once == gate._in_sequence(gate._Track(kf, z), [90, 300], 100.0, 3)
-    assert sum(map(len, at_once)) < 397
-
-
 def forgetful(dt, tau=20.0, q=0.04):
     """A velocity that is forgotten within tau seconds; Q loses its digits over steps below 1e-4 s."""
     a, b = np.exp(-dt / tau), -np.expm1(-dt / tau)
@@ -188,23 +169,18 @@ def forgetful(dt, tau=20.0, q=0.04):
 
 
 @pytest.mark.parametrize(
-    ("made", "same_time"),
-    [
-        (model(), slice(696, 700)),
-        (mpt.LinearModel(transition=forgetful, dt=1.0, H=[[1, 0]], R=[[0.5]], P0=np.eye(2)), slice(499, 501)),
-    ],
+    "made", [model(), mpt.LinearModel(transition=forgetful, dt=1.0, H=[[1, 0]], R=[[0.5]], P0=np.eye(2))]
 )
-def test_many_rows_at_once_may_begin_at_a_step_of_zero(made, same_time):
-    """The last four fixes have one time; or a transition that has no digits for steps near zero."""
+def test_fixes_of_one_time_are_no_faults(made):
+    """Also with a transition that has no digits for steps near zero."""
     t = np.arange(700.0)
-    t[same_time] = t[same_time.start]
-    begin = same_time.start + 1  # 200 fixes after the fault
+    t[496:500] = t[496]
     _, z = mpt.simulate(mpt.constant_velocity(dt=1.0, q=0.04, r=0.5), 700, np.random.default_rng(3))
     z = z * np.ones(made.m)
-    z[begin - gate.ONE_BY_ONE - 1] += 500.0
-    z[same_time] = z[same_time.start]
+    z[496:500] = z[496]
+    z[300] += 500.0
     number = mpt.gated(mpt.KalmanFilter(made, t=t), z)
-    np.testing.assert_array_equal(np.flatnonzero(number == -1), [begin - gate.ONE_BY_ONE - 1])
+    np.testing.assert_array_equal(np.flatnonzero(number == -1), [300])
 
 
 @pytest.mark.parametrize(
@@ -333,8 +309,8 @@ AT_MOST = {
 
 # Each fault on a short recording; `make slow` runs all on all.
 FEW = [
-    ("hike_gpxo_2s", stuck),
-    ("hike_gpxo_2s", shift),
+    ("hike_korita_11s", stuck),
+    ("hike_korita_11s", shift),
     ("phone_ride_stoplight_1s", bursts),
     ("hike_korita_11s", singles),
 ]
@@ -413,7 +389,7 @@ def test_a_fix_without_one_axis_is_judged_by_the_other():
     assert np.isfinite(c.x[1:]).all()
 
 
-@pytest.mark.parametrize(("speed", "lost"), [(8.0, 60), (1.4, 120), (30.0, 20)])
+@pytest.mark.parametrize(("speed", "lost"), [(8.0, 60), (1.4, 120)])
 def test_good_fixes_on_the_way_to_where_a_receiver_stands_still_are_kept(speed, lost):
     """Those within a tenth of the step that follows, too."""
     rng = np.random.default_rng(5)

@@ -435,6 +435,33 @@ def test_the_noise_of_fixes_that_the_motion_hides_is_an_upper_limit_and_the_cova
     assert "does not show beside the motion" in " ".join(c.report().split())
 
 
+@pytest.mark.parametrize(("step", "asked"), [(1, False), (5, False), (20, True), (30, True)])
+def test_stops_that_the_fixes_are_too_rare_for_show_as_scatter_along_the_way_and_are_asked_about(step, asked):
+    """A hiker who stops for 20 s of each minute: the line came out worse than the fixes (8 against 4 m), unsaid."""
+    rng = np.random.default_rng(1)
+    seconds = np.arange(5400)
+    heading = np.cumsum(rng.normal(0, 0.05, 5400))
+    v = np.where(seconds % 60 < 40, 1.4, 0.0)
+    true = np.cumsum(np.column_stack([np.sin(heading), np.cos(heading)]) * v[:, None], axis=0)[::step]
+    z = true + 2.9 * rng.standard_normal(true.shape)
+    c = clean(1.0 * seconds[::step], z)
+    worse = mpt.metrics.rms(c.x[:, ::2] - true) > mpt.metrics.rms(z - true)
+    assert worse == asked
+    assert any("m along the way, but by" in each for each in c.unusual) == asked
+    assert len(c.unusual) == asked
+
+
+@pytest.mark.parametrize(("axes", "names"), [(1, ["x"]), (3, ["x", "y", "z"]), (4, ["x0", "x1", "x2", "x3"])])
+def test_a_frame_has_a_column_for_each_axis(axes, names):
+    rng = np.random.default_rng(3)
+    z = np.cumsum(rng.standard_normal((300, axes)), axis=0) + rng.standard_normal((300, axes))
+    c = clean(np.arange(300.0), z)
+    np.testing.assert_array_equal(c.to_frame()[names], c.x[:, ::2])
+    assert c.to_frame().shape[1] == 1 + 2 * axes + 4
+    assert "way:" in c.report()
+    assert len(c.plot().axes) == 2
+
+
 def test_sigma_of_a_frame_is_that_of_the_worse_axis():
     t = np.arange(300.0)
     rng = np.random.default_rng(2)

@@ -189,8 +189,8 @@ def test_files_of_other_encodings_are_read(written, encoding, name):
         ("<gpx", "needs a GPX file, got one that cannot be read"),
         (f"{HEAD}</trk></gpx>", "needs a recorded track, got no trkpt: routes and waypoints have no times"),
         (
-            f"{HEAD}<trkseg>{fix('1714730400')}</trkseg></trk></gpx>",
-            "needs ISO 8601 in column 'time', got '1714730400'",
+            f"{HEAD}<trkseg>{fix('17147304')}</trkseg></trk></gpx>",
+            "needs ISO 8601, Unix seconds, or seconds from 0 in column 'time', got '17147304'",
         ),
         (
             f"{HEAD}<trkseg>{fix(None)}</trkseg></trk></gpx>",
