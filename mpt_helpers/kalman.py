@@ -39,6 +39,8 @@ class KalmanFilter(RecursiveFilter):
     filterpy computes the gains and covariances of single steps, and those shared by tracks without gaps. Tracks with
     gaps, times or variances are filtered side by side as columns of arrays, by the same equations (`_engine.columns`).
 
+    A subclass with a `next_step` of its own takes t or r only with an `advance` of its own (see RecursiveFilter).
+
     Parameters
     ----------
     model : LinearModel
@@ -49,8 +51,6 @@ class KalmanFilter(RecursiveFilter):
     r : array_like (N, m) or (N, m, M), optional
         Variances of the measurements in place of the model's R, such as the accuracy that a receiver states of each
         fix. They are ignored where z is NaN.
-
-    A subclass with a `next_step` of its own takes t or r only with an `advance` of its own (see RecursiveFilter).
 
     Raises
     ------

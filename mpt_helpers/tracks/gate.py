@@ -56,8 +56,9 @@ GAP = 10
 LOOK_BACK = 30
 # Two fixes at the same time count as this many seconds apart.
 LEAST_STEP = 1e-9
-# Where S is this many times R, the difference P - K H P has lost digits, and Joseph's form takes its place.
-MUCH_LARGER = 1e6
+# Where S is MUCH_LARGER than R, the difference P - K H P has lost digits, and Joseph's form takes its place. Of a start
+# that is VAGUE, this loses them too, and the engine takes the first rows.
+MUCH_LARGER, VAGUE = 1e6, 1e12
 
 
 def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 3) -> NDArray[np.intp]:
@@ -177,6 +178,8 @@ class _RowFilter:
         self.large = (MUCH_LARGER * self.R.trace(axis1=1, axis2=2)).tolist()
         self.x, self.P = model.F @ model.x0, predicted_covariance(model, model.P0)  # of a start, before its fix
         self.starts = {}
+        least = np.diagonal(self.R, 0, 1, 2)[self.seen].min(initial=math.inf)
+        self.vague = (model.H @ self.P @ model.H.T).max() > VAGUE * least
 
     def after(self, state, k):
         """Return the state after row k without and with its measurement, the NIS, and S."""
@@ -212,7 +215,7 @@ class _RowFilter:
         """
         model, z = self.kf.model, np.where(self.seen, self.z, np.nan)
         count, state = 0, _state(model.x0, model.P0)
-        if self.kf.vague:
+        if self.vague:
             z[stop:] = np.nan
             faults = np.flatnonzero(metrics.nis(self.kf, z) > limit)
             count = int(faults[0]) if len(faults) else stop

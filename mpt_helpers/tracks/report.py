@@ -33,8 +33,9 @@ BAND_FIELDS = ("seconds", "half_width", "asked", "held", "own", "checked", "inde
 # Recorded speeds lie between those of a snail and of a fighter jet. If fixes are RARELY seconds apart and slow, their
 # times are probably in milliseconds.
 VERY_FAST, VERY_SLOW, SLOW_AND_RARE, RARELY = 400.0, 0.02, 0.4, 100.0  # m/s, m/s, m/s, s
-# Noise scatters alike along the way and across it: of FEW fixes the ratio is 1 with a standard error of a tenth.
-FEW, UNEVEN = 100, 1.5
+# Noise scatters alike along the way and across it: of FEW fixes the ratio is 1 with a standard error of a tenth. A
+# receiver's north errors may be half again as large as its east errors.
+FEW, UNEVEN = 100, 1.6
 MANY = 0.1  # share of the fixes: if more are refused, they are hardly all faults
 
 
@@ -109,14 +110,16 @@ def unusual(c: Cleaned) -> list[str]:
 
 def _along_and_across(c):
     """Return how far fixes in motion are from the smoothed line, along it and across it (rms, m), and their number."""
-    position, velocity = c.x[:, :4:2], c.x[:, 1:4:2]
+    rows = c.line.rows
+    velocity, off = c.x[rows, 1:4:2], (c.z - c.x[:, ::2])[rows, :2]
+    if c.line.relative is not None:
+        off = off / np.sqrt(c.line.relative[:, :2])
     speed = np.linalg.norm(velocity, axis=1)
-    moving = np.isfinite(c.z).all(axis=1) & c.mask & (speed > MOVING)
+    moving = np.isfinite(off).all(axis=1) & c.mask[rows] & (speed > MOVING)
     if c.z.shape[1] == 1 or not moving.any():
         return 0.0, 0.0, 0
-    off = (c.z[:, :2] - position)[moving]
-    along = np.sum(off * velocity[moving], axis=1) / speed[moving]
-    squares = np.sum(off**2, axis=1)
+    along = np.sum(off * velocity, axis=1)[moving] / speed[moving]
+    squares = np.sum(off**2, axis=1)[moving]
     return math.sqrt(np.mean(along**2)), math.sqrt(np.mean(squares - along**2)), len(along)
 
 

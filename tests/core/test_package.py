@@ -80,22 +80,22 @@ def name_of(path):
 MODULES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_imports_point_one_way(name):
+def test_imports_point_one_way():
     """Tracks over the core, the core over the engine, the engine over arrays and equations; none over the papers."""
-    inside, outside = imports(MODULES[name])
-    assert inside["reproduction"] == set()
-    used = inside["mpt_helpers"]
-    if name.endswith("__init__") or name == "__main__":
-        return
-    if name.startswith("tracks."):
-        assert not {each for each in used if each.startswith("_engine.")}
-        return
-    before = CORE[: CORE.index(name)] if name in CORE else CORE  # a module that is added may use all of the core
-    assert used <= set(before)
-    if name.startswith("_engine."):
-        assert {each for each in used if not each.startswith("_engine.")} <= OF_THE_ENGINE
-    assert outside - set(sys.stdlib_module_names) <= {"numpy", "scipy", "filterpy", "tqdm"}
+    for name, path in MODULES.items():
+        inside, outside = imports(path)
+        assert inside["reproduction"] == set(), name
+        used = inside["mpt_helpers"]
+        if name.endswith("__init__") or name == "__main__":
+            continue
+        if name.startswith("tracks."):
+            assert not {each for each in used if each.startswith("_engine.")}, name
+            continue
+        before = CORE[: CORE.index(name)] if name in CORE else CORE  # a module that is added may use all of the core
+        assert used <= set(before), name
+        if name.startswith("_engine."):
+            assert {each for each in used if not each.startswith("_engine.")} <= OF_THE_ENGINE, name
+        assert outside - set(sys.stdlib_module_names) <= {"numpy", "scipy", "filterpy", "tqdm"}, name
 
 
 def test_an_added_module_is_used_by_no_other():
@@ -216,13 +216,12 @@ def test_models_and_filters_stay_immutable_when_they_are_copied(copied):
         model.F = np.eye(4)
 
 
-@pytest.mark.parametrize("name", EVERY_FILTER)
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
-def test_a_copy_of_a_filter_that_ran_is_the_filter(copied, name):
-    each = EVERY_FILTER[name]
-    z = np.arange(20.0 * each.model.m).reshape(20, each.model.m)
-    x = each.filter(z)
-    np.testing.assert_array_equal(copied(each).filter(z), x)
+def test_a_copy_of_a_filter_that_ran_is_the_filter(copied):
+    for name, each in EVERY_FILTER.items():
+        z = np.arange(20.0 * each.model.m).reshape(20, each.model.m)
+        x = each.filter(z)
+        np.testing.assert_array_equal(copied(each).filter(z), x, err_msg=name)
 
 
 def test_a_field_can_be_replaced():
@@ -233,17 +232,16 @@ def test_a_field_can_be_replaced():
     assert replace(AXIS, x0=[1.0, 2.0]).P0.shape == (2, 2)
 
 
-@pytest.mark.parametrize("name", EVERY_FILTER)
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
-def test_models_and_filters_are_compared_by_value(copied, name):
-    each = EVERY_FILTER[name]
-    other = copied(each)
-    each.filter(np.ones((5, each.model.m)))  # what a filter keeps for its next run is no part of its value
-    assert other is not each
-    assert other == each
-    assert {each: name}[other] == name
-    assert {each.model: name}[other.model] == name
-    assert [key for key in EVERY_FILTER if EVERY_FILTER[key] == each] == [name]
+def test_models_and_filters_are_compared_by_value(copied):
+    for name, each in EVERY_FILTER.items():
+        other = copied(each)
+        each.filter(np.ones((5, each.model.m)))  # what a filter keeps for its next run is no part of its value
+        assert other is not each, name
+        assert other == each, name
+        assert {each: name}[other] == name
+        assert {each.model: name}[other.model] == name
+        assert [key for key in EVERY_FILTER if EVERY_FILTER[key] == each] == [name]
 
 
 def test_another_number_anywhere_makes_another_model_or_filter():

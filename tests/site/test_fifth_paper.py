@@ -19,7 +19,7 @@ from oracles import plain_loop, van_loan
 
 import mpt_helpers as mpt
 from reproduction.__main__ import main
-from reproduction.ledger import keys, published, stored_verdicts
+from reproduction.ledger import Paper, keys, published, read_paper, stored_verdicts
 from reproduction.ledger.items import KINDS
 from reproduction.ledger.verdicts import BASES, CAUSE_KINDS
 
@@ -157,6 +157,22 @@ def test_an_item_without_a_verdict_is_an_error_that_names_it(copy, monkeypatch):
         published(KEY).complete([each for each in verdicts if each.id != "units"])
 
 
+def test_without_its_cause_a_failing_item_stops_the_run_in_the_words_of_the_page():
+    """The ledger of the page as it is before the first run."""
+    before = blocks("toml")[0].replace(', cause = "digits-exchanged"', "")
+    gain = (5**0.5 - 1) / 2  # the settled gain, and the settled variance
+    with pytest.raises(ValueError, match="needs a cause") as stopped:
+        read_paper(KEY, before).table("table1", [gain, gain])
+    _, _, message = str(stopped.value).partition("'table1.variance': ")
+    assert f"`{message}`" in PAGE
+
+
+def test_the_calls_of_the_page_are_those_of_a_paper():
+    calls = set(re.findall(r"`paper\.(\w+)", PAGE))
+    assert {"table", "equal", "claims", "lacking", "check", "claim", "cannot_check"} <= calls
+    assert [call for call in calls if not callable(getattr(Paper, call))] == []
+
+
 def test_the_page_says_of_cells_what_the_tests_hold_notebooks_to():
     cells = [cell for path in NOTEBOOKS for cell in cells_of(path)]
     folded = [cell["metadata"] for cell in cells if "hide-input" in cell["metadata"].get("tags", [])]
@@ -168,11 +184,11 @@ def test_the_page_names_every_kind_of_item_and_cause_and_every_basis():
         assert f"`{kind}`" in PAGE, kind
 
 
-def test_the_page_names_every_part():
+def test_the_layout_names_every_part():
     contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    (table,) = re.findall(r"(?s)\| part \|.*?\n\n", contributing)
+    (layout,) = re.findall(r"### Layout\n\n((?:    .*\n)+)", contributing)
     for name in ("mpt_helpers/", "reproduction/", "ledger/", "notebooks/", "docs/", "benchmarks/", "tests/"):
-        assert f"`{name}`" in table, name
+        assert name in layout.split(), name
 
 
 def text_of(kind):
@@ -203,11 +219,12 @@ def test_a_motion_is_one_file(added):
     """With times and gaps of its own it is filtered as by a plain loop, smoothed, fitted, and given a band."""
     motion = added("motion").Forgetful
     rng = np.random.default_rng(5)
-    t = np.cumsum(0.1 + rng.exponential(2.0, 300))  # over shorter ones its formula loses digits, and a filter warns
+    t = np.cumsum(0.001 + rng.exponential(2.0, 300))
     drift = np.array([[0, 1], [0, -1 / 20]])
-    for length in (0.02, 6.0, 40.0):
-        for made, right in zip(motion(20.0, 0.04)(length), van_loan(drift, [0, 0.04], length), strict=True):
-            np.testing.assert_allclose(made, right, rtol=1e-6, atol=1e-15)
+    for length in (1e-9, 0.02, 2.1, 2.2, 6.0, 40.0):  # from 2.107 s on, Q is no series
+        (F, Q), (F_right, Q_right) = motion(20.0, 0.04)(length), van_loan(drift, [0, 0.04], length)
+        np.testing.assert_allclose(F, F_right, rtol=1e-12, atol=1e-15)  # the oracle's zero is 1e-16
+        np.testing.assert_allclose(Q, Q_right, rtol=1e-12)  # 0.1 less 0.1 leaves 0.1**3 / 3 with 13 digits
 
     def model(q, r):
         return mpt.LinearModel(transition=motion(20.0, q), dt=1.0, H=[[1, 0]], R=[[r]], P0=np.eye(2))
@@ -227,6 +244,30 @@ def test_a_motion_is_one_file(added):
     found = mpt.fit(lambda q, r: mpt.KalmanFilter(model(q, r), t=t), z, q=0.1, r=1.0)
     assert abs(np.log(found.values["r"] / 0.5)) < 3 * found.log_errors["r"]
     assert np.isfinite(mpt.metrics.following(mpt.metrics.ahead(kf, z, 3.0))).any()
+
+
+def test_the_page_of_extensions_prints_what_it_says(tmp_path, monkeypatch, capsys):
+    """The three files lie beside the script, as a user has them."""
+    for kind in ("motion", "filter", "gate"):
+        name, text = text_of(kind)
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    names = {}
+    exec("".join(re.findall(r"```python use\n(.*?)```", EXTENDING, re.DOTALL)), names)
+    assert capsys.readouterr().out == "".join(re.findall(r"```text\n(.*?)```", EXTENDING, re.DOTALL))
+    assert names["plane"].n == 4
+    assert names["counts"].all()  # no outlier was simulated
+    np.testing.assert_array_equal(names["x_gated"], names["x"])
+    assert not np.allclose(names["x_fading"], names["x"])
+
+
+def test_another_motion_is_refused_in_the_words_of_the_page():
+    def constant_within_a_step(dt):
+        return np.array([[1, dt], [0, 1]]), np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
+
+    with pytest.raises(ValueError, match="transition: needs two steps") as refused:
+        mpt.LinearModel(transition=constant_within_a_step, dt=1.0, H=[[1, 0]], R=[[0.5]])
+    assert f"`{refused.value}`" in EXTENDING
 
 
 def test_a_filter_is_one_file(added):

@@ -451,6 +451,15 @@ def test_stops_that_the_fixes_are_too_rare_for_show_as_scatter_along_the_way_and
     assert len(c.unusual) == asked
 
 
+def test_fixes_that_are_less_precise_along_the_way_are_no_sign_of_stops():
+    t = np.arange(300.0)
+    true = np.column_stack([5.0 * t, 0.1 * t])
+    sigma = np.array([6.0, 2.0])
+    z = true + sigma * np.random.default_rng(5).standard_normal((300, 2))
+    assert clean(t, z, r=np.tile(sigma**2, (300, 1))).unusual == []
+    assert "along the way" in clean(t, z).unusual[0]
+
+
 @pytest.mark.parametrize(("axes", "names"), [(1, ["x"]), (3, ["x", "y", "z"]), (4, ["x0", "x1", "x2", "x3"])])
 def test_a_frame_has_a_column_for_each_axis(axes, names):
     rng = np.random.default_rng(3)
