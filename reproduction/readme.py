@@ -16,8 +16,8 @@ COUNTS = (
 WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
 HOLDS = (
     "A number *holds* if we compute the digits that are printed, or if it lies within the spread of our simulations; a "
-    "claim if it meets a rule that stands beside it. *In part* means under conditions that are named. What *fails* has "
-    "its reason beside it, proved where it could be. Figures are drawn again on tracks of our own, since our copies "
+    "claim if it meets a rule that stands beside it. *In part* means under conditions that are named. Each failure has "
+    "its reason beside it, proved where possible. Figures are drawn again on tracks of our own, since our copies "
     "have lost the pictures and the papers print no data."
 )
 BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re.DOTALL)
