@@ -63,12 +63,14 @@ INCLUDE = re.compile(r"<!-- include (\w+\.html) -->")
 CHECKOUT = re.compile(r" ?<!-- checkout -->.*?<!-- /checkout -->", re.DOTALL)  # for readers of a checkout only
 
 
+FOLDED = re.compile(r"(?m)^</?details>.*\n\n")  # around code that a page folds away, and a notebook does not
 SOURCE = "<!-- archive -->"  # where the site leads to the source, which a reader of a checkout has
 # Pages whose blocks of Python can be downloaded as a notebook, and those that stand below the guide, where they are.
-GUIDES = ("guide", "by_hand")
+GUIDES = ("guide", "by_hand", "band")
 BELOW_GUIDE = {
-    "by_hand": "Every step by hand",
-    "small_processor": "A small processor",
+    "by_hand": "By hand",
+    "band": "What a band is worth",
+    "small_processor": "Live, two sensors, a small processor",
     "smoothing": "Smoothing with the phase",
     "other_packages": "From another package",
 }
@@ -460,6 +462,7 @@ def guide_as_notebook(text, pictures, archive):
     notebook.cells.append(
         nbformat.v4.new_markdown_cell(HOW_TO_RUN.format(archive=archive or "the source"), id="install")
     )
+    text = FOLDED.sub("", text)
     for i, part in enumerate(re.split(r"(?ms)(^```python\n.*?^```$(?:\n\n```text\n.*?^```$)?)", text)):
         block = re.fullmatch(r"(?s)```python\n(.*?)\n```(?:\n\n```text\n(.*?)```)?", part)
         if block:

@@ -17,7 +17,7 @@ from reproduction import figures, plots
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "guide"
-PAGES = ("guide.md", "by_hand.md", "small_processor.md")
+PAGES = ("guide.md", "by_hand.md", "band.md", "small_processor.md")
 BLOCK = r"^```python\n(?P<code>.*?)^```$(?:\n\n```text\n(?P<said>.*?)^```$)?"
 PART = re.compile(rf"(?ms){BLOCK}|^!?\[[^\]]*\]\(guide/(?P<name>\w+)\.png\)")
 

@@ -352,9 +352,9 @@ def clean(
     seconds = checks.duration("seconds", seconds)
     limit = checks.number("limit", limit, "a squared distance in variances, above 1, as 100", lambda value: value > 1)
     pause = None if pause is None else checks.duration("pause", pause)
-    t, z, relative, another = checked_track(t, z, r, segment)
+    t, z, relative, begins_segment = checked_track(t, z, r, segment)
     rounding = max(map(grid_of, z.T)) ** 2 / 12 if rounding is None else checks.not_negative("rounding", rounding)
-    fixes = fixes_of(t, z, another, rounding, pause)
+    fixes = fixes_of(t, z, begins_segment, rounding, pause)
     # The gate restarts with each recording, so an hour stands for any pause, and for any step back in time.
     clock = np.cumsum(np.append(0.0, np.where(fixes.begin[1:], HOUR_BETWEEN, np.diff(t[fixes.rows]))))
     own = z[fixes.rows]

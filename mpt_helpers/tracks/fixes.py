@@ -54,11 +54,11 @@ def checked_track(t, z, r, segment):
     segment = np.zeros(len(z)) if segment is None else np.asarray(segment)
     if segment.shape != (len(z),):
         checks.refuse("segment", f"a number or a name for each of {len(z)} rows", f"shape {segment.shape}")
-    another = np.append(False, segment[1:] != segment[:-1])
+    begins_segment = np.append(False, segment[1:] != segment[:-1])
     order = np.argsort(t, kind="stable")  # segments may be out of order, the rows of a segment may not
     times = np.empty(len(z))
     times[order] = checks.times("t", np.asarray(t)[order])
-    back = (np.diff(times) < 0) & ~another[1:]
+    back = (np.diff(times) < 0) & ~begins_segment[1:]
     if back.any():
         checks.refuse("t", "times that do not decrease within a segment", f"less in row {np.argmax(back) + 1}")
     whole = np.isfinite(z).all(axis=1).sum()
@@ -66,7 +66,7 @@ def checked_track(t, z, r, segment):
         checks.refuse("z", f"at least {FEWEST} fixes with all axes", int(whole))
     if (np.nanmax(z, axis=0) == np.nanmin(z, axis=0)).all():
         checks.refuse("z", "a track that moves", f"one position {whole} times")
-    return times, z, None if r is None else _relative(r, z), another
+    return times, z, None if r is None else _relative(r, z), begins_segment
 
 
 def _relative(r, z):
@@ -80,11 +80,11 @@ def _relative(r, z):
     return np.where(there, r / np.median(r[there]), 1.0)
 
 
-def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pause: float | None) -> Fixes:
-    """Return the Fixes of a track; `another` (N,) marks where a segment begins, `rounding` is a variance."""
+def fixes_of(t: Array, z: Array, begins_segment: NDArray[np.bool_], rounding: float, pause: float | None) -> Fixes:
+    """Return the Fixes of a track; `begins_segment` (N,) marks where a segment begins, `rounding` is a variance."""
     seen = np.isfinite(z).any(axis=1)
-    early = _at_one_time(t, z, another, np.flatnonzero(seen))
-    again = _repeated(t, z, another, rounding, np.flatnonzero(seen & ~early))
+    early = _at_one_time(t, z, begins_segment, np.flatnonzero(seen))
+    again = _repeated(t, z, begins_segment, rounding, np.flatnonzero(seen & ~early))
     fix = seen & ~early & ~again
     row = np.arange(len(t))
     before = np.maximum.accumulate(np.where(fix, row, 0))
@@ -96,7 +96,7 @@ def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pa
     if again.any():
         said.append(f"{again.sum()} rows repeat a position while the mobile moves on: they are no fixes")
     rows = np.flatnonzero(fix)
-    begin = _begins(t[rows], another[rows], pause)
+    begin = _begins(t[rows], begins_segment[rows], pause)
     stray = _strays(t[rows], begin)
     if stray.any():
         said.append(f"refused: {stray.sum()} fixes whose time is months or years from all others")
@@ -114,18 +114,18 @@ def fixes_of(t: Array, z: Array, another: NDArray[np.bool_], rounding: float, pa
     return Fixes(rows, begin, same_as, said)
 
 
-def _at_one_time(t, z, another, rows):
+def _at_one_time(t, z, begins_segment, rows):
     """Return the mask (N,) of those `rows` that have the time of the next one, which has all their axes.
 
     A receiver that catches up gives several fixes the time of the newest, so the last of them counts.
     """
     early = np.zeros(len(t), dtype=bool)
     has_all = (np.isfinite(z[rows[1:]]) | np.isnan(z[rows[:-1]])).all(axis=1)
-    early[rows[:-1]] = (np.diff(t[rows]) == 0) & ~another[rows[1:]] & has_all
+    early[rows[:-1]] = (np.diff(t[rows]) == 0) & ~begins_segment[rows[1:]] & has_all
     return early
 
 
-def _repeated(t, z, another, rounding, rows):
+def _repeated(t, z, begins_segment, rounding, rows):
     """Return the mask (N,) of those `rows` that repeat a position because rows are written faster than fixes are made.
 
     A mobile at rest repeats its position too. So there are none unless repeats are frequent while the mobile moves, and
@@ -134,7 +134,7 @@ def _repeated(t, z, another, rounding, rows):
     again = np.zeros(len(t), dtype=bool)
     steps = np.linalg.norm(np.diff(z[rows], axis=0), axis=1)
     least = HUNDREDTH * np.nanquantile(steps, NEARLY_ALL) if np.isfinite(steps).any() else 0.0
-    new = np.append(True, ~(steps <= least) | another[rows[1:]])
+    new = np.append(True, ~(steps <= least) | begins_segment[rows[1:]])
     first = rows[new]
     if len(first) < FEWEST:
         return again
@@ -152,13 +152,13 @@ def _repeated(t, z, another, rounding, rows):
     return again
 
 
-def _begins(t, another, pause):
+def _begins(t, begins_segment, pause):
     """Return the mask of the fixes, at times t, that begin a recording: at the start, after a pause, with a segment."""
     steps = np.diff(t)
     if pause is None:
         inside = steps[steps > 0]
         pause = max(PAUSE, PAUSE_IN_STEPS * float(np.median(inside))) if len(inside) else PAUSE
-    return np.append(True, (steps > pause) | (steps < 0) | another[1:])
+    return np.append(True, (steps > pause) | (steps < 0) | begins_segment[1:])
 
 
 def _strays(t, begin):

@@ -20,8 +20,8 @@ from ..search import AROUND, SIGNIFICANT, along_a_line
 # a fix the variance of the velocity grows by q T, which must reach the square of FORGOTTEN usual speeds. That of the
 # position grows by q T³ / 3, which must stay below HELD times r for double precision.
 HOUR_BETWEEN, FORGOTTEN, HELD = 3600.0, 8, 1e20
-# The largest variance of an unknown start, over r: of a larger one rounding leaves the smoother few digits.
-VAGUE = 1e13
+# The initial speed is known to at most so many sigmas of a fix per step: `smooth` has no digits beside a vaguer one.
+VAGUEST_SPEED = 1e7
 # q and r are fitted to at most MOST_FITTED fixes, in parts spread over the track. These determine both to 1 %.
 MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
 # Limits of log(r / q), with r / q in units of the median step cubed (s³); the points of the global search; and the
@@ -177,21 +177,24 @@ def _ends(z):
 def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
     """Return the filter of a track, with an initial sigma of ten steps in position and two usual speeds in velocity."""
     sigma = 10 * (math.sqrt(noise.r) + scale.speed * scale.step)
-    P0 = np.diag([sigma**2, (2 * scale.speed) ** 2])
-    axis = constant_velocity(dt=scale.step, q=noise.q, r=noise.r, P0=P0)
+    axis = _axis(noise.q, noise.r, scale, relative, sigma, 2 * scale.speed)
     return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else noise.r * relative)
 
 
 def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> KalmanFilter:
     """Return the filter of one axis, with an initial sigma of a hundred usual steps and ten usual speeds.
 
-    It filters each axis of z (K, 1, m) as a track. Beside a tiny r less says as little, and leaves the smoother its
-    digits.
+    It filters each axis of z (K, 1, m) as a track.
     """
-    most = VAGUE * r
-    P0 = np.diag([min((100 * scale.speed * scale.step) ** 2, most), min((10 * scale.speed) ** 2, most / scale.step**2)])
-    axis = constant_velocity(dt=scale.step, q=q, r=r, P0=P0)
+    axis = _axis(q, r, scale, line.relative, 100 * scale.speed * scale.step, 10 * scale.speed)
     return KalmanFilter(axis, t=line.t, r=None if line.relative is None else r * line.relative[:, None])
+
+
+def _axis(q, r, scale, relative, sigma, sigma_of_speed):
+    """Return the model of one axis, with the initial sigmas of its position and speed."""
+    of_fix = math.sqrt(r if relative is None else r * float(relative.min()))
+    sigma_of_speed = min(sigma_of_speed, VAGUEST_SPEED * of_fix / scale.step)
+    return constant_velocity(dt=scale.step, q=q, r=r, P0=np.diag([sigma**2, sigma_of_speed**2]))
 
 
 def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:

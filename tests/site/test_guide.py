@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
+import pages
 import pytest
 import run_guide
 from conftest import ROOT
@@ -15,7 +16,8 @@ from mpt_helpers.tracks import cleaning
 
 GUIDE = (run_guide.DOCS / "by_hand.md").read_text(encoding="utf-8")  # every step
 SHORT = (run_guide.DOCS / "guide.md").read_text(encoding="utf-8")  # one command
-OTHER = {name: (run_guide.DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("small_processor",)}
+BAND = (run_guide.DOCS / "band.md").read_text(encoding="utf-8")  # what a band is worth
+OTHER = (run_guide.DOCS / "small_processor.md").read_text(encoding="utf-8")  # live, two sensors, a small processor
 RECORDED = [
     "ride",
     "glider_nz_3s",
@@ -49,39 +51,16 @@ def guide():
     return ran(GUIDE)
 
 
-@pytest.fixture(scope="module", params=OTHER)
-def other(request):
-    """A run of a page beside the guides."""
-    return ran(OTHER[request.param])
+@pytest.fixture(scope="module")
+def band():
+    """A run of the page on what a band is worth."""
+    return ran(BAND)
 
 
-def test_the_blocks_of_the_other_pages_print_what_they_say(other):
-    _, printed, _ = other
-    assert len(printed) == 1
-    assert set(run_guide.PAGES) == {"guide.md", "by_hand.md", *(f"{name}.md" for name in OTHER)}
-    for said, made in printed:
-        assert made == said
-
-
-def blocks(*first_words, names=None):
-    """Run the blocks of the guide that hold these words and return the names that they define."""
-    names = {"np": np, "mpt": mpt} if names is None else names
-    codes = [part["code"] for part in run_guide.PART.finditer(GUIDE) if part["code"]]
-    for words in first_words:
-        (code,) = (code for code in codes if words in code)
-        for _ in run_guide.run(f"```python\n{code}```", names):
-            pass
-    return names
-
-
-def test_the_blocks_print_what_the_guide_says(guide):
-    _, printed, _ = guide
-    assert len(printed) > 15
-    for said, made in printed:
-        assert made == said
-
-
-PINNED = re.search(r"matplotlib==([\d.]+)", (ROOT / "environment.txt").read_text(encoding="utf-8"))[1]
+@pytest.fixture(scope="module")
+def other():
+    """A run of the page of other cases."""
+    return ran(OTHER)
 
 
 @pytest.fixture(scope="module")
@@ -90,11 +69,34 @@ def short():
     return ran(SHORT)
 
 
-def test_the_blocks_of_the_short_guide_print_what_it_says(short):
-    _, printed, _ = short
-    assert len(printed) > 5
+@pytest.mark.parametrize(("page", "least"), [("guide", 9), ("band", 7), ("other", 4), ("short", 6)])
+def test_the_blocks_print_what_their_page_says(page, least, request):
+    _, printed, _ = request.getfixturevalue(page)
+    assert len(printed) >= least
     for said, made in printed:
         assert made == said
+
+
+def test_these_are_all_pages_that_are_run():
+    assert set(run_guide.PAGES) == {"guide.md", "by_hand.md", "band.md", "small_processor.md"}
+
+
+def codes(text):
+    """The blocks of a page."""
+    return [part["code"] for part in run_guide.PART.finditer(text) if part["code"]]
+
+
+def blocks(*first_words, text=GUIDE, names=None):
+    """Run the blocks of a page that hold these words and return the names that they define."""
+    names = {"np": np, "mpt": mpt} if names is None else names
+    for words in first_words:
+        (code,) = (code for code in codes(text) if words in code)
+        for _ in run_guide.run(f"```python\n{code}```", names):
+            pass
+    return names
+
+
+PINNED = re.search(r"matplotlib==([\d.]+)", (ROOT / "environment.txt").read_text(encoding="utf-8"))[1]
 
 
 def test_the_numbers_in_the_words_of_the_short_guide_are_right(short):
@@ -128,67 +130,137 @@ def contents(text):
 def test_the_short_guide_comes_in_the_order_that_a_reader_needs():
     assert [name for _, name in sections(SHORT)[:3]] == ["Install", "One command", "The same in Python"]
     assert contents(SHORT) == sections(SHORT)
-    assert set(re.findall(r"\(by_hand\.md#([^)]+)\)", SHORT)) <= set(dict(sections(GUIDE)))
 
 
 @pytest.mark.skipif(matplotlib.__version__ != PINNED, reason="another matplotlib draws other pixels")
-def test_the_pictures_are_those_of_the_blocks(guide, short):
-    pictures = guide[2] | short[2]
+def test_the_pictures_are_those_of_the_blocks(guide, band, short):
+    pictures = guide[2] | band[2] | short[2]
     stored = {path.stem: path.read_bytes() for path in run_guide.PICTURES.glob("*.png")}
-    assert set(pictures) == set(stored) == set(re.findall(r"\(guide/(\w+)\.png\)", GUIDE + SHORT))
+    assert set(pictures) == set(stored) == set(re.findall(r"\(guide/(\w+)\.png\)", GUIDE + BAND + SHORT))
     for name, png in pictures.items():
         assert png == stored[name], name
 
 
-def test_a_picture_stands_before_all_sections_and_which_filter_to_take_stands_first():
+def test_a_picture_stands_before_all_sections_and_the_choice_of_a_filter_stands_last():
     assert GUIDE.index("![") < GUIDE.index("\n## ")
-    assert sections(GUIDE)[0][1] == "Which filter"
+    assert sections(GUIDE)[-1][1] == "Where next"
     assert contents(GUIDE) == sections(GUIDE)
 
 
-def test_links_lead_to_files_of_a_checkout():
-    pages = "\n".join(
-        [GUIDE, SHORT, *OTHER.values(), (run_guide.DOCS / "other_packages.md").read_text(encoding="utf-8")]
-    )
-    links = re.findall(r'\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)|href="([^"#]+)"', pages)
+def test_links_lead_to_files_of_a_checkout_and_to_their_sections():
+    docs = run_guide.DOCS
+    pages = "\n".join([GUIDE, SHORT, BAND, OTHER, (docs / "other_packages.md").read_text(encoding="utf-8")])
+    links = re.findall(r'\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)|href="([^"#]+)"', pages)
     assert len(links) > 15
     assert set(re.findall(r'href="#([^"]+)"', GUIDE)) <= set(dict(sections(GUIDE)))
-    for link in links:
-        assert (ROOT / "docs" / "".join(link)).is_file(), link
+    assert set(re.findall(r"\(#([^)]+)\)", GUIDE)) <= set(dict(sections(GUIDE)))
+    for page, section, file in links:
+        target = docs / (page or file or "by_hand.md")
+        assert target.is_file(), target
+        if page.endswith(".md") and section:
+            assert section in dict(sections(target.read_text(encoding="utf-8"))), (page, section)
+    for lesson in (ROOT / "notebooks" / "lessons").glob("*.ipynb"):
+        linked = re.findall(r"docs/by_hand\.md#([a-z-]+)", lesson.read_text(encoding="utf-8"))
+        assert set(linked) <= set(dict(sections(GUIDE)))
+
+
+def test_code_that_is_folded_away_on_the_page_is_whole_in_the_notebook():
+    assert GUIDE.count("<details><summary>") == GUIDE.count("</details>") == 2
+    notebook = pages.guide_as_notebook(GUIDE, run_guide.DOCS, "")
+    assert not any("details>" in cell.source for cell in notebook.cells)
+    drawn = [cell for cell in notebook.cells if cell.cell_type == "code" and "Figure(" in cell.source]
+    assert len(drawn) == 2
+    assert all("image/png" in cell.outputs[-1].data for cell in drawn)
 
 
 def test_the_headline_is_what_the_second_half_shows(guide):
-    a, band = guide[0]["bands"][10]
-    unseen = a.row >= guide[0]["half"]
-    (own, follows) = re.search(r"own 95 % band holds (\d+) %; the band that follows .* holds (\d+) %", GUIDE).groups()
+    a, band, half = (guide[0][name] for name in ("a", "band", "half"))
+    unseen = a.row >= half
+    (own, follows) = re.search(
+        r"own 95 % band \(grey\) holds (\d+) %; the band .* \(light blue\) holds (\d+) %", GUIDE
+    ).groups()
     inside = [(np.abs(a.errors) <= width)[unseen].mean() for width in (1.96 * a.sigma, band)]
     assert [f"{100 * share:.0f}" for share in inside] == [own, follows]
+    wider = np.median(band[unseen], axis=0) / np.median(1.96 * a.sigma[unseen], axis=0)
+    np.testing.assert_allclose(wider, 5 / 3, rtol=0.02)
+    assert "two thirds more width" in GUIDE
 
 
-def test_a_jump_stands_out_in_the_nis_and_the_mean_after_the_fit_does_not_see_it(guide):
-    names, printed, _ = guide
+def test_the_first_picture_shows_turns_and_a_band_that_learns_ten_seconds_late(band):
+    names = band[0]
+    due, error, half_width, missed, shown = (names[name] for name in ("due", "error", "half_width", "missed", "shown"))
+    assert "at 3215 s it is widest, and the error is already over" in GUIDE
+    at = np.flatnonzero(due == 3215)[0]
+    assert half_width[at] > 0.95 * half_width.max()
+    assert np.abs(error[at]) < 1.96 * names["a"].sigma[shown, 0][at] * 1.1
+    assert "by more than 25°" in BAND
+    direction = names["velocity"] @ [1, 1j]
+    made, due_row = names["a"].row[shown], names["a"].due_row[shown]
+    turned = np.degrees(np.abs(np.angle(direction[due_row] * direction[made].conj())))
+    assert turned[missed].min() > 25
+    assert np.median(turned[~missed]) < 5
+
+
+def test_the_pages_agree_on_the_filter(guide, band, other):
+    """The q that two pages have written down is that of the fit, to four digits, and so are their bands."""
+    q, r = guide[0]["q"], guide[0]["r"]
+    assert band[0]["r"] == r
+    np.testing.assert_allclose(band[0]["q"], q, rtol=1e-3)
+    np.testing.assert_allclose(band[0]["bands"][10][1], guide[0]["band"], rtol=0.01)
+    np.testing.assert_allclose(other[0]["kf"].model.R[0, 0], r)
+    np.testing.assert_allclose(other[0]["kf"].model.Q[1, 1], q, rtol=1e-3)
+
+
+def test_the_scores_in_the_words_are_those_printed(band):
+    (said,) = (made for _, made in band[1] if "score" in made)
+    ratios = {
+        name: [float(x) for x in re.findall(rf"(0\.\d+) of that of {name}", said)] for name in ("random", "constant")
+    }
+    assert max(ratios["random"]) < 0.5
+    assert "more than twice as large" in BAND
+    assert ratios["constant"] == [0.81, 0.99, 0.99]
+    assert "the filter's wins at 1 s (0.81), not from 10 s on (0.99)" in BAND
+    assert "at 10 s a constant sigma under the same rule does as well" in GUIDE
+
+
+def test_a_jump_stands_out_in_the_nis_and_the_mean_after_the_fit_does_not_see_it(guide, band):
+    names = guide[0]
     assert "100 times above the limit" in GUIDE
     nis = mpt.metrics.nis(names["guess"], names["spoilt"])
     far = np.flatnonzero(nis > 100 * 5.99)
     assert len(far) >= 3
     assert (far > names["lost"]).all()
     assert (far < names["back"] + 5).all()
-    assert "q more than five times too large" in GUIDE
-    assert 5 < names["bad"].values["q"] / names["fit"].values["q"] < 6
-    assert "Twenty-five of some 2,300 fixes" in GUIDE
+    assert "q more than five times too large" in BAND
+    assert 5 < band[0]["bad"].values["q"] / names["q"] < 6
+    assert "Twenty-five of some 2,300 fixes" in BAND
     assert (names["spoilt"] != names["z"]).any(axis=1).sum() == pytest.approx(25, abs=2)
     assert names["half"] == pytest.approx(2300, abs=50)
-    means = [float(re.search(r"mean (\d+\.\d+)", made)[1]) for _, made in printed if "NIS: mean" in made][-2:]
-    medians = [float(re.search(r"median (\d+\.\d+)", made)[1]) for _, made in printed if "NIS: mean" in made][-2:]
+    fits = [next(made for _, made in page[1] if "NIS: mean" in made and "q = " in made) for page in (guide, band)]
+    means, medians, above = (
+        [float(re.search(rf"{word} (\d+\.\d+)", made)[1]) for made in fits] for word in ("mean", "median", "5.99:")
+    )
     np.testing.assert_allclose(means, 2, atol=0.02)  # both fits are right by it
-    assert medians[1] < medians[0] / 4
+    assert medians[1] < medians[0] / 4 < 1.39 / 4
+    assert above[0] > 5 > 1 > above[1]  # the second and the third line of the table
 
 
-def test_only_one_state_is_covered_below_85_percent_and_it_is_the_one_that_the_guide_names(guide):
-    (said,) = (made for _, made in guide[1] if "on the worse axis" in made)
+def test_a_live_band_that_is_not_told_of_a_new_start_is_nearly_twice_as_wide(other):
+    (code,) = (code for code in codes(OTHER) if "def go" in code)
+    told = "            live = mpt.bands.LiveBand(kf, seconds=10)\n            live.log_f = learnt\n"
+    assert code.count(told) == 1
+    names = blocks("def go", text=f"```python\n{code.replace(told, '')}```")
+    wider = np.median(names["minute"], axis=0) / np.median(other[0]["minute"], axis=0)
+    assert "nearly twice as wide" in OTHER
+    assert (wider > 1.75).all()
+    assert (wider < 2).all()
+
+
+def test_only_one_state_is_covered_below_85_percent_and_it_is_the_one_that_the_page_names(band):
+    (said,) = (made for _, made in band[1] if "on the worse axis" in made)
     below = re.findall(r"(?m)^ *(\d+) s, ([a-z ]+): 0\.(?:[0-7]\d|8[0-4]) ± .*, (\d+) independent", said)
     assert below == [("1", "after standing still", "17")]
-    assert "starting from rest, one second ahead; and seventeen predictions" in GUIDE
+    assert "starting from rest, one second ahead; and seventeen predictions" in BAND
 
 
 def test_a_pandas_frame_with_a_time_index_becomes_a_track():
@@ -196,7 +268,7 @@ def test_a_pandas_frame_with_a_time_index_becomes_a_track():
     lat, lon = ride.origin[0] + np.array([0, 0.0009]), ride.origin[1] + np.zeros(2)
     pandas = pytest.importorskip("pandas")
     index = pandas.DatetimeIndex(["2020-04-18 11:15:44", "2020-04-18 11:15:45.5"], tz="UTC")
-    names = blocks("def from_frame", names={"tracks": tracks})
+    names = blocks("def from_frame", text=OTHER, names={})
     t, z = names["from_frame"](pandas.DataFrame({"lat": lat, "lon": lon}, index=index))
     np.testing.assert_allclose(t, [0, 1.5])
     np.testing.assert_allclose(z, [[0, 0], [0, 100.1]], atol=0.1)
@@ -212,9 +284,8 @@ def test_the_fit_refuses_a_track_in_utm():
 
 
 def test_a_constant_gain_costs_what_its_page_says():
-    text = OTHER["small_processor"]
-    assert "as good while fixes come, and several times worse just after a gap" in text
-    (said,) = (part["said"] for part in run_guide.PART.finditer(text))
+    assert "as good while fixes come, and several times worse just after a gap" in OTHER
+    (said,) = (part["said"] for part in run_guide.PART.finditer(OTHER) if "steady state" in (part["said"] or ""))
     errors = {
         line.partition(":")[0]: [float(x) for x in re.findall(r"(\d+\.\d+) m", line)] for line in said.splitlines()
     }
@@ -242,10 +313,7 @@ def test_the_lines_of_the_guide_give_true_bands_on_recorded_tracks(name, first_h
     """90 to 98 % of an unseen half per axis at 1 and 10 s, 0.6 of the score of random sigmas, no state below 85 %."""
     t, z = recorded(name, first_half_unseen)
     names = blocks("def model", names={"np": np, "mpt": mpt, "t": t, "z": z})
-    blocks("half = len(t) // 2", names=names)
-    if names["fit"].values["r"] < 0.01**2:
-        blocks("r = grid**2 / 12", names=names)
-    blocks("kf = mpt.KalmanFilter(model(q, r), t=t)", names=names)
+    blocks("half = len(t) // 2", "r = grid**2 / 12", names=names)
     horizons = [seconds for seconds in (1, 10) if np.median(np.diff(t)) <= 1.5 * seconds]
     assert 10 in horizons
     kf, half = names["kf"], names["half"]
@@ -318,29 +386,37 @@ FEW_STEPS = [  # pauses, steps of all lengths, few fixes; `make slow` runs the o
 
 @pytest.mark.parametrize("name", FEW_STEPS)
 def test_the_blocks_run_as_they_stand_on_other_tracks(name, tmp_path, monkeypatch):
-    """From Read to Go live with nothing but the name of the file replaced: no refusal, no empty picture.
+    """Both pages with nothing but the name of the file replaced: no refusal, no empty picture.
 
     The figures are built and not drawn: what takes long is to draw them.
     """
     monkeypatch.setattr(run_guide.figures, "save_figure", lambda fig, *_: SimpleNamespace(png=drawn_values(fig)))
     gpx_file(tmp_path / "other.gpx", OTHER_STEPS[name])
-    text = GUIDE.partition("## Two sensors")[0].replace("tracks/ride.gpx", str(tmp_path / "other.gpx"))
-    names, parts, pictures = ran(text)
+    names, parts, pictures = ran(GUIDE.replace("tracks/ride.gpx", str(tmp_path / "other.gpx")))
+    by_hand = dict(names)
+    own = BAND.partition("## Three horizons")[2]  # the block above rebuilds the ride
+    for part, made in run_guide.run(own, names):
+        if part["name"]:
+            pictures[part["name"]] = made
+        else:
+            parts.append(("", made))
     printed = "".join(made for _, made in parts)
     assert "fit: r: the likelihood does not fall" not in printed
     assert "r" in names["fit"].values  # it is known, and stays
     assert "nan" not in printed
-    assert list(pictures) == ["look", "band", "smooth"]
+    assert list(pictures) == ["look", "smooth", "band"]
     assert all(np.isfinite(values).sum() > 20 for values in pictures.values())
     t, z, near = names["t"], names["z"], names["near"]
     np.testing.assert_allclose(z[0], 0, atol=1e-9)
     step = np.median(np.diff(t))
     assert min(names["horizons"]) >= 0.8 * step
     assert near == 10 or abs(near - step) <= 0.3 * step
-    assert f"{near:g} s after the end" in printed
+    assert f"{by_hand['near']:g} s after the end" in printed
+    assert abs(by_hand["near"] - max(10, step)) <= 0.5 * step
+    assert len(by_hand["a"].row) > len(t) / 3
     assert len(names["due"]) > 5
-    assert names["hidden"][names["rows"]].any()
-    assert np.isfinite(names["expected"].half_width).all()
+    assert by_hand["hidden"][by_hand["rows"]].any()
+    assert np.isfinite(names["width"]).all()
     before = names["before"]
     assert (t[before][1:] <= np.maximum(t[1:] - 10, t[0])).all()
     assert (t[before + 1] > t - 10).all()
@@ -353,7 +429,7 @@ def test_the_share_inside_a_smoothed_band_counts_the_noise_of_the_fixes():
     model = names["model"](0.05, r)
     _, z = mpt.simulate(model, N=7200, rng=np.random.default_rng(1))
     names |= {"kf": mpt.KalmanFilter(model), "z": z, "r": r}
-    (code,) = (part["code"] for part in run_guide.PART.finditer(GUIDE) if "hidden = (" in (part["code"] or ""))
+    (code,) = (code for code in codes(GUIDE) if "hidden = (" in code)
     ((_, made),) = run_guide.run(f"```python\n{code}```", names)
     shares = [int(share) for share in re.findall(r"m in the gaps, (\d+)% within 1.96 sigma", made)]
     assert len(shares) == 2
@@ -361,7 +437,7 @@ def test_the_share_inside_a_smoothed_band_counts_the_noise_of_the_fixes():
 
 
 def blocks_of_states(names):
-    (code,) = (part["code"] for part in run_guide.PART.finditer(GUIDE) if "known = {" in (part["code"] or ""))
+    (code,) = (code for code in codes(BAND) if "known = {" in code)
     own = dict(names)
     exec(code.partition("for seconds in")[0], own)
     return own["known"]
