@@ -169,10 +169,11 @@ def figures_of(key, cells):
             alt = shown["metadata"]["image/png"]["alt"]
             above, only, first = drawn_titles("".join(shown["data"].get("text/plain", "")))
             width, height = svg_size(ROOT / "figures" / f"{name}.svg")
-            caption = (
-                re.sub(r"\]\((?!https?:|#)(?:\.\./)?([\w/]+\.ipynb)", r"](notebooks/\1", captions[0])
-                if captions
-                else ""
+            caption = re.sub(
+                r"\]\((?!https?:|#)(?:\.\./)?([\w/]+\.ipynb)", r"](notebooks/\1", captions[0] if captions else ""
+            )
+            caption = re.sub(
+                r"\]\(#[^)]*\)", lambda link: anchor(link[0].replace("(", f"(notebooks/{key}.ipynb")), caption
             )
             finding = re.sub(r"^Figure \d+(, redrawn)?: ", "", above or only or conclusion(caption) or first or section)
             drawn.append(Drawn(name, numbered, label, section, caption, finding, cell["id"], alt, width, height))

@@ -226,6 +226,14 @@ def test_a_caption_is_the_paragraph_with_the_name_of_the_figure():
     assert drawn.finding == "It falls."
 
 
+def test_a_link_of_a_caption_to_its_page_leads_there_from_the_page_of_figures():
+    own = cells()
+    for each in own:
+        each["source"] = each["source"].replace("It falls.", "It falls ([below](#Table-4)).")
+    (drawn,) = pages.figures_of("2014_gsm_2d", own)
+    assert drawn.caption == "**Figure 1.** It falls ([below](notebooks/2014_gsm_2d.ipynb#table-4))."
+
+
 def test_a_figure_without_a_caption_stands_under_the_question_of_its_section():
     own = cells()
     own[2]["source"] = 'figures.save_figure(fig, "2014_gsm_2d_late")'
