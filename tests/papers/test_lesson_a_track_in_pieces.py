@@ -132,7 +132,7 @@ def test_what_the_surprises_of_a_piece_see():
     says("At the first row h = HF = [1 1]: the surprise sees the position of the start and a second of its velocity.")
     says("The next rows see more of the velocity, and together they say where the piece began, and how fast.")
     assert seen[0][1] < seen[1][1] < seen[2][1]
-    says("After fifteen measured rows a metre of the start moves an expected measurement by less than 5 cm.")
+    says("Here, after fifteen measured rows a metre of the start moves an expected measurement by less than 5 cm;")
     assert np.abs(seen[15:]).max() < 0.05
 
 
@@ -200,6 +200,18 @@ def test_the_other_ways_of_the_table_are_the_loop(taught):
     exec(code_of("others").partition("z = recordings")[0], taught)
     z = with_gaps(np.random.default_rng(3), 400)
     np.testing.assert_allclose(taught["in_numbers"](z), taught["one_by_one"](z), rtol=0, atol=1e-9)
+
+
+def test_what_is_measured_must_not_be_known_exactly_one_row_after_a_pretended_start(taught):
+    says("with 1e-4 m² the result is right to a micrometre, with 1e-12 it can be metres off.")
+    z, off = taught["recordings"]["50% missing"], {}
+    for s in (1e-4, 1e-12):
+        names = with_model(F, np.diag([s, 0.01]))
+        names["with_variances"] = partial(names["with_variances"], r=0.0)
+        with np.errstate(all="ignore"):
+            off[s] = np.abs(names["in_pieces"](z, 5) - names["one_by_one"](z))[:, 0].max()
+    assert off[1e-4] < 1e-6
+    assert off[1e-12] > 1
 
 
 def test_the_best_length_of_a_piece():
