@@ -154,5 +154,6 @@ def steps_ahead(key):
     _, variance = table1.mean_and_variance(column, 0, 2 * table1.TRANSIENT)
     later = np.sqrt(variance[2:, -1] / variance[1, -1])
     four = "{:.2f}, {:.2f}, {:.2f} and {:.2f} times that one step ahead"
-    evidence = f"the averages of Table 1 two to five steps ahead are {four.format(*ratio)} (we ask for less than 2)"
+    evidence = f"the averages of Table 1 two to five steps ahead are {four.format(*ratio)} (we ask for less than 2); "
+    evidence += f"in metres, after the start, up to {later.max():.1f} times"
     return bool(ratio.max() < 2), evidence, f"In metres, after the start, the errors are {four.format(*later)}."

@@ -89,7 +89,7 @@ def test_the_front_says_how_many_results_could_have_failed():
 
 
 def test_the_front_names_the_dearest_and_the_cheapest_that_it_compares():
-    assert "the cost falls from 1660 operations a step to 30" in FRONT
+    assert "the cost falls from Kalman's 1660 operations a step to 30" in FRONT
     assert (PAPER.items["table3.1"].printed, PAPER.items["table3.10"].printed) == ("1660", "30")
 
 

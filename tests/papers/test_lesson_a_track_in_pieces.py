@@ -114,7 +114,7 @@ def test_the_example_by_hand():
 
 
 def test_the_pretended_pieces_of_the_picture_end_too_low():
-    says("Each pretended piece starts at 0, sure of it, climbs, and ends too low. The runner lifts each end,")
+    says("Each pretended piece starts at 0 and at rest, sure of both, climbs, and ends too low. The runner lifts each")
     *_, hollow, filled = lesson.draw_relay().axes[1].lines
     assert (hollow.get_ydata() < filled.get_ydata()[1:] - 1).all()
     assert (hollow.get_ydata() > 1).all()
@@ -265,7 +265,7 @@ def test_the_table_says_what_was_measured():
     }
     ms["in pieces"] = next(row["ms"] for row in rows if row["work"].endswith("as taught: in pieces"))
     for way, name in {
-        "constant gain, by `scipy.signal.lfilter`; the first rows differ": "lfilter",
+        "constant gain, by `scipy.signal.lfilter` (the position; the first rows differ)": "lfilter",
         "the loop in C": "C",
         "the loop in Python's own numbers, written out": "Python numbers",
     }.items():

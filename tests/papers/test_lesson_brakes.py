@@ -79,7 +79,7 @@ def test_the_first_screen():
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["table"]).splitlines()]
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
-    says("If he does both, take the acceleration filter, unless he lets go in two or three brakes of four (the harder,")
+    says("unless he lets go in most brakes (by 2 m/s² in three of four, by 3 m/s² in every second)")
     rows_of = {
         line.split("  ")[0]: re.findall(r"([\d.]+) [<>] ([\d.]+)", line)
         for line in shown(CELLS["brakes"]).splitlines()[1:]

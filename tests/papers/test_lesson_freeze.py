@@ -65,7 +65,7 @@ def test_the_desk_refuses_a_list_without_end_and_takes_a_start_that_is_known(tau
         taught["desk"](F, 0 * Q, 0.1, UNKNOWN)
     with pytest.raises(ValueError, match="take more steps"):
         taught["desk"](F, np.nan * Q, 0.1, UNKNOWN)
-    says("rather too large than too small")
+    says("Leave $P$ at $10^4 I$, or larger for a faster car (up to $10^{12} R$)")
     assert [len(taught["desk"](F, Q, 0.1, 10.0**power * np.eye(2))[0]) for power in (4, 6, 8)] == [8, 8, 8]
 
 
@@ -148,7 +148,7 @@ def test_what_a_miss_costs_while_the_list_runs(taught):
 
 
 def test_gaps_of_three_may_follow_one_another_but_not_at_the_start(taught):
-    says("if only every fourth measurement comes, it is 9 % worse instead of 6, and with irregular gaps of up to three")
+    says("| only every fourth comes | 9 % | 32 % | | irregular gaps of up to three | 16 % | |")
     (F, Q), (far, pushed) = taught["motion"](2, 4.0, 0.01), taught["motion"](2, 5, 0.01)  # a step of four seconds
     frozen = best = SETTLED.P
     for _ in range(60):
@@ -158,7 +158,7 @@ def test_gaps_of_three_may_follow_one_another_but_not_at_the_start(taught):
     ratio = np.sqrt(((far @ frozen @ far.T + pushed) / (far @ best @ far.T + pushed))[0, 0])
     assert round(ratio, 2) == 1.09
     assert 1.12 < worst_of_irregular_gaps(taught) < 1.17
-    says("But to start, `drive` needs three in a row.")
+    says("To start, `drive` needs three in a row.")
     z = 20.0 * np.arange(1, 82)
     z[np.arange(81) % 4 > 0] = np.nan
     assert np.abs(drives(taught, z, taught["listed"])[40:, 1] - 20).max() > 9  # no speed is learnt
@@ -186,7 +186,7 @@ def worst_of_irregular_gaps(taught, runs=400):
 
 
 def test_gaps_that_repeat_cost_a_poor_sensor_more(taught):
-    says("a sensor that is wrong by 10 m loses 2 % by three missed, but 32 % if only every fourth comes.")
+    says("| three missed, once | 6 % | 2 % |")
     listed, P = taught["desk"](*taught["motion"](2, 1.0, 0.01), 100.0, 1e4 * np.eye(2))
     (F, Q), (far, pushed) = taught["motion"](2, 4.0, 0.01), taught["motion"](2, 5, 0.01)
     frozen = best = P
@@ -349,7 +349,8 @@ def test_the_operations():
     assert burden.total(burden.kalman(2, 1)) == 69
     assert burden.total(burden.steady_state(2, 1)) == 10
     says("59 of 69 operations a step as a paper of 2016 counts")
-    says("Written out, as in `drive`, it takes seven, the counter aside, and the full filter 23:")
+    says("Written out for two unknowns, the full filter takes 23 operations a step, and the frozen one seven.")
+    says("Written out, as in `drive`, it takes seven, the counter aside.")
     more = [each for each in ast.walk(ast.parse(WRITTEN_OUT)) if isinstance(each, ast.BinOp)]
     assert 7 + len(more) == 23
     names = {"P": VELOCITY.P0, "dt": 1.0, "R": 0.1, "Q": VELOCITY.Q}

@@ -130,7 +130,7 @@ def test_the_lag_is_one_step_at_any_speed_for_every_filter_of_this_kind():
 
 def test_the_wrong_sigma_is_the_error_of_a_second_ago():
     """Within one part in a hundred, by simulation of the position before and the estimate now."""
-    says("with pushes this gentle, it is really that of the position a second ago, which one more measurement has seen")
+    says("with pushes this gentle, it is really that of the position a second ago")
     true, measured = lesson.walk(60, tracks=4000)
     x = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE})).filter(measured[:, None])
     about_before = np.sqrt(np.mean((x[40:, 0] - true[39:-1]) ** 2))
@@ -404,7 +404,7 @@ def test_a_mark_that_is_passed_twice_tells_the_delay():
 
 def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     """There the paper's H is right: the settled filter errs by what it states, and NIS is that of the late filter."""
-    says("of a sensor that shows the next position, for which nothing is late, they would be the same")
+    says("The same surprises could come from a sensor that shows the next position, and then nothing is late.")
     push = 1.0
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))

@@ -155,7 +155,7 @@ def test_axes_that_are_linked():
         assert round(lesson.losses_apart([1, 1, 1], **{link: 0.5})[0, 0]) == 2
     says("the small filters state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says("told 0.9 where 0.3 is true, the big filter states a σ of 4.4 m after the silence, where 10.9 m is")
+    says("told 0.9 where 0.3 is true, it states 4.4 m after the silence, and 10.9 m is true.")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
@@ -242,7 +242,7 @@ def test_axes_of_other_motions_are_stacked_too(taught):
 
 
 def test_errors_that_last_are_not_stated():
-    says("If errors fade by 20 % a second, or by 1 %, this filter states a σ of 0.23 m where 0.33 m is true: it gains")
+    says("fading by 20 % a second or by 1 %, the filter follows them: it states a σ of 0.23 m where 0.33 m is true")
     for kept in (0.8, 0.99):
         last = lesson.sigma_if_errors_last(kept, steps=5000)
         assert round(last, 2) == 0.33
@@ -283,7 +283,7 @@ def test_a_gain_that_has_not_moved_in_ten_times_as_many_steps_is_settled(taught)
 
 def test_a_large_gain_of_the_velocity_does_not_bear_misses():
     """Every second measurement missed, the hardest of single misses: bounded below a gain of 1, and not much above."""
-    says("the gain of the velocity, times the step, is below 1 (here it is 0.213): after a miss the surprise holds")
+    says("the gain of the velocity, times the step, is below 1 (here it is 0.213). After a miss the surprise contains")
     rng = np.random.default_rng(4)
     seen = {True: 0, False: 0}
     for _ in range(200):
