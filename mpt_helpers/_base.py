@@ -34,7 +34,6 @@ from ._engine.pieces import LARGEST, VAGUE, directions_seen
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
-from .equations import corrected_covariance, gain, predicted_covariance
 from .model import LinearModel
 
 # Gains, states and covariances of two filters are the same if they agree to this fraction of the size or standard
@@ -321,6 +320,8 @@ class RecursiveFilter(Filter):
 
     model: LinearModel
 
+    optimal = False  # a class that has the Kalman gain, and the covariance of it, says so: its tracks can be smoothed
+
     def __init_subclass__(cls) -> None:
         """Restore the general methods where a subclass overrides `next_step` but not its faster versions."""
         super().__init_subclass__()
@@ -335,21 +336,6 @@ class RecursiveFilter(Filter):
     def P0(self) -> Array:
         """P(0/0), the initial covariance: the model's."""
         return self.model.P0
-
-    @cached_property
-    def optimal(self) -> bool:
-        """Whether `next_step` has the Kalman gain and the P of it, tested from P(0/0) and from its prediction."""
-        return all(self._is_optimal_from(P) for P in (self.P0, predicted_covariance(self.model, self.P0)))
-
-    def _is_optimal_from(self, P):
-        H, R = self.model.H, self.model.R
-        _, B, P_next = self.next_step(P, np.ones(self.model.m, bool))
-        P = predicted_covariance(self.model, P)
-        K = gain(P, H, R)
-        best = corrected_covariance(P, K, H, R)
-        sigma, sigma_z = (np.sqrt(C.diagonal()) for C in (P, H @ P @ H.T + R))
-        same_gain = np.abs(B - K) * sigma_z <= SAME * sigma[:, None]
-        return bool(same_gain.all()) and same_covariance(best, P_next)
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k).

@@ -268,6 +268,10 @@ class FadingFilter(RecursiveFilter):
 
     alpha: float
 
+    @property
+    def optimal(self):
+        return self.alpha == 1
+
     def next_step(self, P, seen):
         F, Q = self.model.F, self.model.Q
         H, R = masked(self.model.H, self.model.R, seen)
@@ -340,8 +344,8 @@ def test_a_step_of_ones_own_may_come_from_a_second_parent(filter_of):
     assert not bold.optimal
 
 
-def test_a_constant_gain_of_ones_own_is_not_smoothed():
-    """From P0, the steady P, its gain is the Kalman gain; after a gap it is not."""
+def test_a_filter_of_ones_own_is_smoothed_only_if_it_says_that_it_may():
+    """From P0, the steady P, its gain is the Kalman gain; after a gap it is not, which no first step shows."""
     axis = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)
     own = OfConstantGain(replace(axis, P0=mpt.SteadyStateFilter.from_kalman(axis).P))
     with pytest.raises(TypeError, match="smooth: needs a filter of optimal gain, got a OfConstantGain"):
