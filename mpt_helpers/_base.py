@@ -36,9 +36,6 @@ from ._engine.smoother import smoothed
 from ._immutable import Immutable
 from .model import LinearModel
 
-# Gains, states and covariances of two filters are the same if they agree to this fraction of the size or standard
-# deviation: the gains from the two Riccati equations agree to at least six digits.
-SAME = 1e-6
 # The largest fraction of a variance that may be rounding error after a single step.
 MOST_ROUNDING = 0.1
 
@@ -71,12 +68,6 @@ def one_or_many(values: Array, covariances: Array, many: bool) -> tuple[Array, A
         return values[..., 0], covariances[..., 0]
     M = values.shape[2]
     return values, covariances if covariances.shape[3] == M else np.repeat(covariances, M, axis=3)
-
-
-def same_covariance(P: Array, other: Array) -> bool:
-    """Tell whether two covariances (n, n) are the same, relative to the standard deviations of the first."""
-    sigma = np.sqrt(np.abs(P.diagonal()))
-    return bool((np.abs(P - other) <= SAME * sigma * sigma[:, None]).all())
 
 
 class Filter(Immutable):
@@ -407,7 +398,7 @@ class RecursiveFilter(Filter):
 
     @cached_property
     def directions(self) -> Array:
-        """What the sensors see of a state within n steps, as the engine asks for it (`directions_seen`)."""
+        """The directions of a state that the sensors see within n steps (`directions_seen`)."""
         return directions_seen(self.model, self.model.R)
 
     def coefficients(self, N: int) -> Step:

@@ -235,7 +235,7 @@ class _Start(NamedTuple):
     """A new start: the rows of refused fixes that agree with each other, and the state after them."""
 
     rows: list[int]
-    state: tuple[Array, Array]
+    state: Array  # of a `_RowFilter`, (n + 1, n + 1)
 
 
 def _in_sequence(row_filter, begins, limit, patience):
