@@ -148,7 +148,7 @@ def test_what_a_miss_costs_while_the_list_runs(taught):
 
 
 def test_gaps_of_three_may_follow_one_another_but_not_at_the_start(taught):
-    says("| only every fourth comes | 9 % | 32 % |")
+    says("if only every fourth comes, it is 9 % and 32 %.")
     (F, Q), (far, pushed) = taught["motion"](2, 4.0, 0.01), taught["motion"](2, 5, 0.01)  # a step of four seconds
     frozen = best = SETTLED.P
     for _ in range(60):
@@ -157,7 +157,7 @@ def test_gaps_of_three_may_follow_one_another_but_not_at_the_start(taught):
         frozen = taught["follow"](frozen, taught["listed"][-1], F, Q, 0.1)
     ratio = np.sqrt(((far @ frozen @ far.T + pushed) / (far @ best @ far.T + pushed))[0, 0])
     assert round(ratio, 2) == 1.09
-    says("To start, `drive` needs three in a row.")
+    says("To start, `drive` needs three that come.")
     z = 20.0 * np.arange(1, 82)
     z[np.arange(81) % 4 > 0] = np.nan
     assert np.abs(drives(taught, z, taught["listed"])[40:, 1] - 20).max() > 9  # no speed is learnt
@@ -169,7 +169,7 @@ def test_gaps_of_three_may_follow_one_another_but_not_at_the_start(taught):
 
 
 def test_gaps_that_repeat_cost_a_poor_sensor_more(taught):
-    says("| three missed, once | 6 % | 2 % |")
+    says("Three missed once cost 6 % with our sensor, and 2 % with one that is wrong by 10 m;")
     listed, P = taught["desk"](*taught["motion"](2, 1.0, 0.01), 100.0, 1e4 * np.eye(2))
     (F, Q), (far, pushed) = taught["motion"](2, 4.0, 0.01), taught["motion"](2, 5, 0.01)
     frozen = best = P
@@ -217,7 +217,7 @@ def test_a_frozen_gain_bears_uneven_steps_and_a_wrong_length_not(taught):
 
 
 def test_what_the_forecast_says_after_misses_and_on_a_hill(taught):
-    says("While the last three measurements are missing say 3.7 m, or 4.0 m if only every fourth comes;")
+    says("The 2.2 m become 3.7 m while the last three measurements are missing, or 4.0 m if only every fourth comes;")
     F, Q = taught["motion"](2, 1.0, 0.01)
     far, pushed = taught["motion"](2, 5, 0.01)
     P = SETTLED.P
