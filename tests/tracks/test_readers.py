@@ -398,6 +398,7 @@ def test_of_a_file_that_is_cut_the_whole_fixes_are_read_and_it_is_said(tmp_path,
     assert N - 120 < len(c.t) < N
     recorded = c.source.recording
     np.testing.assert_array_equal(recorded.lat[c.source.rows], LAT[c.source.rows])
+    assert "<trkpt" not in repr(c.source)
     assert "ATTENTION" in c.report()
     assert words.split("[")[0] in " ".join(c.report().split())
     c.gpx(tmp_path / "b.gpx")
