@@ -266,7 +266,7 @@ class ConstantVelocity:
     """The transition of nearly constant velocity: white acceleration of spectral density q (m²/s³)."""
 
     q: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -280,7 +280,7 @@ class ConstantAcceleration:
     """The transition of nearly constant acceleration: white jerk of spectral density q (m²/s⁵)."""
 
     q: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -296,7 +296,7 @@ class SideBySide:
     """The transitions of several axes side by side, as one of block-diagonal F and Q."""
 
     transitions: tuple[Transition, ...]
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -310,7 +310,7 @@ class Scaled:
 
     transition: Transition
     factor: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
