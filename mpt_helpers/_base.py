@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from inspect import signature
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -311,7 +311,8 @@ class RecursiveFilter(Filter):
 
     model: LinearModel
 
-    optimal = False  # a class that has the Kalman gain, and the covariance of it, says so: its tracks can be smoothed
+    # A class that has the Kalman gain, and the covariance of it, says so: its tracks can be smoothed.
+    optimal: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
         """Restore the general methods where a subclass overrides `next_step` but not its faster versions."""

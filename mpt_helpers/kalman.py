@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import filterpy.kalman
 import numpy as np
@@ -88,7 +88,7 @@ class KalmanFilter(RecursiveFilter):
     t: Array | None
     r: Array | None
 
-    optimal = True
+    optimal: ClassVar[bool] = True
 
     def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)

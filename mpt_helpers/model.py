@@ -266,7 +266,7 @@ class ConstantVelocity:
     """The transition of nearly constant velocity: white acceleration of spectral density q (m²/s³)."""
 
     q: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -280,7 +280,7 @@ class ConstantAcceleration:
     """The transition of nearly constant acceleration: white jerk of spectral density q (m²/s⁵)."""
 
     q: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -296,7 +296,7 @@ class SideBySide:
     """The transitions of several axes side by side, as one of block-diagonal F and Q."""
 
     transitions: tuple[Transition, ...]
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -310,7 +310,7 @@ class Scaled:
 
     transition: Transition
     factor: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -459,9 +459,7 @@ def gps_ins(
            [0., 1., 1.]])
 
     """
-    r = checks.real_numbers("r", r, "two or three variances").astype(float)
-    if r.shape not in ((2,), (3,)):
-        checks.refuse("r", "two or three variances", f"shape {r.shape}")
+    r = checks.real_numbers("r", r, "two or three variances", (2,), (3,)).astype(float)
     for variance in r.tolist():
         dt, q, _ = _positive(dt, q, variance)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import UnionType
-from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -178,6 +178,8 @@ def fits(value, hint):
         return True
     if origin is np.ndarray:
         return isinstance(value, np.ndarray) and value.dtype == get_args(parts[1])[0]
+    if origin is ClassVar:
+        return fits(value, *parts)
     if origin in (Union, UnionType):
         return any(fits(value, part) for part in parts)
     if origin is tuple:

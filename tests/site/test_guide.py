@@ -69,7 +69,7 @@ def short():
     return ran(SHORT)
 
 
-@pytest.mark.parametrize(("page", "least"), [("guide", 9), ("band", 7), ("other", 4), ("short", 6)])
+@pytest.mark.parametrize(("page", "least"), [("guide", 9), ("band", 7), ("other", 4), ("short", 7)])
 def test_the_blocks_print_what_their_page_says(page, least, request):
     _, printed, _ = request.getfixturevalue(page)
     assert len(printed) >= least
@@ -114,6 +114,32 @@ def test_the_numbers_in_the_words_of_the_short_guide_are_right(short):
     both = (np.abs(c.band.ahead.errors) <= c.band.widths)[c.band.unseen].all(axis=1).mean()
     assert f"{both:.0%}" == "93%"
     assert "both at once hold less, here 93 %" in SHORT
+
+
+def test_what_the_short_guide_says_of_the_ride_as_it_is(short):
+    t, z = short[0]["ride"].t, short[0]["ride"].z
+    own = tracks.clean(t, z)
+    kept = own.mask
+    assert np.hypot(*(own.x[kept][:, ::2] - z[kept]).T).max() < 1e-3
+    assert "the line moves none of the good ones by a millimetre" in SHORT
+    assert f"{len(t) / len(tracks.clean(t, z, limit=9.0).refused):.0f}" == "42"
+    assert "at the three times of the textbooks one good fix in forty of this ride would go" in SHORT
+    hidden = np.zeros(len(t), bool)
+    starts = np.arange(150, 4500, 200)
+    hidden[starts[:, None] + np.arange(60)] = True
+    s = own.filter.smooth(np.where((hidden | ~kept)[:, None], np.nan, z))
+    off = np.abs(s.x[:, ::2] - z) < 1.96 * np.sqrt(s.P[:, [0, 2], [0, 2]])
+    said = f"Over {len(starts)} minutes of the ride whose fixes were hidden from it, its 95 % held"
+    assert f"{said} {100 * off[hidden & kept].mean():.0f} % of them." in SHORT
+
+
+@pytest.mark.parametrize(("rows", "begins"), [(55, 0), (60, 1)])
+def test_a_pause_of_a_minute_ends_a_line(short, rows, begins):
+    assert "rows are missing for less than a minute" in SHORT
+    t, z = short[0]["ride"].t[1800:2400], short[0]["ride"].z[1800:2400]
+    keep = np.ones(600, bool)
+    keep[200 : 200 + rows] = False
+    assert len(set(tracks.clean(t[keep], z[keep]).segments.tolist())) == 1 + begins
 
 
 def sections(text):
