@@ -407,7 +407,11 @@ class RecursiveFilter(Filter):
     @cached_property
     def directions(self) -> Array:
         """The directions of a state that the sensors see within n steps (`directions_seen`)."""
-        return directions_seen(self.model, self.model.R)
+        return self.directions_by(self.model.R)
+
+    def directions_by(self, R: Array) -> Array:
+        """Return the `directions` by measurements with noise of covariance R."""
+        return directions_seen(self.model.F, self.model.Q, self.model.H, R)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.

@@ -416,10 +416,10 @@ def _checked_band(name, a, band, where):
     `name` is the function that is called, for its warning.
     """
     checks.instance("a", a, ForecastErrors)
-    band = checks.real_numbers("band", band, "half-widths")
-    if band.shape != a.errors.shape or (band < 0).any():
-        got = f"shape {band.shape}, the least is {np.nanmin(band):g}"
-        checks.refuse("band", f"half-widths of shape {a.errors.shape} that are not negative", got)
+    need = f"half-widths of shape {a.errors.shape} that are not negative"
+    band = checks.real_numbers("band", band, need, a.errors.shape)
+    if (band < 0).any():
+        checks.refuse("band", need, f"{np.nanmin(band):g}")
     where = np.ones(len(band), bool) if where is None else np.asanyarray(where)
     if type(where) is not np.ndarray or where.shape != (len(band),) or where.dtype != bool:
         checks.refuse("where", f"an array of {len(band)} truth values", f"{type(where).__name__} {where.shape}")

@@ -22,6 +22,7 @@ from . import _checks as checks
 from ._base import RecursiveFilter, require_digits
 from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns
+from ._engine.pieces import directions_seen
 from ._engine.shared import Step
 from .equations import masked, unit_measurements
 from .model import LinearModel, half_step_gap
@@ -216,6 +217,13 @@ class KalmanFilter(RecursiveFilter):
                 of = f"over {dt:.3g} s the transition's F and Q are not those of two half steps"
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
+
+    def directions_by(self, R: Array) -> Array:
+        """Return the directions as in RecursiveFilter, with times for steps of median and of largest length."""
+        if self._steps is None:
+            return super().directions_by(R)
+        steps = [self.model.over(dt) for dt in (np.median(self._steps), self._steps.max())]
+        return np.concatenate([directions_seen(F, Q, self.model.H, R) for F, Q in steps])
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""

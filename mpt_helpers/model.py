@@ -473,9 +473,7 @@ def gps_ins(
            [0., 1., 1.]])
 
     """
-    r = checks.real_numbers("r", r, "two or three variances").astype(float)
-    if r.shape not in ((2,), (3,)):
-        checks.refuse("r", "two or three variances", f"shape {r.shape}")
+    r = checks.real_numbers("r", r, "two or three variances", (2,), (3,)).astype(float)
     for variance in r.tolist():
         dt, q, _ = _positive(dt, q, variance)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]

@@ -483,40 +483,6 @@ def test_a_maximum_many_decades_away_is_found():
     )
 
 
-# Rescaled
-
-
-@pytest.mark.parametrize(("factor", "level"), [(0.05, 0.5), (1.0, 0.95), (20.0, 0.95)])
-def test_a_rescaled_filter_states_the_errors_that_it_makes(factor, level):
-    true = plane(0.2, 4.0)
-    _, z = mpt.simulate(true, 3000, np.random.default_rng(8))
-    kf = mpt.KalmanFilter(true.with_noise_times(factor))
-    found = fitting.rescaled(kf, z, 10, level=level)
-    a = metrics.ahead(found, z, 10)
-    normal = {0.5: 0.6745, 0.95: 1.96}[level]
-    assert np.mean(np.abs(a.errors) < normal * a.sigma) == pytest.approx(level, abs=0.01)
-    assert 0.5 < found.model.Q[1, 1] / true.Q[1, 1] < 2
-    np.testing.assert_array_equal(found.model.R, true.R)
-
-
-def test_a_rescaled_filter_keeps_its_times_and_variances():
-    _, z = mpt.simulate(plane(0.2, 4.0), 300, np.random.default_rng(8))
-    kf = mpt.KalmanFilter(plane(0.2, 4.0), t=np.arange(300.0), r=np.full((300, 2), 4.0))
-    found = fitting.rescaled(kf, z, 10)
-    np.testing.assert_array_equal(found.t, kf.t)
-    np.testing.assert_array_equal(found.r, kf.r)
-
-
-def test_what_cannot_be_rescaled_is_refused():
-    _, z = mpt.simulate(plane(0.2, 4.0), 60, np.random.default_rng(8))
-    with pytest.raises(ValueError, match="estimator: needs a filter whose process noise decides"):
-        fitting.rescaled(mpt.KalmanFilter(plane(0.2, 1e6)), z, 10)
-    with pytest.raises(TypeError, match="estimator: needs a KalmanFilter"):
-        fitting.rescaled(mpt.LainiotisFilter(plane(0.2, 4.0)), z, 10)
-    with pytest.raises(ValueError, match="level: needs a number in"):
-        fitting.rescaled(mpt.KalmanFilter(plane(0.2, 4.0)), z, 10, level=1.0)
-
-
 @pytest.mark.filterwarnings("error")
 def test_times_that_were_forgotten_look_like_a_wild_motion_and_nothing_tells():
     """Of every second to every fifth row: the limit of what can be known, which the guide says."""
