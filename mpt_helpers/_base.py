@@ -34,10 +34,13 @@ from ._engine.pieces import LARGEST, VAGUE, directions_seen
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
+from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
 
 # The largest fraction of a variance that may be rounding error after a single step.
 MOST_ROUNDING = 0.1
+# A filter predicts P by the model if P after a step is, to this fraction, that of its gain and the model's prediction.
+SAME_P = 1e-6
 
 
 class Estimates(NamedTuple):
@@ -468,8 +471,22 @@ class RecursiveFilter(Filter):
         return engine.estimates(self, self.epochs_of(z), x, covariances)
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
-        """Return the innovations and their covariances, as in Filter."""
+        """Return the innovations and their covariances, as in Filter; refused where P is not predicted by the model."""
+        if not self.optimal:
+            self._require_prediction_by_model()
         return engine.in_tiles(engine.innovations, self, self.epochs_of(z), self.model.m)
+
+    def _require_prediction_by_model(self):
+        """Raise a ValueError where P does not follow from the gain and F P Fᵀ + Q: S would be another filter's."""
+        model, seen = self.model, np.ones(self.model.m, bool)
+        _, _, P = self.next_step(self.P0, seen)
+        A, K, after = self.next_step(P, seen)
+        expected = corrected_covariance(predicted_covariance(model, P), K, model.H, model.R)
+        sigma, size = np.sqrt(np.abs(expected.diagonal())), np.abs(A) @ np.sqrt(np.abs(P.diagonal()))
+        rounding = model.n * np.finfo(float).eps * size * size[:, None]
+        if (np.abs(after - expected) > SAME_P * sigma * sigma[:, None] + rounding).any():
+            need = "a filter whose P follows from its gain and the model's prediction F P Fᵀ + Q, of which S is made"
+            checks.refuse("estimator", need, f"a {type(self).__name__} that predicts P otherwise")
 
     @cached_property
     def shared_steps(self) -> Callable[[int, int], Any]:
