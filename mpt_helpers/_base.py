@@ -31,6 +31,7 @@ from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, LinearMap, Motion, whitened
 from ._engine.pieces import LARGEST, VAGUE, directions_seen
+from ._engine.run import MOST_ROUNDING_OF_S
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
@@ -499,21 +500,25 @@ def _owner(cls, name):
     return next(each for each in cls.__mro__ if name in vars(each))
 
 
-def require_digits(T_1, T_2, P, after, S, dt=None):
-    """Raise a ValueError if the step x <- T_1 T_2 x + B z leaves no correct digit in the covariance `after` it (n, n).
+def require_digits(T_1, T_2, P, after, H, S, dt=None):
+    """Raise a ValueError if a step leaves no digit in a variance `after` it, or less than two in an S (p,).
 
-    One term of that covariance is T_1 T_2 P (T_1 T_2)ᵀ, with the P (n, n) before the step. Doubles round P_ij by
-    ε σ_i σ_j, and hence this term by up to ε (|T_1| |T_2| σ)². S is the largest variance of a predicted measurement.
-    The error names dt where it is given.
+    The step is x <- T_1 T_2 x + B z, and T_1 T_2 P (T_1 T_2)ᵀ is one term of the covariance `after` it (n, n). S are
+    the variances of measurements with unit noise, and H P Hᵀ (p, p) is one term of theirs. Doubles round P_ij by
+    ε σ_i σ_j, and so these terms by up to ε (|T_1| |T_2| σ)² and ε (|H| σ)². The error names dt where it is given.
     """
-    finite = np.isfinite(after).all()
-    if S < VAGUE and finite:
-        return
     sigma = np.sqrt(np.abs(P.diagonal()))
-    rounding = np.finfo(float).eps * (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
-    if S < LARGEST and finite and (rounding <= MOST_ROUNDING * after.diagonal()).all():
+    largest_S = (np.abs(H) @ sigma) ** 2
+    finite = np.isfinite(after).all()
+    if largest_S.max() < VAGUE and finite:
+        return
+    eps = np.finfo(float).eps
+    largest_P = (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
+    P_is_right = (eps * largest_P <= MOST_ROUNDING * after.diagonal()).all()
+    S_is_right = (eps * largest_S <= MOST_ROUNDING_OF_S * S).all()
+    if S.max() < LARGEST and finite and P_is_right and S_is_right:
         return
     if dt is not None:
         checks.refuse("dt", "a time over which the prediction keeps digits beside the measurement noise", f"{dt:.6g} s")
     need = "a covariance that keeps digits beside the measurement noise (filter and estimates take a larger P0)"
-    checks.refuse("P", need, f"{S:.2g} times the noise variance")
+    checks.refuse("P", need, f"{largest_S.max():.2g} times the noise variance")

@@ -134,7 +134,7 @@ class KalmanFilter(RecursiveFilter):
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
         keep = np.eye(self.model.n) - kf.K @ kf.H
-        require_digits(keep, kf.F, P, kf.P, kf.S.max(), dt)
+        require_digits(keep, kf.F, P, kf.P, kf.H @ kf.F, kf.S.diagonal(), dt)
         return keep @ kf.F, kf.K @ W, kf.P
 
     def step(
