@@ -171,7 +171,7 @@ class KalmanFilter(RecursiveFilter):
         steps = np.concatenate([np.full_like(t[:1], self.model.dt), np.diff(t, axis=0)])
         lengths = steps[steps > 0]
         for dt in {lengths.min(), lengths.max()} if lengths.size else ():
-            missed = max(half_step_gap(self.model.transition, dt))
+            missed = half_step_gap(self.model.transition, dt)
             if MOST_HALF_STEP_GAP < missed < np.inf:
                 of = f"over {dt:.3g} s the transition's F and Q are not those of two half steps"
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
