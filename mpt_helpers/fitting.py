@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
@@ -69,15 +70,33 @@ class Fit(NamedTuple):
     log_likelihood: float
     errors_from: str
 
-    def __repr__(self) -> str:
+    def _rows(self):
+        """Return the cells of the table, its heading first."""
         rows = [("", "value", "log error", "95 % interval")]
         for name, value in self.values.items():
             error = self.log_errors[name]
             low, high = value * np.exp([-1.96 * error, 1.96 * error]) if error < 300 else (0.0, math.inf)
             rows.append((name, f"{value:.4g}", f"{error:.2g}", f"{low:.3g} to {high:.3g}"))
+        return rows
+
+    def _foot(self):
+        return f"log L = {self.log_likelihood:.6g}; errors from {self.errors_from}"
+
+    def __repr__(self) -> str:
+        rows = self._rows()
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-        return "\n".join([*lines, f"log L = {self.log_likelihood:.6g}; errors from {self.errors_from}"])
+        return "\n".join([*lines, self._foot()])
+
+    def _repr_html_(self) -> str:
+        """Return the table as a notebook shows it."""
+
+        def line(cells, tag):
+            return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+        heading, *rows = self._rows()
+        body = "".join(line(row, "td") for row in rows)
+        return f"<table>{line(heading, 'th')}{body}</table><p>{escape(self._foot())}</p>"
 
 
 def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float) -> Fit:

@@ -1,6 +1,7 @@
 """The fit: its search, its errors on data that no model made, and what it says of data that are wrong."""
 
 import gzip
+import re
 import warnings
 from dataclasses import replace
 
@@ -116,6 +117,14 @@ def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(monkeyp
 def near():
     """A fit from a guess that is near."""
     return mpt.fit(axis, THREE_HUNDRED, q=0.1, r=1.0)
+
+
+def test_a_notebook_shows_the_table_that_is_printed(near):
+    lines = re.findall("<tr>(.*?)</tr>", near._repr_html_())
+    cells = [[each for each in re.split("</?t[hd]>", line) if each] for line in lines]
+    *printed, foot = str(near).splitlines()
+    assert cells == [re.split(" {2,}", line.strip()) for line in printed]
+    assert near._repr_html_().endswith(f"</table><p>{foot}</p>")
 
 
 def test_a_guess_that_is_far_off_finds_the_same_and_says_so(near):
