@@ -425,6 +425,11 @@ CHAPTERS = {
 }
 
 
+# By these, filters, metrics and bands call one another. They have one line, and the page of a class leaves them out.
+INNER = {"advance", "as_tracks", "epochs_of", "estimates_of", "innovations_of", "next_steps", "run", "times_of"}
+INNER |= {"directions", "directions_by", "leaves", "measurement", "motion", "parts", "shared_steps"}
+
+
 def interface():
     """Return [(heading, names)] of the classes and functions that the package exports, in the order of `__all__`."""
     left = [name for name in mpt.__all__ if not inspect.ismodule(getattr(mpt, name))]
