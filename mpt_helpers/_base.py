@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from inspect import signature
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -296,6 +296,13 @@ class Filter(Immutable):
         n, m = self.model.n, self.model.m
         return f"<{type(self).__name__}: {n} state{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}{given}>"
 
+    if not TYPE_CHECKING:  # a type checker would take every name for one that is there
+
+        def __getattr__(self, name: str) -> Any:
+            """Name `step` where filterpy's `predict` or `update` is asked for. This runs only where no such name is."""
+            hint = "; step(x, P, z_k) predicts and updates" if name in ("predict", "update") else ""
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=self)
+
     def _not_recursive(self, name: str = "estimator") -> TypeError:
         return TypeError(f"{name}: needs a filter with P0, covariances and step, got a {type(self).__name__}")
 
@@ -311,7 +318,8 @@ class RecursiveFilter(Filter):
 
     model: LinearModel
 
-    optimal = False  # a class that has the Kalman gain, and the covariance of it, says so: its tracks can be smoothed
+    # A class that has the Kalman gain, and the covariance of it, says so: its tracks can be smoothed.
+    optimal: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
         """Restore the general methods where a subclass overrides `next_step` but not its faster versions."""
@@ -399,7 +407,11 @@ class RecursiveFilter(Filter):
     @cached_property
     def directions(self) -> Array:
         """The directions of a state that the sensors see within n steps (`directions_seen`)."""
-        return directions_seen(self.model, self.model.R)
+        return self.directions_by(self.model.R)
+
+    def directions_by(self, R: Array) -> Array:
+        """Return the `directions` by measurements with noise of covariance R."""
+        return directions_seen(self.model.F, self.model.Q, self.model.H, R)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.
@@ -425,7 +437,7 @@ class RecursiveFilter(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter. dt and r need a `next_step` that accepts them."""
+        """Return x(k+1/k+1) and P(k+1/k+1), as `KalmanFilter.step`; dt and r need a `next_step` that accepts them."""
         x, P = checks.state(x, P, self.model.n)
         z_k, seen = checks.one_measurement(z_k, self.model.m)
         conditions = {}
@@ -446,13 +458,32 @@ class RecursiveFilter(Filter):
         return signature(self.next_step).parameters.keys()
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return the states of all epochs given all measurements, and their covariances, as in Filter.
+        """Return the states of all epochs given all measurements, and their covariances.
 
         This is the Rauch-Tung-Striebel smoother (1965), with P(k/N) in Joseph's form:
 
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
-        It warns where damped modes without process noise make P(k/N) inaccurate.
+        Parameters
+        ----------
+        z : array_like (N, m) or (N, m, M)
+            Measurements as for `filter`.
+
+        Returns
+        -------
+        Estimates
+            x(k/N) as `x`, (N, n) or (N, n, M), and P(k/N) as `P`, (N, n, n) or (N, n, n, M).
+
+        Raises
+        ------
+        TypeError
+            For a filter whose gain is not the Kalman gain for its P (constant gain, or a step of the user's own).
+
+        Warns
+        -----
+        UserWarning
+            Where damped modes without process noise make P(k/N) inaccurate.
+
         """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter of optimal gain, got a {type(self).__name__}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class LainiotisFilter(RecursiveFilter):
 
     """
 
-    optimal = True
+    optimal: ClassVar[bool] = True
 
     def next_step(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:
         """Return A_k, B_k and P(k+1/k+1) from P(k/k), as in RecursiveFilter.

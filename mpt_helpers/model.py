@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from inspect import Signature, signature
 from typing import Any, ClassVar
 
 import numpy as np
@@ -61,18 +62,26 @@ class LinearModel(Immutable):
 
     Examples
     --------
-    A velocity with a correlation time of 20 s (an Ornstein-Uhlenbeck process), for steps of any length:
+    A position and its constant velocity, which changes a little in each step:
 
     >>> import mpt_helpers as mpt
-    >>> def forgetful(dt, tau=20.0, q=0.04):
-    ...     a, b = np.exp(-dt / tau), -np.expm1(-dt / tau)  # a + b = 1; expm1 keeps the digits of short steps
-    ...     F = [[1, tau * b], [0, a]]
-    ...     Q_sv = tau**2 * b**2 / 2
-    ...     Q = [[tau**2 * (dt - tau * (b + b**2 / 2)), Q_sv], [Q_sv, tau * b * (1 + a) / 2]]
-    ...     return np.array(F), q * np.array(Q)
-    >>> mpt.LinearModel(transition=forgetful, dt=1.0, H=[[1, 0]], R=[[0.5]], P0=np.eye(2)).F.round(3)
-    array([[1.   , 0.975],
-           [0.   , 0.951]])
+    >>> model = mpt.LinearModel(F=[[1, 1], [0, 1]], Q=[[0, 0], [0, 0.01]], H=[[1, 0]], R=[[0.5]], P0=np.eye(2))
+    >>> mpt.KalmanFilter(model).filter([[1.0], [2.0]]).round(2)
+    array([[0.8 , 0.4 ],
+           [1.79, 0.74]])
+
+    A distance that returns to zero within about tau seconds (an Ornstein-Uhlenbeck process of standard deviation
+    sigma), for steps of any length. `expm1` keeps the digits of short steps:
+
+    >>> def returning(dt, tau=20.0, sigma=3.0):
+    ...     F = [[np.exp(-dt / tau)]]
+    ...     Q = [[-(sigma**2) * np.expm1(-2 * dt / tau)]]
+    ...     return np.array(F), np.array(Q)
+    >>> model = mpt.LinearModel(transition=returning, dt=1.0, H=[[1]], R=[[0.5]], P0=[[9.0]])
+    >>> mpt.KalmanFilter(model, t=[0.0, 1.0, 60.0]).filter([[2.0], [np.nan], [0.1]]).round(2)
+    array([[1.89],
+           [1.8 ],
+           [0.1 ]])
 
     """
 
@@ -184,6 +193,11 @@ class LinearModel(Immutable):
         return len(self.H)
 
 
+# `_made` is for `dataclasses.replace` alone: help and editors do not show it.
+_shown = [each for each in signature(LinearModel).parameters.values() if each.name != "_made"]
+LinearModel.__signature__ = Signature(_shown)  # type: ignore[attr-defined]
+
+
 def _one_step(F, Q, dt, transition, before):
     """Return F and Q of a step of dt, and the transition, or None where F or Q is given in its place.
 
@@ -266,7 +280,7 @@ class ConstantVelocity:
     """The transition of nearly constant velocity: white acceleration of spectral density q (m²/s³)."""
 
     q: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -280,7 +294,7 @@ class ConstantAcceleration:
     """The transition of nearly constant acceleration: white jerk of spectral density q (m²/s⁵)."""
 
     q: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -296,7 +310,7 @@ class SideBySide:
     """The transitions of several axes side by side, as one of block-diagonal F and Q."""
 
     transitions: tuple[Transition, ...]
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -310,7 +324,7 @@ class Scaled:
 
     transition: Transition
     factor: float
-    takes_arrays: ClassVar = True
+    takes_arrays: ClassVar[bool] = True
 
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
@@ -459,9 +473,7 @@ def gps_ins(
            [0., 1., 1.]])
 
     """
-    r = checks.real_numbers("r", r, "two or three variances").astype(float)
-    if r.shape not in ((2,), (3,)):
-        checks.refuse("r", "two or three variances", f"shape {r.shape}")
+    r = checks.real_numbers("r", r, "two or three variances", (2,), (3,)).astype(float)
     for variance in r.tolist():
         dt, q, _ = _positive(dt, q, variance)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Predictor(Filter):
 
     estimator: Filter
     steps: int
-    optimal = False  # P is the covariance of a prediction
+    optimal: ClassVar[bool] = False  # P is the covariance of a prediction
 
     def __post_init__(self) -> None:
         checks.instance("estimator", self.estimator, Filter)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,7 +71,7 @@ class SteadyStateFilter(RecursiveFilter):
     B: Array
     P: Array
 
-    optimal = False  # after a gap P has grown, and the gain has not
+    optimal: ClassVar[bool] = False  # after a gap P has grown, and the gain has not
 
     def __init__(self, model: LinearModel, A: ArrayLike, B: ArrayLike, P: ArrayLike):
         super().__init__(model)

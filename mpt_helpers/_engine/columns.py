@@ -206,7 +206,7 @@ def _unless_identity(T):
 class LinearMap:
     """x -> T x and P -> T P Tᵀ, with one matrix T (m, n) for all columns, or one T (n, n, ...) for each."""
 
-    def __init__(self, T):
+    def __init__(self, T: np.ndarray):
         self.matrix = T
         if T.ndim == 2:
             # One product gives T P Tᵀ for all columns: vec(T P Tᵀ) = (T ⊗ T) vec(P). The rows for (a, b) and (b, a) are
@@ -215,17 +215,17 @@ class LinearMap:
             kron = np.kron(T, T).reshape(m, m, n * n)
             self._of_vec = ((kron + kron.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
 
-    def __call__(self, x, P):
+    def __call__(self, x: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return T x and T P Tᵀ."""
         return self.of_state(x), self.of_covariance(P)
 
-    def of_state(self, x):
+    def of_state(self, x: np.ndarray) -> np.ndarray:
         """Return T x for states x (n, ...), or T P for matrices P (n, n, ...)."""
         if self.matrix.ndim > 2:
             return product(self.matrix, x)
         return (self.matrix @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
 
-    def of_covariance(self, P):
+    def of_covariance(self, P: np.ndarray) -> np.ndarray:
         """Return T P Tᵀ for symmetric P (n, n, ...)."""
         if self.matrix.ndim > 2:
             P = product(self.matrix, transposed(product(self.matrix, P)))
@@ -237,17 +237,17 @@ class LinearMap:
 class Motion(LinearMap):
     """The prediction x -> F x, P -> F P Fᵀ + Q, with F and Q (n, n) for all columns or (n, n, ...) for each."""
 
-    def __init__(self, F, Q):
+    def __init__(self, F: np.ndarray, Q: np.ndarray):
         super().__init__(F)
         self.Q = Q
 
-    def of_covariance(self, P):
+    def of_covariance(self, P: np.ndarray) -> np.ndarray:
         """Return F P Fᵀ + Q."""
         predicted = super().of_covariance(P)
         predicted += self.noise_of(P)
         return predicted
 
-    def noise_of(self, P):
+    def noise_of(self, P: np.ndarray) -> np.ndarray:
         """Return Q, with as many axes as P."""
         return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - self.Q.ndim))
 

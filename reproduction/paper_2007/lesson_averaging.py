@@ -125,21 +125,33 @@ def judged(cases, kalman, sigma, tau):
     return rows
 
 
+def pair_of_others(name, fits):
+    """Return the geometric means of sigma and tau as fitted at the other stations, or None where there are none."""
+    station = name.partition(",")[0]
+    others = [constants_of(fit)[1:] for other, fit in fits.items() if other.partition(",")[0] != station]
+    return np.exp(np.log(others).mean(axis=0)).tolist() if others else None
+
+
 def carried(cases, fits, kalman):
     """Return a row for each origin of the constants: the spread of `ratios` over all heights.
 
-    The constants are fitted to the other half of the day, or to the same kind of range at each other station.
+    The constants are fitted to the other half of the day, to the same kind of range at each other station, or are the
+    `pair_of_others` with the noise of the height itself.
     """
-    halves, stations = [], []
+    halves, stations, pairs = [], [], []
     for name, case in cases.items():
-        parts = np.array_split(case.errors[:, UP], 2)
+        z = case.errors[:, UP]
+        parts = np.array_split(z, 2)
         for part, other, fitted in zip(parts, parts[::-1], fits[name].halves[::-1, 0], strict=True):
             halves.append(ratios(kalman, part, case.step, np.nanvar(other), fitted))
+        if pair := pair_of_others(name, fits):
+            pairs.append(ratios(kalman, z, case.step, np.nanvar(z), (noise_of(z), *pair)))
     for name, other in permutations(cases, 2):
         if cases[name].kind == cases[other].kind:
             z, step, fitted = cases[name].errors[:, UP], cases[name].step, constants_of(fits[other])
             stations.append(ratios(kalman, z, step, np.nanvar(cases[other].errors[:, UP]), fitted))
-    origins = {"another half day": halves, "another station": stations}  # a reader's own may be the only station
+    # A reader's own station may be the only one.
+    origins = {"another half day": halves, "another station": stations, "a pair of the others": pairs}
     return [
         [name, *(spread(each, TENTH) for each in zip(*found, strict=True))] for name, found in origins.items() if found
     ]

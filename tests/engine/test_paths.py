@@ -458,6 +458,6 @@ def test_pieces_with_a_variance_below_zero_are_not_taken():
 
     x, P = np.empty((60, 2, 1, 1)), np.empty((60, 2, 2, 1))
     with patch.object(partition, "rows_per_piece", lambda N, tracks: 20):
-        assert partition.run_rows(rounding, rows, x0, P0, x, P)
+        assert partition.run_rows(rounding, rows, x0, P0, x, P) is not None
     assert not P[:, 1].any()
     np.testing.assert_allclose(x[..., 0, 0], kf.filter(z[..., 0]), **SAME)

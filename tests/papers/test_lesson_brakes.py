@@ -13,6 +13,9 @@ from reproduction.paper_2016 import lesson_brakes as lesson
 
 CELLS = {cell["id"]: cell for cell in cells_of(ROOT / "notebooks" / "lessons" / "when_the_driver_brakes.ipynb")}
 TEXT = re.sub(r"\s+", " ", prose(CELLS.values()).replace("*", ""))
+WORST = {
+    name: row for name, *row in (re.split(r"  +", line.strip()) for line in shown(CELLS["worst"]).splitlines()[1:])
+}
 VELOCITY, ACCELERATION = (2, 1.0), (3, 0.01)  # unknowns and q of the two that are equally calm
 
 
@@ -72,24 +75,23 @@ def mixed(errors, released):
     return np.sqrt(np.average(np.square(errors), weights=[1 - released, released]))
 
 
-def test_the_first_screen():
-    says("the acceleration filter; no predicted speed below zero | 16 m | 16 m |")
-    says("the velocity filter | 26 m | 10 m |")
+def test_the_first_screen(taught):
+    says("| velocity filter | 26 m | 10 m |")
+    says("| acceleration filter; no predicted speed below zero | 16 m | 16 m |")
     says("on a road where nothing pushes the car, their predictions are off by 2 m")
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["table"]).splitlines()]
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
-    says("unless he lets go in most brakes (by 2 m/s² in three of four, by 3 m/s² in every second)")
-    rows_of = {
-        line.split("  ")[0]: re.findall(r"([\d.]+) [<>] ([\d.]+)", line)
-        for line in shown(CELLS["brakes"]).splitlines()[1:]
-    }
-    for brake, pays in (("2 m/s²", 0.75), ("3 m/s²", 0.5)):
-        stop, let_go = (np.array(rows_of[brake][i], float) for i in (-1, 0))
-        velocity, acceleration = np.transpose([stop, let_go])
+    says("unless most brakes are let go after three seconds (by 2 m/s² three of four, by 3 m/s² every second)")
+    noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
+    for brake, pays in ((2, 0.75), (3, 0.5)):
+        velocity, acceleration = (
+            [rms(taught["misses"](*each, brake, lasting, noise)) for lasting in (np.inf, 3)]
+            for each in (VELOCITY, ACCELERATION)
+        )
         assert mixed(velocity, pays) < 1.01 * mixed(acceleration, pays)
         assert mixed(velocity, pays - 0.1) > mixed(acceleration, pays - 0.1)
-    says("Who can bear 8 m there gets 11 m in the stop, by an acceleration filter that is more restless.")
+    says("Who can bear 8 m on the calm road gets 11 m in the stop, by an acceleration filter that is more restless.")
     assert (rows[4][1], round(float(rows[4][4].split()[0]))) == ("11 m", 8)
     says("in five seconds 25 m at 2 m/s², and 50 m at 4, if the brake lasts so long")
     for brake, taken in ((2.0, 25), (4.0, 50)):
@@ -177,12 +179,12 @@ def test_the_winners_are_those_until_ten_seconds_after_the_brake():
                 rms(names["misses"](*each, brake, lasting, np.zeros((61 + last, 1))))
                 for each in (VELOCITY, ACCELERATION)
             )
-            assert (" < " in cell) == (velocity < acceleration), (brake, lasting)
+            assert cell.startswith("v " if velocity < acceleration else "a "), (brake, lasting)
 
 
 def test_a_driver_who_has_just_speeded_up(taught):
     """From 10 to 20 m/s in the five seconds before the touch."""
-    says("the acceleration filter is up to 63 m too far at 2 m/s², and loses even the long stop, 34 m against 26.")
+    says("just after speeding up, the acceleration filter can lose the stop, too.")
 
     def position(t):
         faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
@@ -194,7 +196,7 @@ def test_a_driver_who_has_just_speeded_up(taught):
         x, _ = taught["track"](z[:, None] - z[0], *taught["motion"](n, 1.0, q), lesson.R)
         predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
         errors[n] = predicted - (position(np.arange(5.0, 16)) - z[0])
-    assert round(errors[3].max()) == 63
+    assert WORST["acceleration, too far, just after speeding up"][0] == f"{errors[3].max():.0f} m"
     assert [round(rms(each)) for each in errors.values()] == [26, 34]
 
 
@@ -215,7 +217,8 @@ def equally_calm(names, n, q, seconds=5):
 
 
 def test_two_seconds_ahead_the_acceleration_wins_a_stop_of_four_seconds(monkeypatch):
-    says("Two seconds ahead, equally calm, the acceleration filter ($q = 0.044$) wins a stop of four seconds")
+    says("Predicting two seconds ahead, and tuned to be equally calm there ($q = 0.044$), the acceleration filter wins")
+    says("a stop of four seconds (5 m/s²), too")
     equal = equally_calm(made(), *VELOCITY, seconds=2)
     assert equal == pytest.approx(0.044, rel=0.06)
     monkeypatch.setattr(lesson, "SECONDS", 2.0)
@@ -242,18 +245,17 @@ def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
 
 def test_what_not_to_promise():
     velocity, acceleration = (lesson.FILTERS[name] for name in ("velocity, q = 1", "acceleration, q = 0.01"))
-    says("From 20 m/s both filters are up to 31 m too far at 2 m/s², and up to 60 m at 4")
-    for brake, worst in ((2.0, 31), (4.0, 60)):
-        for model in (velocity, acceleration):
-            assert lesson.misses(model, brake).max() == pytest.approx(worst, abs=1)
-    says("If the driver lets go, the acceleration filter falls up to 32 m and 36 m short")
-    for brake, short in ((2.0, 32), (4.0, 36)):
+    says("From 20 m/s the largest misses are those of the last table")
+    for brake, far, short in zip(
+        (2.0, 4.0), WORST["either, too far"], WORST["acceleration, too short, if let go"], strict=True
+    ):
+        assert f"{max(lesson.misses(model, brake).max() for model in (velocity, acceleration)):.0f} m" == far
         worst = min(lesson.misses(acceleration, brake, lasting).min() for lasting in np.arange(1.0, 20 / brake))
-        assert round(-worst) == short
+        assert f"{-worst:.0f} m" == short
 
 
 def test_the_sensor_adds_some_metres(taught):
-    says("The sensor adds some metres.")
+    says("and the sensor adds some metres.")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))
     for brake, worst in ((2.0, 31), (4.0, 60)):
         found = max(taught["misses"](*each, brake, np.inf, noise).max() for each in (VELOCITY, ACCELERATION))
@@ -265,9 +267,6 @@ def test_a_miss_costs_these_filters_more(taught):
     for (n, q), expected in ((VELOCITY, (2.1, 8)), (ACCELERATION, (1.8, 12))):
         lost = [worst_ratio(missed, lambda dt, n=n, q=q: taught["motion"](n, dt, q), lesson.R) for missed in (3, 10)]
         assert (round(lost[0], 1), round(lost[1])) == expected
-    table = (ROOT / "notebooks" / "lessons" / "freeze_the_filter.ipynb").read_text()
-    assert "velocity, q = 1         1.10  2.09  8.08" in table
-    assert "acceleration, q = 0.01  1.05  1.81  11.81" in table
 
 
 def test_the_list_of_the_small_computer():
@@ -277,7 +276,8 @@ def test_the_list_of_the_small_computer():
     off = np.abs(gains / gains[-1] - 1).max(axis=1)
     assert np.flatnonzero(off > 0.02)[-1] + 2 == 8
     said, true = map(float, re.findall(r"in five seconds ([\d.]+) m on", shown(CELLS["device"])))
-    says(f"It is {true - said:.1f} m short; with this sensor 1.5 m are usual.")
+    assert 0 < true - said < 3
+    says("With this sensor 1.5 m are usual.")
     names = made()
     z = names["road"](np.arange(-60, 7), 2)[:, None] + np.random.default_rng(9).normal(0, np.sqrt(0.1), (67, 1000))
     x, _ = names["track"](z - z[0], *names["motion"](3, 1.0, 0.01), 0.1)

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import ROOT, cells_of, prose, source
+from conftest import ROOT, cells_of, prose, shown, source
 
 import mpt_helpers as mpt
 from reproduction import burden
@@ -65,12 +65,7 @@ def test_the_filter_with_gaps_serves_axes_with_noises_of_their_own(taught, shape
 
 
 def test_sharing_needs_that_each_axis_is_measured_and_the_split_does_not(taught):
-    says("Sharing also needs equal blocks, or multiples of one another, which have the same gain.")
-    one, other = (
-        mpt.LinearModel(F=F, H=[[1, 0]], Q=s * lesson.AXIS.Q, R=[[s * 0.1]], P0=s * np.eye(2)) for s in (1, 100)
-    )
-    gains = [mpt.KalmanFilter(each).coefficients(20).B for each in (one, other)]
-    np.testing.assert_allclose(*gains, rtol=1e-9)
+    says("Splitting needs only the zeros. Sharing also needs equal blocks.")
     X, P = np.zeros((3, 2, 1)), np.stack([np.eye(2)] * 3)
     for _ in range(200):
         before = P
@@ -127,11 +122,6 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
     best, frozen = lesson.after_silence(30, steps=15)
     says(f"knows the height to {best[0]:.2f} m at once")
     says(f"At the first measurement its true σ is {frozen[0]:.2f} m, and it takes ten seconds until it is nearly as")
-    says("after the next measurement its σ is 7 % above that of a gain computed anew")
-    assert np.divide(*lesson.after_silence(1, steps=1)[::-1]).item() == pytest.approx(1.07, abs=0.006)
-    says("(After two misses it is 23 %, after three 46 %.)")
-    for missed, ratio in ((2, 1.23), (3, 1.46)):
-        assert np.divide(*lesson.after_silence(missed, steps=1)[::-1]).item() == pytest.approx(ratio, abs=0.006)
     ratio = frozen / best
     assert ratio[8] > 1.2
     assert ratio[9:].max() < 1.035
@@ -145,7 +135,7 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
 def test_axes_that_are_linked():
     says("With correlations of 0.9 between the errors and −0.45 between the changes, equal axes lose 30 %.")
     assert lesson.losses_apart([1, 1, 10], errors=0.9, changes=-0.45)[:2, 0].round().tolist() == [52, 52]
-    says("strong links of opposite signs: there, at 0.9, we saw 30 to 52 %.")
+    says("or if errors and changes have links of opposite signs: we saw 30 to 52 % (note 2).")
     says("equal axes lose 30 %. Beside")
     says("east and north lose 33 % with the first of these links alone, and 52 % with both")
     assert round(lesson.losses_apart([1, 1, 1], errors=0.9, changes=-0.45)[0, 0]) == 30
@@ -206,21 +196,30 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
 
 
 @pytest.mark.parametrize("stacked", [False, True])
-def test_the_frozen_step_is_that_of_the_package(settled, stacked):
-    """With misses, and for axes that differ too."""
-    variances = [0.1, 0.4, 0.9] if stacked else [0.1] * 3
+def test_the_sparing_step_is_frozen_until_a_miss_and_loses_nothing(settled, taught, stacked):
+    """With misses, and for axes that differ too: within a fiftieth of σ of `step_with_gaps`."""
+    variances = np.array([0.1, 0.4, 0.9] if stacked else [0.1] * 3)
     axes = [mpt.LinearModel(F=F, H=[[1, 0]], Q=lesson.AXIS.Q, R=[[each]]) for each in variances]
     frozen = [mpt.SteadyStateFilter.from_kalman(each) for each in axes]
-    A, K = np.stack([each.A for each in frozen]), np.stack([each.B for each in frozen])
-    names = {"np": np, "F": F, "A": A if stacked else A[0], "K": K if stacked else K[0]}
-    exec(source(CELLS["frozen-gaps"]), names)
-    z = np.random.default_rng(7).normal(0, 1, (30, 3))
-    z[7, 1] = z[20, 2] = np.nan
-    X = np.zeros((3, 2, 1))
-    for z_k in z:
-        X = names["frozen_step"](X, z_k)
-    for i, each in enumerate(frozen):
-        np.testing.assert_allclose(X[i, :, 0], each.filter(z[:, [i]])[-1], atol=1e-12)
+    A, K, P = (np.stack([getattr(each, name) for each in frozen]) for name in "ABP")
+
+    def with_gaps(X, P, z):
+        return taught["step_with_gaps"](X, P, z, r=variances)
+
+    names = {"np": np, "A": A if stacked else A[0], "K": K if stacked else K[0], "step_with_gaps": with_gaps}
+    exec(source(CELLS["frozen-gaps"]), {**names, "P": P[0]}, made := {})
+    step = type(made["sparing_step"])(made["sparing_step"].__code__, {**names, "P_rest": P})
+    z = np.random.default_rng(7).normal(0, 1, (60, 3))
+    z[20, 1] = z[30:38, 2] = np.nan
+    X = best = np.zeros((3, 2, 1))
+    P_k = P_best = P
+    for k, z_k in enumerate(z):
+        X, P_k = step(X, P_k, z_k)
+        best, P_best = with_gaps(best, P_best, z_k)
+        sigma = np.sqrt(np.diagonal(P_best, axis1=1, axis2=2))[..., None]
+        assert (np.abs(X - best) < 0.02 * sigma).all()
+        assert (P_k is P) == (k < 20)
+    assert np.allclose(P_k, P, rtol=0.01, atol=0)
 
 
 def test_axes_of_other_motions_are_stacked_too(taught):
@@ -242,7 +241,8 @@ def test_axes_of_other_motions_are_stacked_too(taught):
 
 
 def test_errors_that_last_are_not_stated():
-    says("fading by 20 % a second or by 1 %, the filter follows them: it states a σ of 0.23 m where 0.33 m is true")
+    says("If each error keeps 80 % or 99 % of itself to the next second, the filter takes it for motion: it states a σ")
+    says("of 0.23 m where 0.33 m is true, no better than a raw measurement.")
     for kept in (0.8, 0.99):
         last = lesson.sigma_if_errors_last(kept, steps=5000)
         assert round(last, 2) == 0.33
@@ -281,18 +281,6 @@ def test_a_gain_that_has_not_moved_in_ten_times_as_many_steps_is_settled(taught)
     assert frozen > 15
 
 
-def test_a_large_gain_of_the_velocity_does_not_bear_misses():
-    """Every second measurement missed, the hardest of single misses: bounded below a gain of 1, and not much above."""
-    says("the gain of the velocity, times the step, is below 1 (here it is 0.213). After a miss the surprise contains")
-    rng = np.random.default_rng(4)
-    seen = {True: 0, False: 0}
-    for _ in range(200):
-        dt, q, r = 10 ** rng.uniform([-1, -2, -4], [1, 2, 2])
-        F, G, H = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt**2 / 2], [dt]]), np.array([[1.0, 0.0]])
-        K = mpt.SteadyStateFilter.from_kalman(mpt.LinearModel(F=F, H=H, Q=q * G @ G.T, R=[[r]])).B
-        twice = np.abs(np.linalg.eigvals((F - K @ H @ F) @ F)).max()
-        gain = K[1, 0] * dt
-        if not 1 < gain < 1.2:
-            seen[gain <= 1] += 1
-            assert (twice < 1) == (gain <= 1), (dt, q, r)
-    assert min(seen.values()) > 30
+def test_the_big_filter_shows_the_last_number_of_the_table():
+    shown_by_it = re.search(r"\[.* ([\d.]+)\]", shown(CELLS["big"]))[1]
+    assert shown(CELLS["linked"]).splitlines()[-1].split()[-2] == shown_by_it

@@ -72,7 +72,7 @@ def short():
     return ran(SHORT)
 
 
-@pytest.mark.parametrize(("page", "least"), [("guide", 9), ("band", 7), ("other", 7), ("short", 6)])
+@pytest.mark.parametrize(("page", "least"), [("guide", 9), ("band", 7), ("other", 7), ("short", 7)])
 def test_the_blocks_print_what_their_page_says(page, least, request):
     _, printed, _ = request.getfixturevalue(page)
     assert len(printed) >= least
@@ -117,6 +117,32 @@ def test_the_numbers_in_the_words_of_the_short_guide_are_right(short):
     both = (np.abs(c.band.ahead.errors) <= c.band.widths)[c.band.unseen].all(axis=1).mean()
     assert f"{both:.0%}" == "93%"
     assert "both at once hold less, here 93 %" in SHORT
+
+
+def test_what_the_short_guide_says_of_the_ride_as_it_is(short):
+    t, z = short[0]["ride"].t, short[0]["ride"].z
+    own = tracks.clean(t, z)
+    kept = own.mask
+    assert np.hypot(*(own.x[kept][:, ::2] - z[kept]).T).max() < 1e-3
+    assert "the line moves none of the good ones by a millimetre" in SHORT
+    assert f"{len(t) / len(tracks.clean(t, z, limit=9.0).refused):.0f}" == "42"
+    assert "at the three times of the textbooks one good fix in forty of this ride would go" in SHORT
+    hidden = np.zeros(len(t), bool)
+    starts = np.arange(150, 4500, 200)
+    hidden[starts[:, None] + np.arange(60)] = True
+    s = own.filter.smooth(np.where((hidden | ~kept)[:, None], np.nan, z))
+    off = np.abs(s.x[:, ::2] - z) < 1.96 * np.sqrt(s.P[:, [0, 2], [0, 2]])
+    said = f"Over {len(starts)} minutes of the ride whose fixes were hidden from it, its 95 % held"
+    assert f"{said} {100 * off[hidden & kept].mean():.0f} % of them." in SHORT
+
+
+@pytest.mark.parametrize(("rows", "begins"), [(55, 0), (60, 1)])
+def test_a_pause_of_a_minute_ends_a_line(short, rows, begins):
+    assert "rows are missing for less than a minute" in SHORT
+    t, z = short[0]["ride"].t[1800:2400], short[0]["ride"].z[1800:2400]
+    keep = np.ones(600, bool)
+    keep[200 : 200 + rows] = False
+    assert len(set(tracks.clean(t[keep], z[keep]).segments.tolist())) == 1 + begins
 
 
 def sections(text):
@@ -248,10 +274,11 @@ def test_a_jump_stands_out_in_the_nis_and_the_mean_after_the_fit_does_not_see_it
     assert above[0] > 5 > 1 > above[1]  # the second and the third line of the table
 
 
-def test_a_live_band_that_is_not_told_of_a_new_start_is_nearly_twice_as_wide(other):
+def test_a_live_band_that_learns_from_a_jump_is_nearly_twice_as_wide(other):
     (code,) = (code for code in codes(OTHER) if "def go" in code)
-    told = "            live = mpt.bands.LiveBand(kf, seconds=10)\n            live.log_f = learnt\n"
+    told = "            quiet_until = t_k + 15\n"
     assert code.count(told) == 1
+    assert mpt.bands.LATEST_CHECK == 1.5  # of ten seconds
     (slow,) = (line for line in code.splitlines() if "np.inf" in line)  # not needed here
     names = blocks("def go", text=f"```python\n{code.replace(told, '').replace(slow, '')}```")
     wider = np.median(names["minute"], axis=0) / np.median(other[0]["minute"], axis=0)
