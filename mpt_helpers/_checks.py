@@ -238,19 +238,11 @@ def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
 
 
 def as_seconds(value: object) -> object:
-    """Return a timedelta of Python, numpy or pandas in seconds; anything else as it is."""
-    if isinstance(value, timedelta | np.timedelta64):
-        with suppress(TypeError):  # of months and years, which have no length
-            return float(value / np.timedelta64(1, "s"))
-    return value
-
-
-def _each_in_seconds(value, values):
-    """Return an array `values` of timedeltas in seconds; if it has none, the `value` that it was made from."""
-    if values.dtype.kind == "m":
-        return values / np.timedelta64(1, "s")
+    """Return timedeltas of Python, numpy or pandas, one or many, in seconds; anything else as it is."""
+    values = np.asanyarray(value)
     if isinstance(next(values.flat, None), timedelta | np.timedelta64):
-        return np.reshape([as_seconds(each) for each in values.flat], values.shape)
+        with suppress(TypeError):  # of months and years, which have no length
+            return np.asarray(values / np.timedelta64(1, "s"), float)[()]
     return value
 
 
@@ -262,7 +254,8 @@ def duration(name: str, value: object) -> float:
 def lengths(name: str, value: object) -> Array:
     """Return the lengths of steps, numbers of seconds or timedeltas, in seconds; they are not negative."""
     need = "finite lengths of time that are not negative"
-    seconds = real_numbers(name, _each_in_seconds(value, _as_array(name, value, need)), need).astype(float, copy=False)
+    _as_array(name, value, need)
+    seconds = real_numbers(name, as_seconds(value), need).astype(float, copy=False)
     if not ((seconds >= 0) & (seconds < np.inf)).all():
         refuse(name, need, f"{value!r:.60}")
     return seconds
@@ -274,10 +267,10 @@ def times(name: str, value: Any) -> Array:
     values = _as_array(name, value, need)
     if values.dtype.kind == "M" or isinstance(next(values.flat, None), datetime):
         try:
-            values = values - values.flat[:1]
+            value = values - values.flat[:1]
         except TypeError as error:
             refuse(name, need, f"dates that cannot be subtracted: {error}", TypeError)
-    values = real_numbers(name, _each_in_seconds(value, values), need, ("N",), ("N", "M"))
+    values = real_numbers(name, as_seconds(value), need, ("N",), ("N", "M"))
     kind = values.dtype
     values = array(name, values, values.shape)
     with np.errstate(over="ignore"):  # such times are refused below

@@ -137,7 +137,7 @@ class KalmanFilter(RecursiveFilter):
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
         keep = np.eye(self.model.n) - kf.K @ kf.H
-        require_digits(keep, kf.F, P, kf.P, kf.S.max(), dt)
+        require_digits(keep, kf.F, P, kf.P, kf.H @ kf.F, kf.S.diagonal(), dt)
         return keep @ kf.F, kf.K @ W, kf.P
 
     def step(
@@ -212,7 +212,7 @@ class KalmanFilter(RecursiveFilter):
         steps = np.concatenate([np.full_like(t[:1], self.model.dt), np.diff(t, axis=0)])
         lengths = steps[steps > 0]
         for dt in {lengths.min(), lengths.max()} if lengths.size else ():
-            missed = max(half_step_gap(self.model.transition, dt))
+            missed = half_step_gap(self.model.transition, dt)
             if MOST_HALF_STEP_GAP < missed < np.inf:
                 of = f"over {dt:.3g} s the transition's F and Q are not those of two half steps"
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")

@@ -234,7 +234,7 @@ def _checked_step(transition, dt):
     F_0, Q_0 = transition(0.0)
     if not np.array_equal(F_0, np.eye(n)) or np.any(Q_0):
         checks.refuse("transition", "F = I and Q = 0 over a step of zero", "another F or Q")
-    missed = max(half_step_gap(transition, dt))
+    missed = half_step_gap(transition, dt)
     if missed > HALF_STEP_TOLERANCE:
         checks.refuse("transition", "two steps of dt / 2 to be one of dt", f"{missed:.2g} of their size between them")
     return F, Q
@@ -251,20 +251,16 @@ def _F_and_Q(transition, dt):
     return np.array(F)[which], np.array(Q)[which]
 
 
-def half_step_gap(transition: Transition, dt: float) -> tuple[float, float]:
-    """Return the largest relative differences of F and of Q between two steps of dt / 2 and one of dt."""
+def half_step_gap(transition: Transition, dt: float) -> float:
+    """Return the largest relative difference of F and Q between two steps of dt / 2 and one of dt."""
     with np.errstate(over="ignore", invalid="ignore"):
         (half, noise), (F, Q) = transition(dt / 2), transition(dt)
-        F_twice, Q_twice = half @ half, half @ noise @ half.T + noise
+        missed_F, missed_Q = half @ half - F, half @ noise @ half.T + noise - Q
         half, noise = np.abs(half), np.abs(noise)
         F_size, Q_size = half @ half, half @ noise @ half.T + noise  # the sizes of the terms that are added
         F_size = np.maximum(F_size, F_FLOOR * F_size.max())
-        return _relative(F_twice - F, F_size), _relative(Q_twice - Q, Q_size)
-
-
-def _relative(missed, size):
-    """Return the largest of |missed| / size; it is infinite if a number is not finite."""
-    return float(np.nan_to_num(np.abs(missed) / np.maximum(size, TINY), nan=np.inf, posinf=np.inf).max())
+        gaps = np.abs([missed_F, missed_Q]) / np.maximum([F_size, Q_size], TINY)
+    return float(np.nan_to_num(gaps, nan=np.inf, posinf=np.inf).max())
 
 
 def _matrices(rows):

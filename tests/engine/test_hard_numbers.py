@@ -501,13 +501,25 @@ def of_a_sum(P0, q=0.0):
 @pytest.mark.parametrize("q", [0.0, 0.01])
 @pytest.mark.parametrize("P0", [1e12, 1e14, 1e16, 1e20])
 def test_a_state_that_nothing_measures_may_be_vague(P0, q):
-    """At 1e16 x was wrong by half a sigma and P by twice its size, S by 2 to 10 % at 1e14: now it is refused."""
+    """At 1e16 x was wrong by half a sigma and P by twice its size, S by 2 to 10 % at 1e14: now it is refused.
+
+    `step` has no more than the doubles of P, which leave no digit of the sum: from 1e15 on it was wrong by its sigma.
+    """
     model = of_a_sum(P0, q)
     z = np.random.default_rng(1).standard_normal((30, 2))
     z[5], z[7, 0] = np.nan, np.nan
     kf = mpt.KalmanFilter(model)
     found = kf.estimates(z)
     assert max(off_by(found, model, z)) < 1e-4
+    for each in (kf, mpt.LainiotisFilter(model)):
+        if P0 > 1e13:
+            with pytest.raises(
+                ValueError, match="P: needs a covariance that keeps digits beside the measurement noise"
+            ):
+                one_after_the_other(each, z)
+        else:
+            of_sums = (one_after_the_other(each, z) - found.x) @ model.H.T
+            assert (np.abs(of_sums) < 1e-2).all()
     *_, S = precise.kalman(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
     if P0 > 1e13:
         with pytest.raises(ValueError, match="P0: needs a start that leaves digits of the innovations' covariances"):
