@@ -279,7 +279,7 @@ def test_a_live_band_that_learns_from_a_jump_is_nearly_twice_as_wide(other):
     told = "            quiet_until = t_k + 15\n"
     assert code.count(told) == 1
     assert mpt.bands.LATEST_CHECK == 1.5  # of ten seconds
-    (slow,) = (line for line in code.splitlines() if "np.inf" in line)  # not needed here
+    (slow,) = (line for line in code.splitlines() if "patience=np.inf" in line)  # not needed here
     names = blocks("def go", text=f"```python\n{code.replace(told, '').replace(slow, '')}```")
     wider = np.median(names["minute"], axis=0) / np.median(other[0]["minute"], axis=0)
     assert "nearly twice as wide" in OTHER
