@@ -57,7 +57,7 @@ def checked_track(t, z, r, segment):
     begins_segment = np.append(False, segment[1:] != segment[:-1])
     order = np.argsort(t, kind="stable")  # segments may be out of order, the rows of a segment may not
     times = np.empty(len(z))
-    times[order] = checks.times("t", np.asarray(t)[order])
+    times[order] = checks.times("t", np.asanyarray(t)[order])
     back = (np.diff(times) < 0) & ~begins_segment[1:]
     if back.any():
         checks.refuse("t", "times that do not decrease within a segment", f"less in row {np.argmax(back) + 1}")

@@ -382,6 +382,7 @@ SHORT = ride(N=300)
         ({"rounding": np.nan}, "rounding: needs a number that is not negative, got nan"),
         ({"rounding": "1"}, "rounding: needs a number that is not negative"),
         ({"t": np.r_[np.zeros(299), 1.0]}, "t: needs at least 10 fixes at different times, got 2"),
+        ({"t": np.ma.masked_greater(SHORT[0], 295)}, "t: needs .* got a masked array"),
         ({"pause": 0.5}, "pause: needs recordings of three fixes and more, got 300 recordings of 300 fixes"),
         ({"limit": 0.99}, "limit: needs a squared distance in variances, above 1"),
         (
