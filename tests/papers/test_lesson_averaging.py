@@ -160,9 +160,7 @@ def test_the_formula_is_computed_by_hand():
     assert f"{sigma**2:.2f}" == "1.44"
     says(f"After a time τ, {100 * np.exp(-1):.0f} % of it is left on average")
     left = lesson.stated_at_rest(0.0, *PAIR, 86_400.0, 2880)
-    says(
-        f"lasting error that is left in the mean of a day ({left:.2f} m, by the formula), and so counted twice: to the safe side."
-    )
+    says(f"lasting error that is left in the mean of a day ({left:.2f} m, by the formula), and so counted")
 
 
 def test_the_mean_leaves_seven_percent_more_than_the_best_average():
