@@ -16,7 +16,7 @@ import re
 import zlib
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ class Recording:
     accuracy: Array  # the standard deviation that the file states for each fix, m
     segment: NDArray[np.int64]  # the number of the segment that each fix lies in, from 1
     said: tuple[str, ...] = ()  # notes about the file, for the report
-    data: bytes = b""  # a whole GPX file; empty for others
+    data: bytes = field(default=b"", repr=False)  # a whole GPX file; empty for others
     dated: bool = True  # whether times are dates, not numbers
     index: Any = None  # the labels of a frame's rows
 

@@ -431,6 +431,46 @@ def off_by(found, model, z):
     return (np.abs(found.x - x) / s).max(), (np.abs(found.P - P) / s[:, :, None] / s[:, None]).max()
 
 
+def of_steps(model, dts, z):
+    """x and P of one track z (N, 1) with steps of these lengths, by 60 digits."""
+    H, R, x, P = map(precise.exact, (model.H, model.R, model.x0, model.P0))
+    found = []
+    for dt, z_k in zip(dts, z, strict=True):
+        F, Q = map(precise.exact, model.over(dt))
+        x, P = F @ x, F @ P @ F.T + Q
+        if not np.isnan(z_k).any():
+            _, K, P, _ = precise.update(P, F, H, R)
+            x = x + K @ (precise.exact(z_k) - H @ x)
+        found.append((x.astype(float), P.astype(float)))
+    return map(np.array, zip(*found, strict=True))
+
+
+@pytest.mark.parametrize("pause", [1e5, 1e6, 1e7])
+@pytest.mark.parametrize("q", [0.0, 0.01])
+def test_a_pause_of_weeks_is_right_or_refused_by_name(pause, q):
+    """P was 17 % wrong after pauses of 1e6 s, 62 times after 1e7 s, and without process noise 1.8e8 times.
+
+    Tracks with own pauses, one that has none, and one that is measured only once between two of them.
+    """
+    model = mpt.constant_acceleration(1.0, q, 0.1, P0=np.eye(3))
+    dts = np.ones((60, 4))
+    dts[20, 0], dts[40, 0], dts[10, 1], dts[13, 2], dts[14, 2] = pause, pause / 2, pause / 3, pause / 2, pause / 2
+    z = 0.3 * np.random.default_rng(1).standard_normal((60, 1, 4))
+    z[20, :, 0] = np.nan
+    kf = mpt.KalmanFilter(model, t=np.cumsum(dts, axis=0))
+    if pause == 1e7:
+        with pytest.raises(ValueError, match=r"(t: needs pauses|P0: needs a start) that makes? the first"):
+            kf.filter(z)
+        return
+    found, states = kf.estimates(z), kf.filter(z)
+    for track in range(4):
+        x, P = of_steps(model, dts[:, track], z[..., track])
+        s = deviations(P)
+        assert (np.abs(found.x[..., track] - x) < 1e-2 * s).all()
+        assert (np.abs(states[..., track] - x) < 1e-2 * s).all()
+        assert (np.abs(found.P[..., track] - P) < 1e-2 * s[:, :, None] * s[:, None]).all()
+
+
 @pytest.mark.parametrize("missing", [[], [5]], ids=["no gap", "a gap"])
 def test_a_vague_state_may_show_only_after_some_steps(missing):
     """Two steps pass before the acceleration reaches the position; then all of its digits were lost."""
@@ -461,13 +501,25 @@ def of_a_sum(P0, q=0.0):
 @pytest.mark.parametrize("q", [0.0, 0.01])
 @pytest.mark.parametrize("P0", [1e12, 1e14, 1e16, 1e20])
 def test_a_state_that_nothing_measures_may_be_vague(P0, q):
-    """At 1e16 x was wrong by half a sigma and P by twice its size, S by 2 to 10 % at 1e14: now it is refused."""
+    """At 1e16 x was wrong by half a sigma and P by twice its size, S by 2 to 10 % at 1e14: now it is refused.
+
+    `step` has no more than the doubles of P, which leave no digit of the sum: from 1e15 on it was wrong by its sigma.
+    """
     model = of_a_sum(P0, q)
     z = np.random.default_rng(1).standard_normal((30, 2))
     z[5], z[7, 0] = np.nan, np.nan
     kf = mpt.KalmanFilter(model)
     found = kf.estimates(z)
     assert max(off_by(found, model, z)) < 1e-4
+    for each in (kf, mpt.LainiotisFilter(model)):
+        if P0 > 1e13:
+            with pytest.raises(
+                ValueError, match="P: needs a covariance that keeps digits beside the measurement noise"
+            ):
+                one_after_the_other(each, z)
+        else:
+            of_sums = (one_after_the_other(each, z) - found.x) @ model.H.T
+            assert (np.abs(of_sums) < 1e-2).all()
     *_, S = precise.kalman(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
     if P0 > 1e13:
         with pytest.raises(ValueError, match="P0: needs a start that leaves digits of the innovations' covariances"):

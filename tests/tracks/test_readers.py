@@ -379,7 +379,10 @@ def test_a_table_is_read_packed_and_however_its_lines_end(tmp_path, data):
 def test_so_is_a_gpx_file_whatever_its_name(tmp_path, data):
     for name in ("ride.gpx", "ride.GPX.GZ", "ride"):
         (tmp_path / name).write_bytes(data)
-        np.testing.assert_array_equal(readers.read(tmp_path / name).lat, LAT)
+        recorded = readers.read(tmp_path / name)
+        np.testing.assert_array_equal(recorded.lat, LAT)
+        assert b"<trkpt" in recorded.data
+        assert "<trkpt" not in repr(recorded)  # which does not show the file
 
 
 @pytest.mark.parametrize(
