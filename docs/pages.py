@@ -70,7 +70,7 @@ GUIDES = ("guide", "by_hand", "band")
 BELOW_GUIDE = {
     "by_hand": "By hand",
     "band": "What a band is worth",
-    "small_processor": "Live, two sensors, a small processor",
+    "small_processor": "A small processor, a live gate, two sensors",
     "smoothing": "Smoothing with the phase",
     "other_packages": "From another package",
 }
