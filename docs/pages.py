@@ -70,7 +70,7 @@ GUIDES = ("guide", "by_hand", "band")
 BELOW_GUIDE = {
     "by_hand": "By hand",
     "band": "What a band is worth",
-    "small_processor": "Live, two sensors, a small processor",
+    "small_processor": "A small processor, a live gate, two sensors",
     "smoothing": "Smoothing with the phase",
     "other_packages": "From another package",
 }
@@ -423,6 +423,11 @@ CHAPTERS = {
     "What a filter is worth": ("metrics", "fit", "fitting", "bands", "forecasts", "study", "monte_carlo", "riccati"),
     "A recorded track": ("tracks",),
 }
+
+
+# By these, filters, metrics and bands call one another. They have one line, and the page of a class leaves them out.
+INNER = {"advance", "as_tracks", "epochs_of", "estimates_of", "innovations_of", "next_steps", "run", "times_of"}
+INNER |= {"directions", "directions_by", "leaves", "measurement", "motion", "parts", "shared_steps"}
 
 
 def interface():

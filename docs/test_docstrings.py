@@ -8,12 +8,9 @@ import inspect
 import pytest
 from numpydoc.docscrape import ClassDoc
 from numpydoc.validate import ERROR_MSGS, validate
+from pages import INNER
 
 import mpt_helpers as mpt
-
-# By these methods filters, metrics and bands call one another. They have one line.
-INNER = {"as_tracks", "epochs_of", "estimates_of", "innovations_of", "next_steps", "run", "shared_steps"}
-INNER |= {"advance", "times_of"}
 
 # The rules of numpydoc that are not asked for, and why.
 OFF = {
