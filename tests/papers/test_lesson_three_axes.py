@@ -140,16 +140,16 @@ def test_axes_that_are_linked():
     says("east and north lose 33 % with the first of these links alone, and 52 % with both")
     assert round(lesson.losses_apart([1, 1, 1], errors=0.9, changes=-0.45)[0, 0]) == 30
     assert round(lesson.losses_apart([1, 1, 10], errors=0.9)[0, 0]) == 33
-    says("So for equal axes one link of 0.5 costs 2 % in each position, and 3 % in each velocity (0.9 up to 14 %)")
+    says("A link of 0.5 costs equal axes 2 % in position and 3 % in velocity, and one of 0.9 up to 14 %")
     for link in ("errors", "changes"):
         assert lesson.losses_apart([1, 1, 1], **{link: 0.5})[0].round().tolist() == [2, 3]
     assert round(lesson.losses_apart([1, 1, 1], errors=0.9)[0, 1]) == 14
-    says("(equal axes whose errors and changes are linked alike lose nothing while all are measured)")
+    says("equal axes whose errors and changes are linked alike lose nothing while all are measured.")
     assert np.abs(lesson.losses_apart([1, 1, 1], errors=0.9, changes=0.9)).max() < 1e-6
-    says("We would take it from 0.4 on if")
+    says("we would keep them apart below a correlation of 0.4.")
     assert lesson.losses_apart([1, 1, 1], errors=0.4, changes=-0.4)[0, 0] > 5
     assert lesson.losses_apart([1, 1, 10], errors=0.4)[0, 0] > 4
-    says("(For errors the same holds beside a poor axis.)")
+    says("for errors the same holds beside a poor axis.")
     blocks = {name: np.kron(np.eye(3), getattr(lesson.AXIS, name)) for name in "FHQ"}
     sizes = lesson.AXIS.R[0, 0] * np.outer([1, 1, 10], [1, 1, 10])
     told, true = (mpt.LinearModel(**blocks, R=sizes * lesson.correlated(3, each)) for each in (0.9, 0.3))
@@ -158,7 +158,7 @@ def test_axes_that_are_linked():
     assert made > 2 * filter_of_told.P[0, 0]
     says("the small filters state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says("told 0.9 where 0.3 is true, it states 4.4 m after the silence, and 10.9 m is true.")
+    says("told that changes have 0.9 where 0.3 is true, the big filter states 4.4 m after the silence, and 10.9 m is")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
@@ -260,7 +260,7 @@ def test_axes_of_other_motions_are_stacked_too(taught):
 
 def test_errors_that_last_are_not_stated():
     says("If each error keeps 80 % or 99 % of itself to the next second, the filter takes it for motion: it states a σ")
-    says("of 0.23 m where 0.33 m is true, no better than a raw measurement.")
+    says("of 0.23 m where 0.33 m is true in both cases, a little worse than a raw measurement.")
     for kept in (0.8, 0.99):
         last = lesson.sigma_if_errors_last(kept, steps=5000)
         assert round(last, 2) == 0.33
@@ -281,7 +281,7 @@ def test_a_corner_puts_the_filter_off(settled):
 
 
 def test_a_gain_that_has_not_moved_in_ten_times_as_many_steps_is_settled(taught):
-    says("run ten times as many steps as it took to settle, on zeros, since $P$ needs no measurement, and see that the")
+    says("run ten times as many steps, on zeros, since $P$ needs no measurement. If the gain moves by more than a")
     rng, frozen = np.random.default_rng(0), 0
     for _ in range(30):
         dt, q, r = 10 ** rng.uniform([-2, -4, -3], [1, 2, 3])
