@@ -124,7 +124,7 @@ def test_what_the_short_guide_says_of_the_ride_as_it_is(short):
     own = tracks.clean(t, z)
     kept = own.mask
     assert np.hypot(*(own.x[kept][:, ::2] - z[kept]).T).max() < 1e-3
-    assert "the line moves none of the good ones by a millimetre" in SHORT
+    assert "the line moves no good fix by a millimetre" in SHORT
     assert f"{len(t) / len(tracks.clean(t, z, limit=9.0).refused):.0f}" == "42"
     assert "at the three times of the textbooks one good fix in forty of this ride would go" in SHORT
     hidden = np.zeros(len(t), bool)
@@ -132,7 +132,7 @@ def test_what_the_short_guide_says_of_the_ride_as_it_is(short):
     hidden[starts[:, None] + np.arange(60)] = True
     s = own.filter.smooth(np.where((hidden | ~kept)[:, None], np.nan, z))
     off = np.abs(s.x[:, ::2] - z) < 1.96 * np.sqrt(s.P[:, [0, 2], [0, 2]])
-    said = f"Over {len(starts)} minutes of the ride whose fixes were hidden from it, its 95 % held"
+    said = f"over {len(starts)} minutes of the ride whose fixes were hidden from it, its 95 % held"
     assert f"{said} {100 * off[hidden & kept].mean():.0f} % of them." in SHORT
 
 
@@ -403,10 +403,14 @@ def test_a_table_of_gains_costs_what_its_page_says(other):
     assert f"{error['constant'][1]:.0f}" == "17"
 
 
-def test_the_gains_depend_on_q_dt3_over_r_only(other):
+def test_the_last_gains_depend_on_q_dt3_over_r_only(other):
     limit = other[0]["steady"].B[:, 0]
     other_units = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(dt=0.5, q=4.0, r=5.0)).B[:, 0]
     np.testing.assert_allclose(other_units * [1, 0.5], limit)
+    model, P = other[0]["steady"].model, other[0]["steady"].P
+    predicted = (model.F @ P @ model.F.T + model.Q)[0, 0]
+    assert "the variance of a surprise is r / (1 − gain[LAST][0])" in OTHER
+    assert predicted + model.R[0, 0] == pytest.approx(model.R[0, 0] / (1 - limit[0]))
 
 
 def test_a_gap_and_its_cure_cost_what_the_page_says(other):
