@@ -603,7 +603,8 @@ def main():
     about = texts(given)
     plots.use_style()
     draw_still(about["live"]["presets"][about["live"]["shown"]], BUILD / "static")
-    draw_accuracy((DOCS / "accuracy.md").read_text(encoding="utf-8").partition("<!-- digits -->")[2], BUILD / "static")
+    digits = (DOCS / "accuracy.md").read_text(encoding="utf-8").partition("<!-- digits -->")[2]
+    draw_accuracy(digits.partition("<!-- end of digits -->")[0], BUILD / "static")
     cff, own = citation()
     name = f"mpt_helpers-{mpt.__version__}"
     size = write_archive(BUILD / "extra" / f"{name}.tar.gz", name)

@@ -30,7 +30,7 @@ from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, LinearMap, Motion, whitened
-from ._engine.pieces import LARGEST, VAGUE, directions_seen
+from ._engine.pieces import LARGEST_S, VAGUE_S, directions_seen
 from ._engine.run import MOST_ROUNDING_OF_S
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
@@ -536,13 +536,13 @@ def require_digits(T_1, T_2, P, after, H, S, dt=None):
     sigma = np.sqrt(np.abs(P.diagonal()))
     largest_S = (np.abs(H) @ sigma) ** 2
     finite = np.isfinite(after).all()
-    if largest_S.max() < VAGUE and finite:
+    if largest_S.max() < VAGUE_S and finite:
         return
     eps = np.finfo(float).eps
     largest_P = (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
     P_is_right = (eps * largest_P <= MOST_ROUNDING * after.diagonal()).all()
     S_is_right = (eps * largest_S <= MOST_ROUNDING_OF_S * S).all()
-    if S.max() < LARGEST and finite and P_is_right and S_is_right:
+    if S.max() < LARGEST_S and finite and P_is_right and S_is_right:
         return
     if dt is not None:
         checks.refuse("dt", "a time over which the prediction keeps digits beside the measurement noise", f"{dt:.6g} s")

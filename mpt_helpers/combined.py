@@ -269,7 +269,7 @@ def six_filters(model: LinearModel) -> dict[str, Filter]:
     Examples
     --------
     >>> import mpt_helpers as mpt
-    >>> list(mpt.six_filters(mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)))
+    >>> list(mpt.six_filters(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)))
     ['KF', 'LF', 'JKLF', 'SSKF', 'SSLF', 'JSSKLF']
 
     """

@@ -125,20 +125,20 @@ class KalmanFilter(RecursiveFilter):
         """
         kf = copy.copy(self._filterpy)  # predict and update change it, and other threads may take a step, too
         kf.P = P
-        W = self._units[1]
+        U = self._units[1]
         if dt is not None:
             kf.F, kf.Q = self.model.over(dt)
         if r is not None or not seen.all():
             R = self.model.R if r is None else np.diag(np.where(seen, r, 1))
-            H_1, W = unit_measurements(*masked(self.model.H, R, seen))
+            H_1, U = unit_measurements(*masked(self.model.H, R, seen))
             kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
-        kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
+        kf.update(np.zeros(len(U)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
         keep = np.eye(self.model.n) - kf.K @ kf.H
         require_digits(keep, kf.F, P, kf.P, kf.H @ kf.F, kf.S.diagonal(), dt)
-        return keep @ kf.F, kf.K @ W, kf.P
+        return keep @ kf.F, kf.K @ U, kf.P
 
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None

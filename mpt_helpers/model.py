@@ -339,10 +339,10 @@ def _on_diagonal(parts):
 
 
 def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
-    """Return the papers' model of one axis of a GSM phone (2014 Eq. 3, model B of 2015 Section 2).
+    """Return the papers' model of one axis, which measures the *next* position (2014 Eq. 3, model B of 2015 Section 2).
 
-    Its H measures the next position. If the measurements are of the present position, use `constant_velocity`: with
-    this model the estimates would be one step late.
+    If the measurements are of the present position, use `constant_velocity`: with this model the estimates would be one
+    step late.
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
 
@@ -384,8 +384,14 @@ def constant_velocity(
 
     Parameters
     ----------
-    dt, q, r, x0, P0 : float, array_like
-        As for `gsm_axis`, but q is the spectral density of the white acceleration, in m²/s³.
+    dt : float or timedelta
+        Time step in s.
+    q : float
+        Spectral density of the white acceleration, in m²/s³: the growth per second of the velocity's variance.
+    r : float
+        Variance of a measurement in m², positive.
+    x0, P0 : array_like (n,), (n, n), optional
+        Mean and covariance of x(0), zero where not given.
 
     Returns
     -------
@@ -417,7 +423,7 @@ def constant_acceleration(
     Parameters
     ----------
     dt, q, r, x0, P0 : float, array_like
-        As for `gsm_axis`, but q is the spectral density of the white jerk, in m²/s⁵.
+        As for `constant_velocity`, but q is the spectral density of the white jerk, in m²/s⁵.
 
     Returns
     -------
@@ -449,12 +455,14 @@ def gps_ins(
 
     Parameters
     ----------
-    dt, q : float
-        As for `gsm_axis`. The paper prints no Q.
+    dt : float or timedelta
+        Time step in s.
+    q : float
+        Variance of the change of velocity in one step in m²/s², not negative. The paper prints no Q.
     r : array_like (2,) or (3,)
         Variances of the first two rows of H (m², m²/s²), or of all three (m², m²/s², m²).
     x0, P0 : array_like (3,), (3, 3), optional
-        As for `gsm_axis`.
+        Mean and covariance of x(0), zero where not given.
 
     Returns
     -------

@@ -33,11 +33,11 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # The most runs of step 3. Where the pieces do not match, each runs again from the end of the preceding one; if they do
 # not match after the last run, the track is filtered uncut.
 MOST_PASSES = 3
-# S is the variance of a predicted measurement due to P, in units of its noise. Above VAGUE, rounding leaves about three
-# digits in P after the measurement. The root of S, by which a vague start is solved, has twice as many digits: above
-# LARGEST, its rounding causes an error of some percent of R in P.
-VAGUE = 1e12
-LARGEST = 1e30
+# S is the variance of a predicted measurement due to P, in units of its noise. Above VAGUE_S, an update row by row
+# leaves about three digits in P. The root of S, by which a vague start is solved, has twice as many digits: above
+# LARGEST_S, its rounding causes an error of some percent of R in P.
+VAGUE_S = 1e12
+LARGEST_S = 1e30
 # Eigenvalues of a correlation matrix are taken to be at least this: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
 # A track with vague pauses is filtered in parts of so many rows, since all rows after a pause are filtered again.
@@ -235,14 +235,21 @@ def run_rows_of_any_start(advance, rows, x0, P0, x, P, directions):
     covariances stayed within double precision.
     """
     k, x_k, P_k = 0, x0, P0
-    if not (largest_S(directions, P0.diagonal()) < VAGUE).all():
+    if not (largest_S(directions, P0.diagonal()) < VAGUE_S).all():
         k, x_k, P_k = _from_a_vague_start(advance, rows, x0, square_root(P0[..., 0]), x, P, directions)
     rest = of_each(rows, lambda array: array[k:])
     largest = run_rows(advance, rest, x_k, P_k, x[k:], None if P is None else P[k:])
-    if largest is not None and not rest[1].any():
+    W = x.shape[-1]
+    suspects = np.arange(W) if largest is None else np.flatnonzero(~(largest_S(directions, largest) < VAGUE_S))
+    suspects = suspects[rest[1][..., suspects].any(axis=(0, 1)) | (largest is None)]
+    if not len(suspects):
         return True
-    suspect = np.ones(x.shape[-1], bool) if largest is None else ~(largest_S(directions, largest) < VAGUE)
-    for column in np.flatnonzero(suspect):
+    # The variances may be large only where nothing is measured: look at those after each measurement.
+    own = of_each(rest, lambda array: array[..., suspects])
+    x_own, P_own = np.empty_like(x[k:, ..., suspects]), np.empty((len(own[0]), *P0.shape[:2], len(suspects)))
+    held = run_rows(advance, own, x_k[..., suspects], P_k[..., suspects], x_own, P_own)
+    vague = _leave_P_vague(own, P_own, directions).any(axis=0) | (held is None)
+    for column in suspects[vague]:
         here = slice(column, column + 1)
         P_here = np.empty((len(x), *P0.shape[:2], 1)) if P is None else P[..., here]
         own = of_each(rows, lambda array, here=here: array[..., here])
@@ -251,22 +258,27 @@ def run_rows_of_any_start(advance, rows, x0, P0, x, P, directions):
     return True
 
 
+def _leave_P_vague(rows, P, directions):
+    """Tell which rows have a measurement and leave P (N, n, n, W) vague, (N, W)."""
+    return rows[1].any(axis=1) & ~(largest_S(directions, P.diagonal(axis1=1, axis2=2)) < VAGUE_S)
+
+
 def _run_rows_with_pauses(advance, rows, x0, P0, x, P, directions):
     """Filter all rows of one column (W = 1), and start anew at each row that leaves P vague, as after a long pause.
 
     Returns whether the covariances stayed within double precision.
     """
-    k, measured = 0, np.flatnonzero(rows[1].any(axis=(1, 2)))
+    k = 0
     while k < len(x):
         x_k, P_k = (x0, P0) if k == 0 else (x[k - 1], P[k - 1])
         part = slice(k, k + ROWS_BETWEEN_PAUSES)
-        held = run_rows(advance, of_each(rows, lambda array, part=part: array[part]), x_k, P_k, x[part], P[part])
-        variances = np.concatenate([P_k[None], P[part]]).diagonal(axis1=1, axis2=2)[:, 0]
-        vague = np.flatnonzero(~(largest_S(directions, variances) < VAGUE))
-        # The row that leaves P vague, or the first if P is vague before it; of missed rows, the measurement after them.
-        starts_anew = measured[measured >= k + max(0, vague[0] - 1)] if len(vague) else vague
-        if len(starts_anew) and starts_anew[0] < part.stop:
-            k = starts_anew[0]
+        here = of_each(rows, lambda array, part=part: array[part])
+        held = run_rows(advance, here, x_k, P_k, x[part], P[part])
+        vague = _leave_P_vague(here, P[part], directions)[:, 0]
+        if not largest_S(directions, P_k.diagonal()) < VAGUE_S:  # before all of them
+            vague = here[1].any(axis=(1, 2))
+        if vague.any():
+            k += vague.argmax()
             k += _from_a_pause(advance, rows, k, x0, P0, x, P, directions)
         elif held is None:
             return False
@@ -307,7 +319,7 @@ def _from_a_vague_start(advance, rows, x0, A, x, P, directions, name="P0"):
     all_seen = (counts == counts[-1]).all(axis=1)
     L, y, done = np.zeros((0, n, W)), np.zeros((0, c, W)), 0
     for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, rows, n)):
-        if done and not (largest_S(directions, P_piece.diagonal()) < VAGUE).all():
+        if done and not (largest_S(directions, P_piece.diagonal()) < VAGUE_S).all():
             break
         if rows[1][k].any():
             L, y = _compressed(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
@@ -316,7 +328,7 @@ def _from_a_vague_start(advance, rows, x0, A, x, P, directions, name="P0"):
         if P is not None:
             P[k] = P_k
         done = k + 1
-        if (all_seen[k] | (often[k] & (largest_S(directions, P_k.diagonal()) < VAGUE))).all():
+        if (all_seen[k] | (often[k] & (largest_S(directions, P_k.diagonal()) < VAGUE_S))).all():
             break
     return done, x_k, P_k
 
@@ -330,9 +342,9 @@ def _after_a_piece(x_piece, y, T, P_piece, L, x0, A, name):
     """
     x_piece, y, T, P_piece, L, x0 = (np.moveaxis(each, 2, 0) for each in (x_piece, y, T, P_piece, L, x0))
     S = np.square(L @ A).sum(axis=(1, 2)).max()
-    if not S < LARGEST:
+    if not S < LARGEST_S:
         what = "a start that makes" if name == "P0" else "pauses that make"
-        need = f"{what} the first measurements less than {LARGEST:g} times as uncertain as their noise does"
+        need = f"{what} the first measurements less than {LARGEST_S:g} times as uncertain as their noise does"
         checks.refuse(name, need, f"{S:.2g} times")
     V, s, U_t = np.linalg.svd(L @ A)
     p = s.shape[1]

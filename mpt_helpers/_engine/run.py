@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _checks as checks
 from .columns import product
-from .pieces import FEW_TRACKS, VAGUE, largest_S, run_rows, run_rows_of_any_start
+from .pieces import FEW_TRACKS, VAGUE_S, largest_S, run_rows, run_rows_of_any_start
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
 EPS = np.finfo(float).eps
@@ -26,12 +26,12 @@ def estimates(estimator, epochs, x, covariances):
     P is (N, n, n, 1) where all tracks share it.
     """
     N, _, M = x.shape
-    if estimator.optimal and largest_S(directions_of(estimator, epochs), estimator.P0.diagonal()) > VAGUE:
+    if estimator.optimal and largest_S(directions_of(estimator, epochs), estimator.P0.diagonal()) > VAGUE_S:
         return _on_columns(estimator, epochs, x, covariances)
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
     # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
-    alike = epochs.dt is None and epochs.r is None and (unsearched or epochs.complete)
+    alike = epochs.dt is None and epochs.r is None and (unsearched or not epochs.missing.any())
     shared = estimator.shared_steps(N, M) if alike else None
     if shared is None:
         return _on_columns(estimator, epochs, x, covariances)

@@ -157,7 +157,7 @@ def _is_cut(lines):
 
 
 def read_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Recording:
-    """Return the Recording of a pandas frame, whose index may be the time. Raises ValueError for another table."""
+    """Return the Recording of a pandas frame, whose index may be the time, or have it. Raises ValueError for others."""
     time = columns.get("time", "time") if isinstance(columns, Mapping) else "time"
     table = frame
     if time not in frame.columns:
