@@ -164,9 +164,9 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
             checks.refuse("start", "parameters at which log L is finite", guess)
         near = _search_along_ratio(likelihood, origin, estimator.model.n)
         best = lowest(likelihood, origin) if near is None else newton(likelihood, near)
-        # If log L does not fall as a parameter goes towards zero, z gives only an upper limit of it.
-        further = [likelihood(best - math.log(1000) * unit) for unit in np.eye(len(best))]
-        bounded = np.array(further) >= likelihood(best) + SIGNIFICANT
+        # If log L does not fall as a parameter goes towards zero, or cannot be computed, z gives only an upper limit.
+        further = np.array([likelihood(best - math.log(1000) * unit) for unit in np.eye(len(best))])
+        bounded = (further >= likelihood(best) + SIGNIFICANT) & np.isfinite(further)
         blocks = blocks_of(estimator, z)
         errors = log_errors(likelihood, best, np.flatnonzero(bounded), blocks)
     log_errors_by_name = dict(zip(guess, errors.tolist(), strict=True))

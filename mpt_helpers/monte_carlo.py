@@ -61,17 +61,20 @@ def study(
         checks.refuse("experiment", "a callable of (rng, M)", type(experiment).__name__, TypeError)
     runs, seed = checks.count("runs", runs), checks.count("seed", seed, least=0)
     blocks = -(-runs // BLOCK)
-    parts = []
+    results, done = np.empty(0), 0
     with _mapper(workers) as mapper, tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
         for part in mapper(partial(_run_block, experiment, seed), range(blocks)):
-            parts.append(part)
+            if not done:  # all the memory that is needed: where there is not so much, numpy says so now
+                results = np.empty((*part.shape[:-1], blocks * BLOCK), part.dtype)
+            elif (part.dtype, part.shape[:-1]) != (results.dtype, results.shape[:-1]):
+                both = " and ".join(f"{(*each.shape[:-1], BLOCK)} of {each.dtype}" for each in (results, part))
+                checks.refuse("experiment", "results of one shape and type", both)
+            results[..., done * BLOCK : (done + 1) * BLOCK] = part
+            done += 1
             bar.update(min(BLOCK, runs - bar.n))
-    if len(parts) != blocks:
-        checks.refuse("workers", "a callable like map", f"one that gives {len(parts)} of {blocks} results")
-    shapes = {part.shape[:-1] for part in parts}
-    if len(shapes) > 1:
-        checks.refuse("experiment", "results of one shape", " and ".join(f"{(*shape, BLOCK)}" for shape in shapes))
-    return np.concatenate(parts, axis=-1)[..., :runs]
+    if done != blocks:
+        checks.refuse("workers", "a callable like map", f"one that gives {done} of {blocks} results")
+    return results[..., :runs]
 
 
 def _let_the_process_keep_memory():

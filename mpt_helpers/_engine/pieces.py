@@ -279,6 +279,8 @@ def _run_rows_with_pauses(advance, rows, x0, P0, x, P, directions):
             vague = here[1].any(axis=(1, 2))
         if vague.any():
             k += vague.argmax()
+            if k and not np.isfinite(P[k - 1]).all():  # an overflow, not a pause
+                return False
             k += _from_a_pause(advance, rows, k, x0, P0, x, P, directions)
         elif held is None:
             return False

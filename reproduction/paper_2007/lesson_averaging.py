@@ -49,8 +49,8 @@ def draw_wall(case, stretches=9):
     root_n = np.nanstd(case.errors[:, UP]) / np.sqrt(n)
     panel.axhspan(-root_n, root_n, color="0.78", lw=0, label=f"± {root_n:.2f} m, by √n")
     panel.plot(hours, errors, ".", ms=2, color="0.6", label="one fix")
-    panel.plot(hours, wave, color=plots.COLOUR_OF["kalman"], lw=1, label="without its noise")
-    means = {"color": plots.COLOURS[1], "lw": 4, "solid_capstyle": "butt", "label": "mean of 100 fixes"}
+    panel.plot(hours, wave, color="0.25", lw=1, label="without its noise")
+    means = {"color": plots.COLOUR_OF["line"], "lw": 4, "solid_capstyle": "butt", "label": "mean of 100 fixes"}
     for part, mean in zip(np.split(hours, stretches), np.split(errors, stretches), strict=True):
         panel.plot(part[[0, -1]], [mean.mean()] * 2, **means)
         means.pop("label", None)

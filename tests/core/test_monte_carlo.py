@@ -207,3 +207,18 @@ def test_an_experiment_may_return_the_same_buffer_again():
         return buffer
 
     assert len(np.unique(mpt.study(drawn, 1000, 1))) == 1000
+
+
+def test_more_runs_than_memory_are_refused_after_the_first_block():
+    """Of 1e16 numbers no computer has the memory; a study that collected them would run until it was killed."""
+    with pytest.raises(MemoryError, match="Unable to allocate"):
+        mpt.study(lambda rng, M: rng.random(M), runs=10**16, seed=1)
+
+
+def test_results_of_another_type_are_refused():
+    def experiment(rng, M):
+        values = rng.random(M)
+        return values > 0 if values[0] < 0.5 else values
+
+    with pytest.raises(ValueError, match="experiment: needs results of one shape and type"):
+        mpt.study(experiment, runs=20_000, seed=1)
