@@ -96,10 +96,12 @@ def test_a_wrong_position_while_the_mobile_rests_is_refused(rows):
 
 @pytest.mark.parametrize(("step", "held", "digit"), [(0.1, 10, 0.0), (1.0, 5, 0.01)])
 def test_rows_that_repeat_a_position_while_the_mobile_moves_on_are_no_fixes(step, held, digit):
-    """They may differ in the last digit."""
+    """They may differ in the last digit, if the grid of the numbers is known."""
     t, true, z = ride(N=6000 if step < 1 else 600, dt=step, speed=15.0)
     own = np.arange(len(t)) // held * held
-    c = clean(t, z[own] + digit * np.random.default_rng(4).integers(-1, 2, z.shape))
+    z = z.round(2)
+    written = z[own] + digit * np.random.default_rng(4).integers(0, 2, z.shape)
+    c = clean(t, written, rounding=0.01**2 / 12)
     np.testing.assert_array_equal(c.repeats, own != np.arange(len(t)))
     assert c.said == [f"{c.repeats.sum()} rows repeat a position while the mobile moves on: they are no fixes"]
     assert len(c.refused) == 0
@@ -109,6 +111,30 @@ def test_rows_that_repeat_a_position_while_the_mobile_moves_on_are_no_fixes(step
     error = np.linalg.norm(c.x[:, ::2] - true, axis=1)[: -held + 1]
     assert mpt.metrics.rms(error) < 1.5 * mpt.metrics.rms(np.linalg.norm(alone.x[:, ::2] - true[::held], axis=1))
     assert c.report().count("no fixes") == 1
+
+
+def bursts(rng):
+    """Ten fixes, and five minutes without one."""
+    t = np.arange(0.0, 7200.0, 2.0)
+    t = t[t % 310 < 20]
+    return t, np.column_stack([5 * t, 0 * t]) + 3 * rng.standard_normal((len(t), 2))
+
+
+def wild(rng):
+    """A fix in 26 is kilometres off."""
+    t, true, _ = ride()
+    z = true + 3 * rng.standard_normal((600, 2))
+    far = np.flatnonzero(rng.random(600) < 1 / 26)
+    angle, distance = rng.uniform(0, 2 * np.pi, len(far)), rng.uniform(1000, 4000, len(far))
+    z[far] += distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    return t, z
+
+
+@pytest.mark.parametrize("recording", [bursts, wild])
+def test_positions_that_differ_are_fixes_however_long_other_steps_are(recording):
+    c = clean(*recording(np.random.default_rng(1)))
+    assert not c.repeats.any()
+    assert c.r == pytest.approx(9.0, rel=0.2)
 
 
 def test_a_mobile_at_rest_repeats_its_position_and_its_fixes_count():
