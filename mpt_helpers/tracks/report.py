@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from ..fitting import UNKNOWN
 from .doubts import take_turns
 from .geodesy import earth_centred
+from .line import SMOOTHED
 from .readers import UNIX, moment_of
 from .writers import degrees_of, velocities_of
 
@@ -100,6 +101,12 @@ def unusual(c: Cleaned) -> list[str]:
         found.append(
             f"ATTENTION: in motion the fixes scatter by {_digits(along)} m along the way, but by {_digits(across)} m "
             f"across it: {why}. The smoothed line may be farther from the true way than the fixes"
+        )
+    if math.isinf(c.log_errors["r"]) and not c.rounding:
+        found.append(
+            "ATTENTION: the errors of the fixes cannot be told from the motion: the fixes are too far apart, the "
+            "mobile turns or stops between them, or neighbouring fixes share their errors. r is assumed, the line "
+            "stays near the fixes, and errors lengthen the way"
         )
     share = _share_refused(c)
     if share > MANY:
@@ -189,6 +196,11 @@ def _motion(c):
 
 def _precision(c):
     sigma, r = _digits(math.sqrt(c.r)), _symbol("r", c.r, "m²")
+    if c.rounding and math.sqrt(c.r) >= SMOOTHED:
+        return (
+            "fixes: their errors do not show beside the rounding of the numbers, and the filter takes that of the "
+            f"rounding, {sigma} m (variance {r})"
+        )
     if c.rounding:
         return (
             "fixes: the recorder had smoothed them already, so their errors do not show; the filter takes them as "
@@ -196,7 +208,7 @@ def _precision(c):
         )
     if math.isinf(c.log_errors["r"]):
         return (
-            "fixes: their scatter does not show beside the motion between two of them; it is at most about "
+            "fixes: their errors cannot be told from the motion between them. The filter assumes "
             f"{sigma} m, east and north each (variance {r})"
         )
     known = _known(c.log_errors["r"])
