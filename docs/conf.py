@@ -81,6 +81,11 @@ html_use_index = html_domain_indices = False
 html_math_renderer = "mathml"
 
 
+def skip_inner(app, what, name, each, skip, options):
+    """Leave out what filters call of one another: the page of a class shows what a user calls."""
+    return True if what == "class" and name in pages.INNER else None
+
+
 def name_parts(app, doctree):
     """Give each code cell the anchor #cell-ID, and show its figures as SVG; name headers, mark short code."""
     for cell in doctree.findall(lambda node: node.get("nb_element") == "cell_code" if node.children else False):
@@ -205,6 +210,7 @@ def named_by_its_text(app, pagename, templatename, context, doctree):
 def setup(app):
     """Connect them."""
     app.add_html_math_renderer("mathml", (write_formula, None), (write_display, None))
+    app.connect("autodoc-skip-member", skip_inner)
     app.connect("doctree-read", name_parts)
     app.connect("doctree-read", size_pictures)
     app.connect("html-page-context", lean_code)

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import bands, metrics, riccati
 from .combined import JoinFilter, Separate, six_filters
-from .fitting import fit, rescaled
+from .fitting import fit
 from .kalman import KalmanFilter
 from .lainiotis import LainiotisFilter
 from .model import (
@@ -76,7 +76,6 @@ __all__ = [
     "gsm_axis",
     "mean_track",
     "metrics",
-    "rescaled",
     "riccati",
     "simulate",
     "six_filters",

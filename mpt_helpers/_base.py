@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from inspect import signature
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,14 +30,18 @@ from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, LinearMap, Motion, whitened
-from ._engine.pieces import LARGEST, VAGUE, directions_seen
+from ._engine.pieces import LARGEST_S, VAGUE_S, directions_seen
+from ._engine.run import MOST_ROUNDING_OF_S
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable
+from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
 
 # The largest fraction of a variance that may be rounding error after a single step.
 MOST_ROUNDING = 0.1
+# A filter predicts P by the model if P after a step is, to this fraction, that of its gain and the model's prediction.
+SAME_P = 1e-6
 
 
 class Estimates(NamedTuple):
@@ -296,6 +300,13 @@ class Filter(Immutable):
         n, m = self.model.n, self.model.m
         return f"<{type(self).__name__}: {n} state{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}{given}>"
 
+    if not TYPE_CHECKING:  # a type checker would take every name for one that is there
+
+        def __getattr__(self, name: str) -> Any:
+            """Name `step` where filterpy's `predict` or `update` is asked for. This runs only where no such name is."""
+            hint = "; step(x, P, z_k) predicts and updates" if name in ("predict", "update") else ""
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=self)
+
     def _not_recursive(self, name: str = "estimator") -> TypeError:
         return TypeError(f"{name}: needs a filter with P0, covariances and step, got a {type(self).__name__}")
 
@@ -400,7 +411,11 @@ class RecursiveFilter(Filter):
     @cached_property
     def directions(self) -> Array:
         """The directions of a state that the sensors see within n steps (`directions_seen`)."""
-        return directions_seen(self.model, self.model.R)
+        return self.directions_by(self.model.R)
+
+    def directions_by(self, R: Array) -> Array:
+        """Return the `directions` by measurements with noise of covariance R."""
+        return directions_seen(self.model.F, self.model.Q, self.model.H, R)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.
@@ -426,7 +441,7 @@ class RecursiveFilter(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter. dt and r need a `next_step` that accepts them."""
+        """Return x(k+1/k+1) and P(k+1/k+1), as `KalmanFilter.step`; dt and r need a `next_step` that accepts them."""
         x, P = checks.state(x, P, self.model.n)
         z_k, seen = checks.one_measurement(z_k, self.model.m)
         conditions = {}
@@ -447,13 +462,32 @@ class RecursiveFilter(Filter):
         return signature(self.next_step).parameters.keys()
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return the states of all epochs given all measurements, and their covariances, as in Filter.
+        """Return the states of all epochs given all measurements, and their covariances.
 
         This is the Rauch-Tung-Striebel smoother (1965), with P(k/N) in Joseph's form:
 
             x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
 
-        It warns where damped modes without process noise make P(k/N) inaccurate.
+        Parameters
+        ----------
+        z : array_like (N, m) or (N, m, M)
+            Measurements as for `filter`.
+
+        Returns
+        -------
+        Estimates
+            x(k/N) as `x`, (N, n) or (N, n, M), and P(k/N) as `P`, (N, n, n) or (N, n, n, M).
+
+        Raises
+        ------
+        TypeError
+            For a filter whose gain is not the Kalman gain for its P (constant gain, or a step of the user's own).
+
+        Warns
+        -----
+        UserWarning
+            Where damped modes without process noise make P(k/N) inaccurate.
+
         """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter of optimal gain, got a {type(self).__name__}")
@@ -464,8 +498,22 @@ class RecursiveFilter(Filter):
         return engine.estimates(self, self.epochs_of(z), x, covariances)
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
-        """Return the innovations and their covariances, as in Filter."""
+        """Return the innovations and their covariances, as in Filter; refused where P is not predicted by the model."""
+        if not self.optimal:
+            self._require_prediction_by_model()
         return engine.in_tiles(engine.innovations, self, self.epochs_of(z), self.model.m)
+
+    def _require_prediction_by_model(self):
+        """Raise a ValueError where P does not follow from the gain and F P Fᵀ + Q: S would be another filter's."""
+        model, seen = self.model, np.ones(self.model.m, bool)
+        _, _, P = self.next_step(self.P0, seen)
+        A, K, after = self.next_step(P, seen)
+        expected = corrected_covariance(predicted_covariance(model, P), K, model.H, model.R)
+        sigma, size = np.sqrt(np.abs(expected.diagonal())), np.abs(A) @ np.sqrt(np.abs(P.diagonal()))
+        rounding = model.n * np.finfo(float).eps * size * size[:, None]
+        if (np.abs(after - expected) > SAME_P * sigma * sigma[:, None] + rounding).any():
+            need = "a filter whose P follows from its gain and the model's prediction F P Fᵀ + Q, of which S is made"
+            checks.refuse("estimator", need, f"a {type(self).__name__} that predicts P otherwise")
 
     @cached_property
     def shared_steps(self) -> Callable[[int, int], Any]:
@@ -478,21 +526,25 @@ def _owner(cls, name):
     return next(each for each in cls.__mro__ if name in vars(each))
 
 
-def require_digits(T_1, T_2, P, after, S, dt=None):
-    """Raise a ValueError if the step x <- T_1 T_2 x + B z leaves no correct digit in the covariance `after` it (n, n).
+def require_digits(T_1, T_2, P, after, H, S, dt=None):
+    """Raise a ValueError if a step leaves no digit in a variance `after` it, or less than two in an S (p,).
 
-    One term of that covariance is T_1 T_2 P (T_1 T_2)ᵀ, with the P (n, n) before the step. Doubles round P_ij by
-    ε σ_i σ_j, and hence this term by up to ε (|T_1| |T_2| σ)². S is the largest variance of a predicted measurement.
-    The error names dt where it is given.
+    The step is x <- T_1 T_2 x + B z, and T_1 T_2 P (T_1 T_2)ᵀ is one term of the covariance `after` it (n, n). S are
+    the variances of measurements with unit noise, and H P Hᵀ (p, p) is one term of theirs. Doubles round P_ij by
+    ε σ_i σ_j, and so these terms by up to ε (|T_1| |T_2| σ)² and ε (|H| σ)². The error names dt where it is given.
     """
-    finite = np.isfinite(after).all()
-    if S < VAGUE and finite:
-        return
     sigma = np.sqrt(np.abs(P.diagonal()))
-    rounding = np.finfo(float).eps * (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
-    if S < LARGEST and finite and (rounding <= MOST_ROUNDING * after.diagonal()).all():
+    largest_S = (np.abs(H) @ sigma) ** 2
+    finite = np.isfinite(after).all()
+    if largest_S.max() < VAGUE_S and finite:
+        return
+    eps = np.finfo(float).eps
+    largest_P = (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
+    P_is_right = (eps * largest_P <= MOST_ROUNDING * after.diagonal()).all()
+    S_is_right = (eps * largest_S <= MOST_ROUNDING_OF_S * S).all()
+    if S.max() < LARGEST_S and finite and P_is_right and S_is_right:
         return
     if dt is not None:
         checks.refuse("dt", "a time over which the prediction keeps digits beside the measurement noise", f"{dt:.6g} s")
     need = "a covariance that keeps digits beside the measurement noise (filter and estimates take a larger P0)"
-    checks.refuse("P", need, f"{S:.2g} times the noise variance")
+    checks.refuse("P", need, f"{largest_S.max():.2g} times the noise variance")

@@ -93,8 +93,11 @@ def count(name: str, value: object, least: int = 1) -> int:
 # Arrays.
 
 
-def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
-    """Return `value` as an array of real numbers. numpy would silently turn dates, strings and masks into numbers."""
+def real_numbers(name: str, value: Any, need: str, *shapes: tuple[int | str, ...]) -> np.ndarray:
+    """Return `value` as an array of real numbers, in one of the shapes if any is given; a letter is any size but 0.
+
+    numpy would silently turn dates, strings and masks into numbers.
+    """
     values = _as_array(name, value, need)
     if values.dtype == object and hasattr(value, "to_numpy") and any(isinstance(each, Real) for each in values.flat):
         with suppress(TypeError, ValueError):  # of numbers and texts
@@ -104,7 +107,16 @@ def real_numbers(name: str, value: Any, need: str) -> np.ndarray:
         refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
     if values.dtype.kind not in "iuf":
         refuse(name, need, f"an array of {values.dtype} data", TypeError)
+    if shapes and not any(_fits(values.shape, shape) for shape in shapes):
+        refuse(name, need, f"shape {values.shape}")
     return values
+
+
+def _fits(shape, wanted):
+    """Tell whether an array has the wanted shape, in which a letter is any size but 0."""
+    if len(shape) != len(wanted):
+        return False
+    return all(size > 0 if isinstance(want, str) else size == want for size, want in zip(shape, wanted, strict=True))
 
 
 def _as_array(name, value, need):
@@ -120,9 +132,7 @@ def array(name: str, value: object, shape: tuple[int, ...], finite: bool = True)
     """Return a read-only copy of an array of real numbers of this shape, finite or with NaN."""
     need = f"a {shape} array of {'finite numbers' if finite else 'numbers'}"
     # In C order, since the rounding of a product depends on the memory layout.
-    copy = real_numbers(name, value, need).astype(float, order="C")
-    if copy.shape != shape:
-        refuse(name, need, f"shape {copy.shape}")
+    copy = real_numbers(name, value, need, shape).astype(float, order="C")
     if np.isinf(copy).any() or (finite and np.isnan(copy).any()):
         refuse(name, need, "NaN or infinity" if finite else "infinity")
     copy.flags.writeable = False
@@ -131,10 +141,7 @@ def array(name: str, value: object, shape: tuple[int, ...], finite: bool = True)
 
 def rows(name: str, matrix: object) -> int:
     """Return how many rows a matrix has."""
-    values = real_numbers(name, matrix, "a matrix")
-    if values.ndim != 2 or values.size == 0:
-        refuse(name, "a matrix", f"shape {values.shape}")
-    return len(values)
+    return len(real_numbers(name, matrix, "a matrix", ("rows", "columns")))
 
 
 def covariance(name: str, value: object, size: int, definite: bool = False, tolerance: float = ROUNDING) -> Array:
@@ -185,11 +192,10 @@ def measurements(z: Any, m: int, name: str = "z") -> Array:
     Infinite values pass: `no_infinity` looks for them once a result is not finite.
     """
     need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
-    values = real_numbers(name, z, need)
-    if m == 1 and values.ndim == 1:
+    of_one = [("N",)] if m == 1 else []
+    values = real_numbers(name, z, need, ("N", m), ("N", m, "M"), *of_one)
+    if values.ndim == 1:
         values = values[:, None]
-    if values.ndim not in (2, 3) or values.shape[1] != m or 0 in values.shape:
-        refuse(name, need, f"shape {values.shape}")
     with np.errstate(over="ignore"):  # a long double beyond the range of doubles becomes infinite, and is refused
         return values.astype(float, copy=False)
 
@@ -223,9 +229,7 @@ def used_variances(name: str, values: np.ndarray, of: str = "measurement that is
 def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
     """Return the variances (m,) of one measurement, positive where it is there, as seen (m,) says."""
     need = f"a vector of {len(seen)} positive variances"
-    values = real_numbers(name, value, need).astype(float)
-    if values.shape != seen.shape:
-        refuse(name, need, f"shape {values.shape}")
+    values = real_numbers(name, value, need, seen.shape).astype(float)
     used_variances(name, values[seen])
     return values
 
@@ -234,19 +238,11 @@ def variances_of_one(name: str, value: object, seen: np.ndarray) -> Array:
 
 
 def as_seconds(value: object) -> object:
-    """Return a timedelta of Python, numpy or pandas in seconds; anything else as it is."""
-    if isinstance(value, timedelta | np.timedelta64):
-        with suppress(TypeError):  # of months and years, which have no length
-            return float(value / np.timedelta64(1, "s"))
-    return value
-
-
-def _each_in_seconds(value, values):
-    """Return an array `values` of timedeltas in seconds; if it has none, the `value` that it was made from."""
-    if values.dtype.kind == "m":
-        return values / np.timedelta64(1, "s")
+    """Return timedeltas of Python, numpy or pandas, one or many, in seconds; anything else as it is."""
+    values = np.asanyarray(value)
     if isinstance(next(values.flat, None), timedelta | np.timedelta64):
-        return np.reshape([as_seconds(each) for each in values.flat], values.shape)
+        with suppress(TypeError):  # of months and years, which have no length
+            return np.asarray(values / np.timedelta64(1, "s"), float)[()]
     return value
 
 
@@ -258,7 +254,8 @@ def duration(name: str, value: object) -> float:
 def lengths(name: str, value: object) -> Array:
     """Return the lengths of steps, numbers of seconds or timedeltas, in seconds; they are not negative."""
     need = "finite lengths of time that are not negative"
-    seconds = real_numbers(name, _each_in_seconds(value, _as_array(name, value, need)), need).astype(float, copy=False)
+    _as_array(name, value, need)
+    seconds = real_numbers(name, as_seconds(value), need).astype(float, copy=False)
     if not ((seconds >= 0) & (seconds < np.inf)).all():
         refuse(name, need, f"{value!r:.60}")
     return seconds
@@ -270,12 +267,10 @@ def times(name: str, value: Any) -> Array:
     values = _as_array(name, value, need)
     if values.dtype.kind == "M" or isinstance(next(values.flat, None), datetime):
         try:
-            values = values - values.flat[:1]
+            value = values - values.flat[:1]
         except TypeError as error:
             refuse(name, need, f"dates that cannot be subtracted: {error}", TypeError)
-    values = real_numbers(name, _each_in_seconds(value, values), need)
-    if values.ndim not in (1, 2) or 0 in values.shape:
-        refuse(name, need, f"shape {values.shape}")
+    values = real_numbers(name, as_seconds(value), need, ("N",), ("N", "M"))
     kind = values.dtype
     values = array(name, values, values.shape)
     with np.errstate(over="ignore"):  # such times are refused below

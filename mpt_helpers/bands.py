@@ -416,10 +416,10 @@ def _checked_band(name, a, band, where):
     `name` is the function that is called, for its warning.
     """
     checks.instance("a", a, ForecastErrors)
-    band = checks.real_numbers("band", band, "half-widths")
-    if band.shape != a.errors.shape or (band < 0).any():
-        got = f"shape {band.shape}, the least is {np.nanmin(band):g}"
-        checks.refuse("band", f"half-widths of shape {a.errors.shape} that are not negative", got)
+    need = f"half-widths of shape {a.errors.shape} that are not negative"
+    band = checks.real_numbers("band", band, need, a.errors.shape)
+    if (band < 0).any():
+        checks.refuse("band", need, f"{np.nanmin(band):g}")
     where = np.ones(len(band), bool) if where is None else np.asanyarray(where)
     if type(where) is not np.ndarray or where.shape != (len(band),) or where.dtype != bool:
         checks.refuse("where", f"an array of {len(band)} truth values", f"{type(where).__name__} {where.shape}")
@@ -474,7 +474,7 @@ class LiveBand:
         self.model: LinearModel = _model_with_transition(estimator)
         self.seconds: float = checks.duration("seconds", seconds)
         self.level: float = checks.level(level)
-        self.log_f: Array = _log_f_at_start(self.seconds, self.model.m, before, self.level)
+        self._log_f: Array = _log_f_at_start(self.seconds, self.model.m, before, self.level)
         self.average: float = 1.0  # of the recent NIS / m
         # The estimate of the last call: time, x, P.
         self.last: tuple[float | None, Array, Array] = None, self.model.x0, estimator.P0
@@ -487,7 +487,7 @@ class LiveBand:
     @property
     def factor(self) -> Array:
         """The factor f of each axis, (m,): near 1.96 while the filter's own band of 95 % holds 95 % of the errors."""
-        return np.exp(self.log_f)
+        return np.exp(self._log_f)
 
     def step(self, t: float, z: ArrayLike, x: ArrayLike, P: ArrayLike, r: ArrayLike | None = None) -> Expected:
         """Return the expected measurement `seconds` after t and its band.
@@ -546,7 +546,7 @@ class LiveBand:
             self.unchecked = -math.inf
             expected, S = _predicted_measurement(self.model, x, P, t - made, R)
             half_width, fixes = scale * np.sqrt(np.diag(S)), len(self.pending) + 1
-            self.log_f = _log_f_after(self.log_f, z - expected, half_width, fixes, _repeats(z, z_made), self.level)
+            self._log_f = _log_f_after(self._log_f, z - expected, half_width, fixes, _repeats(z, z_made), self.level)
         self.unchecked += too_late
         if self.unchecked == MAX_UNCHECKED:
             checks.refuse(

@@ -84,7 +84,7 @@ class JoinFilter(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return the mean of both filters' steps from one state, as in Filter.
+        """Return the mean of both filters' steps from one state, as `KalmanFilter.step`.
 
         Raises TypeError where the two results differ, as with different gains: each filter would need its own state.
         """
@@ -173,7 +173,7 @@ class Separate(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return one step of each filter with its components of z_k and of r, as in Filter.
+        """Return one step of each filter with its components of z_k and of r, as `KalmanFilter.step`.
 
         Raises ValueError for a P that is not block diagonal. A NaN in r means "none" for a filter without variances.
         """
@@ -269,7 +269,7 @@ def six_filters(model: LinearModel) -> dict[str, Filter]:
     Examples
     --------
     >>> import mpt_helpers as mpt
-    >>> list(mpt.six_filters(mpt.gsm_axis(dt=1.0, q=0.01, r=0.1)))
+    >>> list(mpt.six_filters(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)))
     ['KF', 'LF', 'JKLF', 'SSKF', 'SSLF', 'JSSKLF']
 
     """

@@ -39,13 +39,13 @@ def several_steps(F, Q, steps):
 
 
 def unit_measurements(H, R):
-    """Return H_1 (p×n) and W (p×m) such that W z = H_1 x + unit noise carries the information of z = H x + v.
+    """Return H_1 (p×n) and U (p×m) such that U z = H_1 x + unit noise carries the information of z = H x + v.
 
     The noise v has covariance R (m×m), and p = min(m, n): redundant measurements are combined first. Otherwise the
     variance of a precise sensor would be added to a much larger H P Hᵀ, and lost to rounding.
 
-    >>> H_1, W = unit_measurements(H=np.array([[1.0], [1.0]]), R=np.diag([4.0, 1.0]))
-    >>> (H_1 ** 2).round(12), (W / H_1).round(12)
+    >>> H_1, U = unit_measurements(H=np.array([[1.0], [1.0]]), R=np.diag([4.0, 1.0]))
+    >>> (H_1 ** 2).round(12), (U / H_1).round(12)
     (array([[1.25]]), array([[0.2, 0.8]]))
     """
     sigma = np.sqrt(np.diag(R))
@@ -63,8 +63,8 @@ def gain(P, H, R):
     >>> gain(P=np.eye(1), H=np.array([[1.0]]), R=np.array([[3.0]])).round(12)
     array([[0.25]])
     """
-    H_1, W = unit_measurements(H, R)
-    return P @ _weights(P, H_1) @ W
+    H_1, U = unit_measurements(H, R)
+    return P @ _weights(P, H_1) @ U
 
 
 def _weights(P, H_1):
@@ -88,7 +88,8 @@ def corrected_covariance(P, K, H, R):
 class LainiotisMatrices(NamedTuple):
     """The constant matrices of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3).
 
-    C (n×p) and W (p×m) are factors of two of them: O_n = C Cᵀ and K_m = C W.
+    C (n×p) and U (p×m) are factors of two of them: O_n = C Cᵀ and K_m = C U. For U z = Cᵀ x + unit noise is what z says
+    of the state x before the step.
     """
 
     Fn: np.ndarray
@@ -97,7 +98,7 @@ class LainiotisMatrices(NamedTuple):
     Pn: np.ndarray
     On: np.ndarray
     C: np.ndarray
-    W: np.ndarray
+    U: np.ndarray
 
 
 def lainiotis_matrices(model, H=None, R=None):
@@ -113,14 +114,14 @@ def lainiotis_matrices(model, H=None, R=None):
            [-0.1224,  0.7551]])
     """
     F, Q = model.F, model.Q
-    H_1, W = unit_measurements(model.H if H is None else H, model.R if R is None else R)
-    K = Q @ _weights(Q, H_1)  # K_n is K W
+    H_1, U = unit_measurements(model.H if H is None else H, model.R if R is None else R)
+    K = Q @ _weights(Q, H_1)  # K_n is K U
     keep = np.eye(len(F)) - K @ H_1
     G = np.hstack([keep @ square_root(Q), K])  # P_n = G Gᵀ keeps more digits than the difference Q - K_n H Q
     root_of_S = np.linalg.cholesky(H_1 @ Q @ H_1.T + np.eye(len(H_1)))
     C = np.linalg.solve(root_of_S, H_1 @ F).T
-    W_of_C = np.linalg.solve(root_of_S, W)
-    return LainiotisMatrices(Fn=keep @ F, Kn=K @ W, Km=C @ W_of_C, Pn=G @ G.T, On=C @ C.T, C=C, W=W_of_C)
+    U_of_C = np.linalg.solve(root_of_S, U)
+    return LainiotisMatrices(Fn=keep @ F, Kn=K @ U, Km=C @ U_of_C, Pn=G @ G.T, On=C @ C.T, C=C, U=U_of_C)
 
 
 def start_gain(P, C):
@@ -148,10 +149,10 @@ def lainiotis_step(P, constants):
     array([[0.0612],
            [0.1224]])
     """
-    Fn, Kn, _, Pn, _, C, W = constants
+    Fn, Kn, _, Pn, _, C, U = constants
     G = start_gain(P, C)
     A = Fn @ (np.eye(len(Fn)) - G @ C.T)
-    B = Kn + Fn @ G @ W  # A P K_m = F_n [I + P C Cᵀ]⁻¹ P C W = F_n G W
+    B = Kn + Fn @ G @ U  # A P K_m = F_n [I + P C Cᵀ]⁻¹ P C U = F_n G U
     P = Pn + Fn @ corrected_covariance(P, G, C.T, np.eye(C.shape[1])) @ Fn.T
     return A, B, (P + _transposed(P)) / 2
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +18,13 @@ from scipy.special import ndtri, stdtrit
 from tqdm import tqdm
 
 from . import _checks as checks
-from . import bands, metrics
+from . import metrics
 from ._base import Filter
-from ._checks import Array, Seconds
+from ._checks import Array
 from ._immutable import same
 from .kalman import KalmanFilter
 from .model import LinearModel
-from .search import FLAT_CURVATURE, SIGNIFICANT, along_a_line, differences, lowest, newton
+from .search import SIGNIFICANT, along_a_line, differences, lowest, newton
 
 # Rows for each state that the search along a ratio skips: after them the initial state hardly matters.
 START_ROWS_PER_STATE = 5
@@ -32,6 +33,8 @@ MIN_SCALE = 1e-9
 # Number of blocks for the standard errors, and their length on long tracks. On recorded tracks, the scores of blocks
 # of 10 s are strongly correlated; those of 300 s are nearly independent.
 MIN_BLOCKS, MAX_BLOCKS, BLOCK_SECONDS = 6, 20, 300.0
+# A direction is flat if its curvature is below this fraction of the largest, the rounding error of second differences.
+FLAT_CURVATURE = 1e-6
 # A parameter is determined if its component along each flat direction of log L is below this. Smaller components come
 # from the tolerance of the search.
 MAX_FLAT_COMPONENT = 1e-2
@@ -43,8 +46,6 @@ UNKNOWN = math.log(10)
 # Distance of x0 from the initial state that the measurements suggest, in standard deviations. Beyond the first a fit is
 # refused. Beyond the second it warns, since a wrong q and r make up for the distance.
 MAX_START_DISTANCE, DOUBTFUL_START_DISTANCE = 1e3, 10.0
-# Q is rescaled until the logarithm of the band's variance changes by less than this, and at most this many times.
-RESCALE_TOLERANCE, MAX_RESCALINGS = 1e-2, 50
 
 
 class Fit(NamedTuple):
@@ -69,15 +70,33 @@ class Fit(NamedTuple):
     log_likelihood: float
     errors_from: str
 
-    def __repr__(self) -> str:
+    def _rows(self):
+        """Return the cells of the table, its heading first."""
         rows = [("", "value", "log error", "95 % interval")]
         for name, value in self.values.items():
             error = self.log_errors[name]
             low, high = value * np.exp([-1.96 * error, 1.96 * error]) if error < 300 else (0.0, math.inf)
             rows.append((name, f"{value:.4g}", f"{error:.2g}", f"{low:.3g} to {high:.3g}"))
+        return rows
+
+    def _foot(self):
+        return f"log L = {self.log_likelihood:.6g}; errors from {self.errors_from}"
+
+    def __repr__(self) -> str:
+        rows = self._rows()
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-        return "\n".join([*lines, f"log L = {self.log_likelihood:.6g}; errors from {self.errors_from}"])
+        return "\n".join([*lines, self._foot()])
+
+    def _repr_html_(self) -> str:
+        """Return the table as a notebook shows it."""
+
+        def line(cells, tag):
+            return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+        heading, *rows = self._rows()
+        body = "".join(line(row, "td") for row in rows)
+        return f"<table>{line(heading, 'th')}{body}</table><p>{escape(self._foot())}</p>"
 
 
 def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float) -> Fit:
@@ -375,56 +394,3 @@ def _distance_of_x0(estimator, z):
         c = np.sum((e_0 - G_0 @ d) ** 2) / (measured - model.n) if measured > model.n else 1.0
         farthest = max(farthest, float(d @ np.linalg.pinv(model.P0 + c * V, hermitian=True) @ d))
     return math.sqrt(farthest)
-
-
-def rescaled(estimator: KalmanFilter, z: ArrayLike, seconds: Seconds, level: float = 0.95) -> KalmanFilter:
-    """Return the filter with its Q scaled so that its own prediction band holds a share `level` of the measurements.
-
-    The likelihood looks one fix ahead, and the band of a fitted filter is often too narrow some seconds ahead. Here Q
-    is scaled until the quantile of |error| / sigma of `metrics.ahead`, over all axes, is that of the normal
-    distribution.
-
-    Parameters
-    ----------
-    estimator : KalmanFilter
-        A filter as for `metrics.ahead`.
-    z : array_like (N, m) or (N, m, M)
-        Measurements, NaN where one is missing.
-    seconds : float or timedelta
-        The horizon in s.
-    level : float
-        The share that the band is to hold, between 0 and 1.
-
-    Returns
-    -------
-    KalmanFilter
-        The filter with the model's Q rescaled.
-
-    Raises
-    ------
-    ValueError
-        As `metrics.ahead`, and if no Q gives such a band, since R or P0 alone makes it wider than the errors.
-
-    Examples
-    --------
-    >>> import mpt_helpers as mpt
-    >>> true = mpt.constant_velocity(dt=1.0, q=0.04, r=0.5, P0=np.eye(2))
-    >>> _, z = mpt.simulate(true, N=1000, rng=1)
-    >>> kf = mpt.KalmanFilter(true.with_noise_times(1 / 20))
-    >>> bool(0.5 < mpt.rescaled(kf, z, seconds=10).model.Q[1, 1] / true.Q[1, 1] < 2)
-    True
-
-    """
-    checks.instance("estimator", estimator, KalmanFilter)
-    level = checks.level(level)
-    normal = float(ndtri((1 + level) / 2))
-    log_c = 0.0
-    for _ in range(MAX_RESCALINGS):
-        scaled = replace(estimator, model=estimator.model.with_noise_times(math.exp(log_c)))
-        a = bands.ahead(scaled, z, seconds)
-        reached = max(float(np.nanquantile(np.abs(a.errors / a.sigma), level)), MIN_SCALE)
-        change = 2 * math.log(reached / normal)
-        if abs(change) < RESCALE_TOLERANCE:
-            return scaled
-        log_c += change
-    checks.refuse("estimator", "a filter whose process noise decides how wide its band is", "one where it does not")

@@ -22,6 +22,7 @@ from . import _checks as checks
 from ._base import RecursiveFilter, require_digits
 from ._checks import Array, Seconds
 from ._engine.columns import Epochs, KalmanColumns
+from ._engine.pieces import directions_seen
 from ._engine.shared import Step
 from .equations import masked, unit_measurements
 from .model import LinearModel, half_step_gap
@@ -38,6 +39,9 @@ class KalmanFilter(RecursiveFilter):
 
     filterpy computes the gains and covariances of single steps, and those shared by tracks without gaps. Tracks with
     gaps, times or variances are filtered side by side as columns of arrays, by the same equations (`_engine.columns`).
+
+    `filter` returns the estimates, `covariances` their P, `estimates` both, `smooth` those given all of z; `step` takes
+    one measurement at a time.
 
     A subclass with a `next_step` of its own takes t or r only with an `advance` of its own (see RecursiveFilter).
 
@@ -121,25 +125,62 @@ class KalmanFilter(RecursiveFilter):
         """
         kf = copy.copy(self._filterpy)  # predict and update change it, and other threads may take a step, too
         kf.P = P
-        W = self._units[1]
+        U = self._units[1]
         if dt is not None:
             kf.F, kf.Q = self.model.over(dt)
         if r is not None or not seen.all():
             R = self.model.R if r is None else np.diag(np.where(seen, r, 1))
-            H_1, W = unit_measurements(*masked(self.model.H, R, seen))
+            H_1, U = unit_measurements(*masked(self.model.H, R, seen))
             kf.H, kf.R = H_1, np.eye(len(H_1))
         kf.predict()
-        kf.update(np.zeros(len(W)))  # neither gain nor covariance depends on x or z
+        kf.update(np.zeros(len(U)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
         keep = np.eye(self.model.n) - kf.K @ kf.H
-        require_digits(keep, kf.F, P, kf.P, kf.S.max(), dt)
-        return keep @ kf.F, kf.K @ W, kf.P
+        require_digits(keep, kf.F, P, kf.P, kf.H @ kf.F, kf.S.diagonal(), dt)
+        return keep @ kf.F, kf.K @ U, kf.P
 
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1), as in Filter."""
+        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k), P(k/k) and one measurement z(k+1).
+
+        Parameters
+        ----------
+        x, P : array_like (n,), (n, n)
+            Estimate and covariance; at the start `model.x0` and `P0`.
+        z_k : array_like (m,)
+            The measurement, NaN where a component is missing.
+        dt : float or timedelta, optional
+            Time since x(k/k) in s, for a model with a transition; a filter with times needs it.
+        r : array_like (m,), optional
+            Variances of the measurement, in place of the model's R; a filter with variances needs them.
+
+        Returns
+        -------
+        x : ndarray (n,)
+            The estimate x(k+1/k+1).
+        P : ndarray (n, n)
+            Its covariance P(k+1/k+1).
+
+        Raises
+        ------
+        ValueError
+            For other shapes, for numbers that are not finite, for a P that is not a covariance, and for a P or dt so
+            large that the step exceeds double precision.
+        TypeError
+            For anything but real numbers.
+
+        Examples
+        --------
+        >>> import mpt_helpers as mpt
+        >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.eye(2)))
+        >>> x, P = kf.step(kf.model.x0, kf.P0, [1.0])
+        >>> x, P = kf.step(x, P, [2.5], dt=1.5)
+        >>> x.round(2)
+        array([2.45, 0.94])
+
+        """
         if dt is None and self.t is not None:
             checks.refuse("dt", "the time since x, as the filter has times", "none")
         if r is None and self.r is not None:
@@ -171,11 +212,18 @@ class KalmanFilter(RecursiveFilter):
         steps = np.concatenate([np.full_like(t[:1], self.model.dt), np.diff(t, axis=0)])
         lengths = steps[steps > 0]
         for dt in {lengths.min(), lengths.max()} if lengths.size else ():
-            missed = max(half_step_gap(self.model.transition, dt))
+            missed = half_step_gap(self.model.transition, dt)
             if MOST_HALF_STEP_GAP < missed < np.inf:
                 of = f"over {dt:.3g} s the transition's F and Q are not those of two half steps"
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
+
+    def directions_by(self, R: Array) -> Array:
+        """Return the directions as in RecursiveFilter, with times for steps of median and of largest length."""
+        if self._steps is None:
+            return super().directions_by(R)
+        steps = [self.model.over(dt) for dt in (np.median(self._steps), self._steps.max())]
+        return np.concatenate([directions_seen(F, Q, self.model.H, R) for F, Q in steps])
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""

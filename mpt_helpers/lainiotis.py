@@ -9,7 +9,7 @@ import numpy as np
 
 from ._base import RecursiveFilter, require_digits
 from ._checks import Array
-from ._engine.pieces import VAGUE
+from ._engine.pieces import VAGUE_S
 from .equations import lainiotis_matrices, lainiotis_step, masked, start_gain
 
 
@@ -48,10 +48,10 @@ class LainiotisFilter(RecursiveFilter):
         """
         constants = self._constants(seen)
         A, B, P_next = lainiotis_step(P, constants)
-        S = (constants.C.T @ P @ constants.C).max()
-        if not S < VAGUE:
-            keep = np.eye(len(P)) - start_gain(P, constants.C) @ constants.C.T
-            require_digits(constants.Fn, keep, P, P_next, S)
+        C = constants.C
+        if not np.abs(P).max() * (C * C).sum() < VAGUE_S:
+            keep = np.eye(len(P)) - start_gain(P, C) @ C.T
+            require_digits(constants.Fn, keep, P, P_next, C.T, (C.T @ P @ C).diagonal() + 1)
         return A, B, P_next
 
     def next_steps(self, P: Array, seen: np.ndarray) -> tuple[Array, Array, Array]:

@@ -68,10 +68,8 @@ def relative_gap(a: ArrayLike, b: ArrayLike) -> float:
     0.5
 
     """
-    a = checks.real_numbers("a", a, "an array of numbers").astype(float)
     b = checks.real_numbers("b", b, "an array of numbers").astype(float)
-    if a.shape != b.shape:
-        checks.refuse("a", f"the shape of b, {b.shape}", a.shape)
+    a = checks.real_numbers("a", a, f"numbers in the shape of b, {b.shape}", b.shape).astype(float)
     gap = np.abs(a - b).max()
     if gap == 0:
         return 0.0
@@ -329,16 +327,15 @@ def nees(errors: ArrayLike, P: ArrayLike) -> Array:
     array([2.])
 
     """
-    errors = checks.real_numbers("errors", errors, "numbers").astype(float)
-    P = checks.real_numbers("P", P, "numbers").astype(float)
-    if errors.ndim not in (2, 3) or not np.isfinite(errors).all():  # a NaN would count as no error
-        need = "an (N, n) or (N, n, M) array of finite numbers"
-        checks.refuse("errors", need, f"shape {errors.shape}, or NaN or infinity")
+    need = "an (N, n) or (N, n, M) array of finite numbers"
+    errors = checks.real_numbers("errors", errors, need, ("N", "n"), ("N", "n", "M")).astype(float)
+    if not np.isfinite(errors).all():  # a NaN would count as no error
+        checks.refuse("errors", need, "NaN or infinity")
     many = errors.ndim == 3
     errors = errors if many else errors[..., None]
     N, n, M = errors.shape
-    if P.shape not in ((n, n), (N, n, n), (N, n, n, M)):
-        checks.refuse("P", f"a covariance of each error, whose shape is {errors.shape}", f"shape {P.shape}")
+    need = f"a covariance of each error, whose shape is {errors.shape}"
+    P = checks.real_numbers("P", P, need, (n, n), (N, n, n), (N, n, n, M)).astype(float)
     P = P.reshape(-1, n, n, M if P.ndim == 4 else 1)  # a size of 1 stands for all epochs, or all tracks
     sigma = np.sqrt(np.abs(np.einsum("kii...->ki...", P)))
     if (np.abs(P - P.swapaxes(1, 2)) > checks.SOLVED * sigma[:, :, None] * sigma[:, None]).any():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from inspect import Signature, signature
 from typing import Any, ClassVar
 
 import numpy as np
@@ -61,18 +62,26 @@ class LinearModel(Immutable):
 
     Examples
     --------
-    A velocity with a correlation time of 20 s (an Ornstein-Uhlenbeck process), for steps of any length:
+    A position and its constant velocity, which changes a little in each step:
 
     >>> import mpt_helpers as mpt
-    >>> def forgetful(dt, tau=20.0, q=0.04):
-    ...     a, b = np.exp(-dt / tau), -np.expm1(-dt / tau)  # a + b = 1; expm1 keeps the digits of short steps
-    ...     F = [[1, tau * b], [0, a]]
-    ...     Q_sv = tau**2 * b**2 / 2
-    ...     Q = [[tau**2 * (dt - tau * (b + b**2 / 2)), Q_sv], [Q_sv, tau * b * (1 + a) / 2]]
-    ...     return np.array(F), q * np.array(Q)
-    >>> mpt.LinearModel(transition=forgetful, dt=1.0, H=[[1, 0]], R=[[0.5]], P0=np.eye(2)).F.round(3)
-    array([[1.   , 0.975],
-           [0.   , 0.951]])
+    >>> model = mpt.LinearModel(F=[[1, 1], [0, 1]], Q=[[0, 0], [0, 0.01]], H=[[1, 0]], R=[[0.5]], P0=np.eye(2))
+    >>> mpt.KalmanFilter(model).filter([[1.0], [2.0]]).round(2)
+    array([[0.8 , 0.4 ],
+           [1.79, 0.74]])
+
+    A distance that returns to zero within about tau seconds (an Ornstein-Uhlenbeck process of standard deviation
+    sigma), for steps of any length. `expm1` keeps the digits of short steps:
+
+    >>> def returning(dt, tau=20.0, sigma=3.0):
+    ...     F = [[np.exp(-dt / tau)]]
+    ...     Q = [[-(sigma**2) * np.expm1(-2 * dt / tau)]]
+    ...     return np.array(F), np.array(Q)
+    >>> model = mpt.LinearModel(transition=returning, dt=1.0, H=[[1]], R=[[0.5]], P0=[[9.0]])
+    >>> mpt.KalmanFilter(model, t=[0.0, 1.0, 60.0]).filter([[2.0], [np.nan], [0.1]]).round(2)
+    array([[1.89],
+           [1.8 ],
+           [0.1 ]])
 
     """
 
@@ -184,6 +193,11 @@ class LinearModel(Immutable):
         return len(self.H)
 
 
+# `_made` is for `dataclasses.replace` alone: help and editors do not show it.
+_shown = [each for each in signature(LinearModel).parameters.values() if each.name != "_made"]
+LinearModel.__signature__ = Signature(_shown)  # type: ignore[attr-defined]
+
+
 def _one_step(F, Q, dt, transition, before):
     """Return F and Q of a step of dt, and the transition, or None where F or Q is given in its place.
 
@@ -220,7 +234,7 @@ def _checked_step(transition, dt):
     F_0, Q_0 = transition(0.0)
     if not np.array_equal(F_0, np.eye(n)) or np.any(Q_0):
         checks.refuse("transition", "F = I and Q = 0 over a step of zero", "another F or Q")
-    missed = max(half_step_gap(transition, dt))
+    missed = half_step_gap(transition, dt)
     if missed > HALF_STEP_TOLERANCE:
         checks.refuse("transition", "two steps of dt / 2 to be one of dt", f"{missed:.2g} of their size between them")
     return F, Q
@@ -237,20 +251,16 @@ def _F_and_Q(transition, dt):
     return np.array(F)[which], np.array(Q)[which]
 
 
-def half_step_gap(transition: Transition, dt: float) -> tuple[float, float]:
-    """Return the largest relative differences of F and of Q between two steps of dt / 2 and one of dt."""
+def half_step_gap(transition: Transition, dt: float) -> float:
+    """Return the largest relative difference of F and Q between two steps of dt / 2 and one of dt."""
     with np.errstate(over="ignore", invalid="ignore"):
         (half, noise), (F, Q) = transition(dt / 2), transition(dt)
-        F_twice, Q_twice = half @ half, half @ noise @ half.T + noise
+        missed_F, missed_Q = half @ half - F, half @ noise @ half.T + noise - Q
         half, noise = np.abs(half), np.abs(noise)
         F_size, Q_size = half @ half, half @ noise @ half.T + noise  # the sizes of the terms that are added
         F_size = np.maximum(F_size, F_FLOOR * F_size.max())
-        return _relative(F_twice - F, F_size), _relative(Q_twice - Q, Q_size)
-
-
-def _relative(missed, size):
-    """Return the largest of |missed| / size; it is infinite if a number is not finite."""
-    return float(np.nan_to_num(np.abs(missed) / np.maximum(size, TINY), nan=np.inf, posinf=np.inf).max())
+        gaps = np.abs([missed_F, missed_Q]) / np.maximum([F_size, Q_size], TINY)
+    return float(np.nan_to_num(gaps, nan=np.inf, posinf=np.inf).max())
 
 
 def _matrices(rows):
@@ -329,10 +339,10 @@ def _on_diagonal(parts):
 
 
 def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:
-    """Return the papers' model of one axis of a GSM phone (2014 Eq. 3, model B of 2015 Section 2).
+    """Return the papers' model of one axis, which measures the *next* position (2014 Eq. 3, model B of 2015 Section 2).
 
-    Its H measures the next position. If the measurements are of the present position, use `constant_velocity`: with
-    this model the estimates would be one step late.
+    If the measurements are of the present position, use `constant_velocity`: with this model the estimates would be one
+    step late.
 
         F = [1 dt; 0 1],   G = [dt/2; 1],   Q = G q Gᵀ,   H = [1 dt],   R = r
 
@@ -374,8 +384,14 @@ def constant_velocity(
 
     Parameters
     ----------
-    dt, q, r, x0, P0 : float, array_like
-        As for `gsm_axis`, but q is the spectral density of the white acceleration, in m²/s³.
+    dt : float or timedelta
+        Time step in s.
+    q : float
+        Spectral density of the white acceleration, in m²/s³: the growth per second of the velocity's variance.
+    r : float
+        Variance of a measurement in m², positive.
+    x0, P0 : array_like (n,), (n, n), optional
+        Mean and covariance of x(0), zero where not given.
 
     Returns
     -------
@@ -407,7 +423,7 @@ def constant_acceleration(
     Parameters
     ----------
     dt, q, r, x0, P0 : float, array_like
-        As for `gsm_axis`, but q is the spectral density of the white jerk, in m²/s⁵.
+        As for `constant_velocity`, but q is the spectral density of the white jerk, in m²/s⁵.
 
     Returns
     -------
@@ -439,12 +455,14 @@ def gps_ins(
 
     Parameters
     ----------
-    dt, q : float
-        As for `gsm_axis`. The paper prints no Q.
+    dt : float or timedelta
+        Time step in s.
+    q : float
+        Variance of the change of velocity in one step in m²/s², not negative. The paper prints no Q.
     r : array_like (2,) or (3,)
         Variances of the first two rows of H (m², m²/s²), or of all three (m², m²/s², m²).
     x0, P0 : array_like (3,), (3, 3), optional
-        As for `gsm_axis`.
+        Mean and covariance of x(0), zero where not given.
 
     Returns
     -------
@@ -459,9 +477,7 @@ def gps_ins(
            [0., 1., 1.]])
 
     """
-    r = checks.real_numbers("r", r, "two or three variances").astype(float)
-    if r.shape not in ((2,), (3,)):
-        checks.refuse("r", "two or three variances", f"shape {r.shape}")
+    r = checks.real_numbers("r", r, "two or three variances", (2,), (3,)).astype(float)
     for variance in r.tolist():
         dt, q, _ = _positive(dt, q, variance)
     F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]

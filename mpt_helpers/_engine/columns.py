@@ -24,7 +24,6 @@ A filter on columns is one function, which takes the row (z, seen, F, Q, r) of o
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -51,11 +50,6 @@ class Epochs:
     def missing(self) -> np.ndarray:
         """The mask of the measurements that are missing, (N, m, M)."""
         return np.isnan(self.z)
-
-    @property
-    def complete(self) -> bool:
-        """Whether nothing is missing. One NaN makes the sum NaN, which is faster than a mask."""
-        return not math.isnan(self.z.sum())
 
     @cached_property
     def width(self) -> int:

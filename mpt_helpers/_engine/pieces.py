@@ -33,67 +33,72 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # The most runs of step 3. Where the pieces do not match, each runs again from the end of the preceding one; if they do
 # not match after the last run, the track is filtered uncut.
 MOST_PASSES = 3
-# S is the variance of a predicted measurement due to P, in units of its noise. Above VAGUE, rounding leaves about three
-# digits in P after the measurement. The root of S, by which a vague start is solved, has twice as many digits: above
-# LARGEST, its rounding causes an error of some percent of R in P.
-VAGUE = 1e12
-LARGEST = 1e30
+# S is the variance of a predicted measurement due to P, in units of its noise. Above VAGUE_S, an update row by row
+# leaves about three digits in P. The root of S, by which a vague start is solved, has twice as many digits: above
+# LARGEST_S, its rounding causes an error of some percent of R in P.
+VAGUE_S = 1e12
+LARGEST_S = 1e30
 # Eigenvalues of a correlation matrix are taken to be at least this: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
+# A track with vague pauses is filtered in parts of so many rows, since all rows after a pause are filtered again.
+ROWS_BETWEEN_PAUSES = 1_000
 
 
 def run_rows(advance, rows, x0, P0, x, P):
     """Filter all rows from x0 (n, c, W) and P0 (n, n, W), in pieces where that is faster and loses no digits.
 
     The states x(1) ... x(N) are written to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None.
-    Returns whether the covariances stayed within double precision.
+    Returns the largest variances (W, n), or None where the covariances exceeded double precision.
     """
     N, _, c, W = x.shape
-    K = rows_per_piece(N, c * W)
+    K, largest = rows_per_piece(N, c * W), None
     with np.errstate(invalid="ignore"):  # the root of an S that rounding made negative: NaN, which is refused
-        if K < N and _in_pieces(advance, rows, K, x0, P0, x, P):
-            return True
-        _, held = _in_sequence(advance, rows, x0, P0, x, P)
-    return held
+        if K < N:
+            largest = _in_pieces(advance, rows, K, x0, P0, x, P)
+        if largest is None:
+            _, largest = _in_sequence(advance, rows, x0, P0, x, P)
+    return largest
 
 
 def _in_sequence(advance, rows, x_k, P_k, x, P):
-    """Filter the rows in sequence. Returns the last P, and whether every P stayed within double precision.
+    """Filter the rows in sequence. Returns the last P, and the largest variances as `run_rows`.
 
     An overflow persists to the last row; a negative variance may not.
     """
-    least_variance = 0.0
+    least, largest = 0.0, P_k.diagonal()
     for k, row in enumerate(_one_by_one(rows)):
         x_k, P_k, _ = advance(row, x_k, P_k)
         x[k] = x_k
-        least_variance = min(least_variance, P_k.diagonal().min())
+        variances = P_k.diagonal()
+        least, largest = min(least, variances.min()), np.maximum(largest, variances)
         if P is not None:
             P[k] = P_k
-    return P_k, least_variance == 0 and bool(np.isfinite(P_k).all())
+    held = least == 0 and np.isfinite(P_k).all()
+    return P_k, largest if held else None
 
 
 def _in_pieces(advance, rows, K, x0, P0, x, P):
-    """Filter the rows in pieces of K. Returns False where the pieces do not match."""
-    N, W = len(x), x.shape[-1]
+    """Filter the rows in pieces of K. Returns as `run_rows`; None also where the pieces do not match."""
+    N, n, _, W = x.shape
     pieces = of_each(rows, lambda array: cut(array, K))
     try:
         x_start, P_start = (each[..., :-W] for each in starts(advance, pieces, x0, P0))
     except np.linalg.LinAlgError:  # the gaps within a piece left no digit of its start
-        return False
+        return None
     x_pieces = np.empty((K, *x_start.shape))
     P_pieces = None if P is None else np.empty((K, *P_start.shape))
     for _ in range(MOST_PASSES):
-        P_last, held = _in_sequence(advance, pieces, x_start, P_start, x_pieces, P_pieces)
+        P_last, largest = _in_sequence(advance, pieces, x_start, P_start, x_pieces, P_pieces)
         # Each piece starts where the preceding one ends, the first at x0 and P0.
         x_next = np.concatenate([x0, x_pieces[-1, ..., :-W]], axis=-1)
         P_next = np.concatenate([P0, P_last[..., :-W]], axis=-1)
-        if held and agree(x_start, P_start, x_next, P_next):
+        if largest is not None and agree(x_start, P_start, x_next, P_next):
             x[...] = uncut(x_pieces, N, W)
             if P is not None:
                 P[...] = uncut(P_pieces, N, W)
-            return True
+            return largest.reshape(-1, W, n).max(axis=0)
         x_start, P_start = x_next, P_next
-    return False
+    return None
 
 
 def of_each(rows, function):
@@ -206,50 +211,129 @@ def over_a_piece(row, x, P):
     return tuple(each.transpose(1, 2, 0) for each in (x, P, innovations))
 
 
-def directions_seen(model, R):
+def directions_seen(F, Q, H, R):
     """Return |G| (rows, n): G x is what the sensors see of x within n steps, in units of their noise and that of Q.
 
     An observable state shows within n steps.
     """
-    G, seen = unit_measurements(model.H, model.H @ model.Q @ model.H.T + R)[0], []
-    for _ in range(model.n):
-        G = G @ model.F
+    G, seen = unit_measurements(H, H @ Q @ H.T + R)[0], []
+    for _ in F:
+        G = G @ F
         seen.append(np.abs(G))
     return np.concatenate(seen)
 
 
-def largest_S(directions, P):
-    """Return the largest S to which the standard deviations of each P (n, n, W) may add up, (W,)."""
-    return ((directions @ np.sqrt(P.diagonal().T)) ** 2).max(axis=0)
+def largest_S(directions, variances):
+    """Return the largest S to which states of these variances (..., n) may add up, (...)."""
+    return ((np.sqrt(np.abs(variances)) @ directions.T) ** 2).max(axis=-1)
 
 
-def from_a_vague_start(advance, rows, x0, P0, x, P, directions):
-    """Filter the first rows from a vague P0. Returns their number, and x and P after the last of them.
+def run_rows_of_any_start(advance, rows, x0, P0, x, P, directions):
+    """Filter all rows as `run_rows`, also from a vague P0, and after pauses that make P as vague.
+
+    `advance` is that of an optimal filter, and directions are the `directions_seen` of its sensors. Returns whether the
+    covariances stayed within double precision.
+    """
+    k, x_k, P_k = 0, x0, P0
+    if not (largest_S(directions, P0.diagonal()) < VAGUE_S).all():
+        k, x_k, P_k = _from_a_vague_start(advance, rows, x0, square_root(P0[..., 0]), x, P, directions)
+    rest = of_each(rows, lambda array: array[k:])
+    largest = run_rows(advance, rest, x_k, P_k, x[k:], None if P is None else P[k:])
+    W = x.shape[-1]
+    suspects = np.arange(W) if largest is None else np.flatnonzero(~(largest_S(directions, largest) < VAGUE_S))
+    suspects = suspects[rest[1][..., suspects].any(axis=(0, 1)) | (largest is None)]
+    if not len(suspects):
+        return True
+    # The variances may be large only where nothing is measured: look at those after each measurement.
+    own = of_each(rest, lambda array: array[..., suspects])
+    x_own, P_own = np.empty_like(x[k:, ..., suspects]), np.empty((len(own[0]), *P0.shape[:2], len(suspects)))
+    held = run_rows(advance, own, x_k[..., suspects], P_k[..., suspects], x_own, P_own)
+    vague = _leave_P_vague(own, P_own, directions).any(axis=0) | (held is None)
+    for column in suspects[vague]:
+        here = slice(column, column + 1)
+        P_here = np.empty((len(x), *P0.shape[:2], 1)) if P is None else P[..., here]
+        own = of_each(rows, lambda array, here=here: array[..., here])
+        if not _run_rows_with_pauses(advance, own, x0[..., here], P0[..., here], x[..., here], P_here, directions):
+            return False
+    return True
+
+
+def _leave_P_vague(rows, P, directions):
+    """Tell which rows have a measurement and leave P (N, n, n, W) vague, (N, W)."""
+    return rows[1].any(axis=1) & ~(largest_S(directions, P.diagonal(axis1=1, axis2=2)) < VAGUE_S)
+
+
+def _run_rows_with_pauses(advance, rows, x0, P0, x, P, directions):
+    """Filter all rows of one column (W = 1), and start anew at each row that leaves P vague, as after a long pause.
+
+    Returns whether the covariances stayed within double precision.
+    """
+    k = 0
+    while k < len(x):
+        x_k, P_k = (x0, P0) if k == 0 else (x[k - 1], P[k - 1])
+        part = slice(k, k + ROWS_BETWEEN_PAUSES)
+        here = of_each(rows, lambda array, part=part: array[part])
+        held = run_rows(advance, here, x_k, P_k, x[part], P[part])
+        vague = _leave_P_vague(here, P[part], directions)[:, 0]
+        if not largest_S(directions, P_k.diagonal()) < VAGUE_S:  # before all of them
+            vague = here[1].any(axis=(1, 2))
+        if vague.any():
+            k += vague.argmax()
+            k += _from_a_pause(advance, rows, k, x0, P0, x, P, directions)
+        elif held is None:
+            return False
+        else:
+            k = part.stop
+    return True
+
+
+def _from_a_pause(advance, rows, k, x0, P0, x, P, directions):
+    """Filter rows from row k on as `_from_a_vague_start`, from the prediction up to row k. Returns their number.
+
+    The prediction has covariance F P Fᵀ + Q = A Aᵀ with A = [F P^½, Q^½]: this root keeps the digits of both terms.
+    """
+    x_k, P_k = (x0, P0) if k == 0 else (x[k - 1], P[k - 1])
+    A = square_root(P_k[..., 0])
+    z, seen, F, Q, r = of_each(rows, lambda array: array[k:])
+    if F is not None:  # row k follows on the prediction after no time
+        A = np.hstack([F[0, ..., 0] @ A, square_root(Q[0, ..., 0])])
+        x_k = np.tensordot(F[0, ..., 0], x_k, axes=1)
+        F, Q = F.copy(), Q.copy()
+        F[0], Q[0] = np.eye(len(x_k))[..., None], 0.0
+    name = "z" if F is None else "t"
+    return _from_a_vague_start(advance, (z, seen, F, Q, r), x_k, A, x[k:], P[k:], directions, name)[0]
+
+
+def _from_a_vague_start(advance, rows, x0, A, x, P, directions, name="P0"):
+    """Filter the first rows from a vague P0 = A Aᵀ. Returns their number, and x and P after the last of them.
 
     Row by row, the first updates would lose as many digits as P0 / R has, and without process noise never regain them.
     So the rows 0 to k are treated as one piece, extended by one row at a time, and row k is its end. This continues
     until P is no longer vague, by the `directions_seen`, and each sensor of each track has measured 2 n times;
-    or until a track has no more measurements.
+    or until a track has no more measurements. It ends before a row that makes P vague again even from an exact start,
+    as a pause does. An error names what is too vague.
     """
     n, c, W = x0.shape
     counts = np.cumsum(rows[1], axis=0)
     often = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=1)
     all_seen = (counts == counts[-1]).all(axis=1)
-    A = square_root(P0[..., 0])
-    L, y = np.zeros((0, n, W)), np.zeros((0, c, W))
+    L, y, done = np.zeros((0, n, W)), np.zeros((0, c, W)), 0
     for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, rows, n)):
+        if done and not (largest_S(directions, P_piece.diagonal()) < VAGUE_S).all():
+            break
         if rows[1][k].any():
             L, y = _compressed(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
-        x_k, P_k = _after_a_piece(x_piece[:, :c], y, x_piece[:, c:], P_piece, L, x0, A)
+        x_k, P_k = _after_a_piece(x_piece[:, :c], y, x_piece[:, c:], P_piece, L, x0, A, name)
         x[k] = x_k
         if P is not None:
             P[k] = P_k
-        if (all_seen[k] | (often[k] & (largest_S(directions, P_k) < VAGUE))).all():
+        done = k + 1
+        if (all_seen[k] | (often[k] & (largest_S(directions, P_k.diagonal()) < VAGUE_S))).all():
             break
-    return k + 1, x_k, P_k
+    return done, x_k, P_k
 
 
-def _after_a_piece(x_piece, y, T, P_piece, L, x0, A):
+def _after_a_piece(x_piece, y, T, P_piece, L, x0, A, name):
     """Return x and P after a piece of `starts`, from x0 with the covariance A Aᵀ, whose digits outnumber a double's.
 
     In units of A, the start has unit covariance, and y measures it by L A = V diag(s) Uᵀ: each of its components along
@@ -258,9 +342,10 @@ def _after_a_piece(x_piece, y, T, P_piece, L, x0, A):
     """
     x_piece, y, T, P_piece, L, x0 = (np.moveaxis(each, 2, 0) for each in (x_piece, y, T, P_piece, L, x0))
     S = np.square(L @ A).sum(axis=(1, 2)).max()
-    if not S < LARGEST:
-        need = f"a start that makes the first measurements less than {LARGEST:g} times as uncertain as their noise does"
-        checks.refuse("P0", need, f"{S:.2g} times")
+    if not S < LARGEST_S:
+        what = "a start that makes" if name == "P0" else "pauses that make"
+        need = f"{what} the first measurements less than {LARGEST_S:g} times as uncertain as their noise does"
+        checks.refuse(name, need, f"{S:.2g} times")
     V, s, U_t = np.linalg.svd(L @ A)
     p = s.shape[1]
     variances = np.ones(U_t.shape[:2])

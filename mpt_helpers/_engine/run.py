@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _checks as checks
 from .columns import product
-from .pieces import FEW_TRACKS, VAGUE, directions_seen, from_a_vague_start, largest_S, of_each, run_rows
+from .pieces import FEW_TRACKS, VAGUE_S, largest_S, run_rows, run_rows_of_any_start
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
 EPS = np.finfo(float).eps
@@ -26,13 +26,12 @@ def estimates(estimator, epochs, x, covariances):
     P is (N, n, n, 1) where all tracks share it.
     """
     N, _, M = x.shape
-    directions = directions_of(estimator, epochs)
-    if largest_S(directions, estimator.P0[..., None]) > VAGUE and estimator.optimal:
-        return _on_columns(estimator, epochs, x, covariances, directions)
+    if estimator.optimal and largest_S(directions_of(estimator, epochs), estimator.P0.diagonal()) > VAGUE_S:
+        return _on_columns(estimator, epochs, x, covariances)
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
     # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
-    alike = epochs.dt is None and epochs.r is None and (unsearched or epochs.complete)
+    alike = epochs.dt is None and epochs.r is None and (unsearched or not epochs.missing.any())
     shared = estimator.shared_steps(N, M) if alike else None
     if shared is None:
         return _on_columns(estimator, epochs, x, covariances)
@@ -56,12 +55,13 @@ def directions_of(estimator, epochs):
         return estimator.directions
     smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
     R = np.where(np.isfinite(smallest), smallest, np.diag(estimator.model.R))
-    return directions_seen(estimator.model, np.diag(R))
+    return estimator.directions_by(np.diag(R))
 
 
-def _on_columns(estimator, epochs, x, covariances, directions=None):
+def _on_columns(estimator, epochs, x, covariances):
     """Compute the `estimates` of tracks as columns, tile by tile."""
     (N, n, M), W = x.shape, epochs.width
+    directions = directions_of(estimator, epochs)
     P = np.empty((N, n, n, W)) if covariances else None
     most = TILE if W == 1 else TILE_OF_COVARIANCES
     if W > 1 and epochs.dt is not None:  # each row of each track has an F and a Q
@@ -75,11 +75,11 @@ def _on_columns(estimator, epochs, x, covariances, directions=None):
         # `run_rows` writes to these views. A P that only the tracks of this tile share is broadcast to each of them.
         x_part = x[..., part].reshape(N, n, c, width)
         P_part = P[..., part] if covariances and W > 1 else P
-        if directions is not None:
-            k, x0, P0 = from_a_vague_start(estimator.advance, rows, x0, P0, x_part, P_part, directions)
-            rows = of_each(rows, lambda array, k=k: array[k:])
-            x_part, P_part = x_part[k:], None if P_part is None else P_part[k:]
-        require_held(run_rows(estimator.advance, rows, x0, P0, x_part, P_part))
+        if estimator.optimal:
+            held = run_rows_of_any_start(estimator.advance, rows, x0, P0, x_part, P_part, directions)
+        else:
+            held = run_rows(estimator.advance, rows, x0, P0, x_part, P_part) is not None
+        require_held(held)
     return P
 
 

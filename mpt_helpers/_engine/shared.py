@@ -6,7 +6,7 @@ For the Kalman filter A_k = (I - K_k H) F and B_k = K_k. A_k and B_k never depen
 without gaps share them. `recursion` is the plain loop. `run_shared` computes the same, up to rounding, in less time: L
 successive steps are one matrix product, which is the same for all tracks,
 
-    [x(k+1); ...; x(k+L)] = W [x(k); z(k+1); ...; z(k+L)].
+    [x(k+1); ...; x(k+L)] = T [x(k); z(k+1); ...; z(k+L)].
 
 `make_shared_steps` computes the steps of a filter until it has converged.
 """
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Tracks per tile where all tracks share one W: a block of steps of one tile stays in the processor's cache.
+# Tracks per tile where all tracks share one T: a block of steps of one tile stays in the processor's cache.
 TILE = 16_384
 # Tracks per tile where each track has its own covariance, which takes more memory.
 TILE_OF_COVARIANCES = 4_096
@@ -62,9 +62,9 @@ def recursion(A, B, x0, z):
 
 
 def product_of_steps(A, B):
-    """Return W (L n, n + L m), which takes [x(k); z(k+1); ...; z(k+L)] to [x(k+1); ...; x(k+L)].
+    """Return T (L n, n + L m), which takes [x(k); z(k+1); ...; z(k+L)] to [x(k+1); ...; x(k+L)].
 
-    It is the recursion run on unit inputs: column j of W is the response to input j alone.
+    It is the recursion run on unit inputs: column j of T is the response to input j alone.
 
     >>> product_of_steps(A=np.full((2, 1, 1), 0.5), B=np.full((2, 1, 1), 0.5))
     array([[0.5 , 0.5 , 0.  ],
@@ -107,9 +107,9 @@ def _has_not_moved(before, after):
 
 
 def products_for(steps, tracks):
-    """Return W of each block of L Steps, for `run_shared` on this number of tracks.
+    """Return T of each block of L Steps, for `run_shared` on this number of tracks.
 
-    Identical blocks, as after convergence, share one W.
+    Identical blocks, as after convergence, share one T.
     """
     L = steps_per_product(len(steps[0].A) * min(tracks, TILE))
     made, products = {}, []
@@ -137,11 +137,11 @@ def run_shared(products, x0, z, x):
         state, measured = inputs[:n], inputs[n:].reshape(L, m, width)  # views
         state[:] = x0[:, tracks]
         k = 0
-        for W in products:
-            after = outputs[: len(W)]
-            end = k + len(W) // n
+        for T in products:
+            after = outputs[: len(T)]
+            end = k + len(T) // n
             measured[: end - k] = z[k:end, :, tracks]
-            np.matmul(W, inputs[: W.shape[1]], out=after)
+            np.matmul(T, inputs[: T.shape[1]], out=after)
             x[k:end, :, tracks] = after.reshape(end - k, n, width)
             state[:] = after[-n:]
             k = end

@@ -34,7 +34,7 @@ def smoothed(estimator, epochs):
     if N == 1:
         return x, P
     _warn_of_undriven_modes(epochs.motion, P[0])
-    S = largest_S(directions_of(estimator, epochs), P[0]).max()
+    S = largest_S(directions_of(estimator, epochs), P[0].diagonal()).max()
     if S > MOST_TO_SMOOTH:
         need = f"for smooth a start that leaves what is measured less than {MOST_TO_SMOOTH:g} times as uncertain as R"
         checks.refuse("P0", f"{need} does after the first epoch (a smaller P0 says as little)", f"{S:.2g} times")
@@ -48,7 +48,8 @@ def smoothed(estimator, epochs):
 
     # The pass starts from x(N/N) and P(N/N), and writes to reversed views of x and P, epoch N - 1 first.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
-    require_held(run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1]))
+    held = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+    require_held(held is not None)
     return x, P
 
 

@@ -283,8 +283,8 @@ def track(
     ----------
     source : path or frame
         A GPX file; or a CSV file or a frame with the columns `time` (ISO 8601, Unix seconds, or seconds from 0) and
-        `lat`, `lon` (°) or `x`, `y` (m). They may have `ele` (m), `hdop` and `accuracy` (m) too. The index of a frame
-        may be the time.
+        `lat`, `lon` (°) or `x`, `y` (m). They may have `ele` (m), `hdop` and `accuracy` (m) too. Without a column of
+        times, the levels of a frame's index count as columns, and an index of dates is the time.
     columns : dict, optional
         Other names of these columns, as {"time": "when"}.
     seconds : float or timedelta

@@ -15,7 +15,7 @@ PACKED = rb"PK\x03\x04|BZh|\xfd7z|7z\xbc|Rar!|\x28\xb5\x2f\xfd|\x1f\x9d|\x04\x22
 # How other files begin, what they are, and how to make a GPX or CSV file of them.
 KINDS = (
     (PACKED, "an archive", "unpack it; or pandas.read_excel('FILE').to_csv('new.csv')"),
-    (rb"\xff\xfe|\xfe\xff", "UTF-16", "save it as UTF-8: pandas.read_csv('FILE', encoding='utf-16').to_csv('new.csv')"),
+    (rb"\xff\xfe|\xfe\xff", "UTF-16", "save it as UTF-8; or pandas.read_csv('FILE', encoding='utf-16')"),
     (rb"(?s)[\x0c\x0e].{7}\.FIT", "a FIT file", f"{GPSBABEL.format('garmin_fit')}, or the package fitdecode"),
     (rb"[$!](G|P|AI|BD)[A-Z]{2,}", "a log of NMEA sentences", GPSBABEL.format("nmea")),
     (rb"A[A-Z]{3}.*[\r\n]+H", "an IGC file", GPSBABEL.format("igc")),
@@ -109,15 +109,11 @@ def _off_the_lines(time, position, value):
     if changes.sum() < FEWEST_CHANGES:
         return 0.0, 0.0
     beside_another = np.append(changes, False) | np.append(False, changes)
-    orders = np.arange(len(time)), np.argsort(value, kind="stable")
-    return [np.median(_off_the_line(time, position, order)[beside_another]) for order in orders]
-
-
-def _off_the_line(time, position, order):
-    """Return how far each fix is from the line between its neighbours in an order, (N,); of the ends it is zero."""
-    before, here, after = order[:-2], order[1:-1], order[2:]
-    part = (time[here] - time[before]) / np.maximum(time[after] - time[before], 1e-6)
-    line = position[before] + part[:, None] * (position[after] - position[before])
-    off = np.zeros(len(order))
-    off[here] = np.linalg.norm(position[here] - line, axis=1)
+    off = []
+    for order in (np.arange(len(time)), np.argsort(value, kind="stable")):
+        before, here, after = order[:-2], order[1:-1], order[2:]
+        part = (time[here] - time[before]) / np.maximum(time[after] - time[before], 1e-6)
+        on_the_line = position[before] + part[:, None] * (position[after] - position[before])
+        distance = np.linalg.norm(position[here] - on_the_line, axis=1)
+        off.append(np.median(distance[beside_another[here]]))
     return off

@@ -57,7 +57,7 @@ def checked_track(t, z, r, segment):
     begins_segment = np.append(False, segment[1:] != segment[:-1])
     order = np.argsort(t, kind="stable")  # segments may be out of order, the rows of a segment may not
     times = np.empty(len(z))
-    times[order] = checks.times("t", np.asarray(t)[order])
+    times[order] = checks.times("t", np.asanyarray(t)[order])
     back = (np.diff(times) < 0) & ~begins_segment[1:]
     if back.any():
         checks.refuse("t", "times that do not decrease within a segment", f"less in row {np.argmax(back) + 1}")
@@ -84,7 +84,8 @@ def fixes_of(t: Array, z: Array, begins_segment: NDArray[np.bool_], rounding: fl
     """Return the Fixes of a track; `begins_segment` (N,) marks where a segment begins, `rounding` is a variance."""
     seen = np.isfinite(z).any(axis=1)
     early = _at_one_time(t, z, begins_segment, np.flatnonzero(seen))
-    again = _repeated(t, z, begins_segment, rounding, np.flatnonzero(seen & ~early))
+    rows = np.flatnonzero(seen & ~early)
+    again = _repeated(t, z, rows, _begins(t[rows], begins_segment[rows], pause), rounding)
     fix = seen & ~early & ~again
     row = np.arange(len(t))
     before = np.maximum.accumulate(np.where(fix, row, 0))
@@ -125,15 +126,16 @@ def _at_one_time(t, z, begins_segment, rows):
     return early
 
 
-def _repeated(t, z, begins_segment, rounding, rows):
+def _repeated(t, z, rows, begin, rounding):
     """Return the mask (N,) of those `rows` that repeat a position because rows are written faster than fixes are made.
 
-    A mobile at rest repeats its position too. So there are none unless repeats are frequent while the mobile moves, and
-    a rest keeps one row per period of those repeats.
+    `begin` marks the rows that begin a recording, which may be far from the row before them. A mobile at rest repeats
+    its position too. So there are none unless repeats are frequent while the mobile moves, and a rest keeps one row per
+    period of those repeats.
     """
     again = np.zeros(len(t), dtype=bool)
     digit = LAST_DIGIT * math.sqrt(12 * rounding)
-    new = np.append(True, ~(np.abs(np.diff(z[rows], axis=0)) <= digit).all(axis=1) | begins_segment[rows[1:]])
+    new = np.append(True, ~(np.abs(np.diff(z[rows], axis=0)) <= digit).all(axis=1) | begin[1:])
     group = np.cumsum(new) - 1
     creeps = ~(np.abs(z[rows] - z[rows][new][group]) <= digit).all(axis=1)
     new |= np.isin(group, group[creeps])

@@ -56,9 +56,9 @@ GAP = 10
 LOOK_BACK = 30
 # Two fixes at the same time count as this many seconds apart.
 LEAST_STEP = 1e-9
-# Where S is MUCH_LARGER than R, the difference P - K H P has lost digits, and Joseph's form takes its place. Of a start
-# that is VAGUE, this loses them too, and the engine takes the first rows.
-MUCH_LARGER, VAGUE = 1e6, 1e12
+# Where S is MUCH_LARGER than R, the difference P - K H P has lost digits, and Joseph's form takes its place. If H P Hᵀ
+# of the start is TOO_LARGE, this loses them too, and the engine takes the first rows.
+MUCH_LARGER, TOO_LARGE = 1e6, 1e12
 
 
 def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 3) -> NDArray[np.intp]:
@@ -179,7 +179,7 @@ class _RowFilter:
         self.x, self.P = model.F @ model.x0, predicted_covariance(model, model.P0)  # of a start, before its fix
         self.starts = {}
         least = np.diagonal(self.R, 0, 1, 2)[self.seen].min(initial=math.inf)
-        self.vague = (model.H @ self.P @ model.H.T).max() > VAGUE * least
+        self.vague = (model.H @ self.P @ model.H.T).max() > TOO_LARGE * least
 
     def after(self, state, k):
         """Return the state after row k without and with its measurement, the NIS, and S."""

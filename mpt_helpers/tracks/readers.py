@@ -15,8 +15,7 @@ import math
 import re
 import zlib
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -30,8 +29,8 @@ from .._checks import Array, refuse
 from .doubts import conversion_of, refuse_other_kinds, refuse_several, refuse_signs
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-YEARS = range(1900, 2250)  # of dates; a double holds their microseconds
-CUT = [expat.errors.codes[words] for words in ("no element found", "unclosed token", "partial character")]
+# What expat says of a file that is cut off.
+CUT = ("no element found", "unclosed token", "partial character", "unclosed CDATA section")
 COLUMNS = ("time", "lat", "lon", "x", "y", "ele", "hdop", "accuracy")
 GPX_COLUMNS = ("time", "lat", "lon", "ele", "hdop")
 MISSING = frozenset(["", "nan", "nat", "none", "null", "na", "n/a", "<na>", "-"])
@@ -55,7 +54,7 @@ class Recording:
     accuracy: Array  # the standard deviation that the file states for each fix, m
     segment: NDArray[np.int64]  # the number of the segment that each fix lies in, from 1
     said: tuple[str, ...] = ()  # notes about the file, for the report
-    data: bytes = b""  # a whole GPX file; empty for others
+    data: bytes = field(default=b"", repr=False)  # a whole GPX file; empty for others
     dated: bool = True  # whether times are dates, not numbers
     index: Any = None  # the labels of a frame's rows
 
@@ -119,7 +118,7 @@ def _read_gpx(path, data, said):
     try:
         parser.Parse(data, True)
     except (expat.ExpatError, LookupError, ValueError) as error:
-        if getattr(error, "code", None) not in CUT or not fixes:
+        if not str(error).startswith(CUT) or not fixes:
             refuse(path, "a GPX file", f"one that cannot be read ({error})")
         said, data = [*said, f"ATTENTION: the file is cut off after {len(fixes)} fixes: the rest is lost"], b""
     if not fixes:
@@ -142,13 +141,12 @@ def _read_csv(path, text, columns, said):
                 raise csv.Error
             rows.append(row)
     except csv.Error:
-        skip = "pandas.read_csv(FILE, quoting=3, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
-        way = f"are commas decimal, too? Then put ; between cells. Otherwise {skip}"
         need = f"as many cells in each line as in {lines[0]!r:.60}, and quotes that close"
-        refuse(path, need, f"{lines[len(rows)]!r:.60}: {way}")
-    names, *rows = rows
-    cells = [[row[k] if k < len(row) else "" for row in rows] for k in range(len(names))]
-    return _recording(path, [name.strip() for name in names], cells, columns, said)
+        way = "pandas.read_csv(FILE, quoting=3, on_bad_lines='skip').to_csv('new.csv') leaves such lines out"
+        refuse(path, need, f"{lines[len(rows)]!r:.60}: are commas decimal, too? Put ; between cells. Otherwise {way}")
+    in_turn = list(itertools.zip_longest(*rows, fillvalue=""))[: len(rows[0])]
+    names, cells = [name.strip() for name in rows[0]], [column[1:] for column in in_turn]
+    return _recording(path, names, cells, columns, said)
 
 
 def _is_cut(lines):
@@ -159,14 +157,20 @@ def _is_cut(lines):
 
 
 def read_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Recording:
-    """Return the Recording of a pandas frame, whose index may be the time. Raises ValueError for another table."""
+    """Return the Recording of a pandas frame, whose index may be the time, or have it. Raises ValueError for others."""
     time = columns.get("time", "time") if isinstance(columns, Mapping) else "time"
     table = frame
-    if time not in frame.columns and (frame.index.name == time or frame.index.dtype.kind in "mM"):
-        table = frame.rename_axis(time).reset_index()
-    in_turn = [table.iloc[:, k] for k in range(len(table.columns))]
-    cells = [list(map(str, each.dt.total_seconds() if each.dtype.kind == "m" else each)) for each in in_turn]
+    if time not in frame.columns:
+        table = (frame.rename_axis(time) if frame.index.dtype.kind in "mM" else frame).reset_index()
+    cells = [_texts(table.iloc[:, k]) for k in range(len(table.columns))]
     return _recording("frame", list(map(str, table.columns)), cells, columns, [], index=frame.index)
+
+
+def _texts(column):
+    """Return the cells of a pandas column as texts."""
+    if column.dtype.kind == "M":  # in UTC, and much faster than one by one
+        return column.to_numpy("M8[us]").astype(str).tolist()
+    return list(map(str, column.dt.total_seconds() if column.dtype.kind == "m" else column))
 
 
 def _recording(name, names, cells, columns, said, segment=None, **more):
@@ -176,8 +180,8 @@ def _recording(name, names, cells, columns, said, segment=None, **more):
     numbers = {}
     for what, column in found.items():
         if what != "time":
-            numbers[what] = _checked(name, column, texts[column], _parsed(texts[column], float), "decimal numbers")
-    time, dated = _times(name, found["time"], texts[found["time"]])
+            numbers[what] = _checked(name, column, texts[column], _numbers(texts[column]), "decimal numbers")
+    time, dated = _times(name, found["time"], texts[found["time"]], one_zone=segment is None)
     others = {column: texts[column] for column in names if column not in found.values()}
     lat, lon, metres = numbers.get("lat"), numbers.get("lon"), None
     if lat is None:
@@ -190,7 +194,6 @@ def _recording(name, names, cells, columns, said, segment=None, **more):
     height, hdop, accuracy = (numbers.get(what, np.full(len(time), math.nan)) for what in ("ele", "hdop", "accuracy"))
     if segment is None:
         segment = np.ones(len(time), dtype=np.int64)
-        _refuse_mixed_zones(name, found["time"], texts[found["time"]])
     return Recording(time, lat, lon, metres, height, hdop, accuracy, segment, tuple(said), dated=dated, **more)
 
 
@@ -216,14 +219,30 @@ def _named_columns(name, names, columns):
     return found
 
 
-def _times(name, column, texts):
-    """Return times in microseconds, and whether they are dates; without a zone they are UTC."""
-    seconds, times = _parsed(texts, float), _parsed(texts, _microseconds)
+def _times(name, column, texts, one_zone):
+    """Return times in microseconds, and whether they are dates; those without a zone are UTC.
+
+    With `one_zone`, times with a zone among times without one are refused, since the latter may be local.
+    """
+    times, zoned = np.full(len(texts), math.nan), set()
+    for row, text in enumerate(texts):
+        try:
+            moment = datetime.fromisoformat(text.strip().replace("/", "-"))
+        except ValueError:
+            continue
+        zoned.add(moment.tzinfo is not None)
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        times[row] = (moment - EPOCH) // timedelta(microseconds=1)
+    if one_zone and len(zoned) > 1:
+        way = f"pandas.to_datetime(frame[{column!r}], utc=True, format='ISO8601') where the others are UTC"
+        refuse(name, "a zone in all times or none", f"some of each in column {column!r}: {way}")
+    seconds = _numbers(texts)
+    times[np.abs(times) >= 1e6 * LATEST] = math.nan
     seconds[np.abs(seconds) >= LATEST] = math.nan
     known = seconds[np.isfinite(seconds)]
     dated = not len(known) or np.isfinite(times).sum() > len(known)
     if not dated:
-        times = np.round(1e6 * seconds) if _are_seconds(known) else np.full(len(seconds), math.nan)
+        times = np.round(1e6 * seconds) if _are_seconds(known) else np.full(len(texts), math.nan)
     return _checked(name, column, texts, times, "ISO 8601, Unix seconds, or seconds from 0"), dated
 
 
@@ -234,12 +253,14 @@ def _are_seconds(times):
     return np.median(times) >= UNIX or (0 <= times[0] < FROM_ZERO and not clock)
 
 
-def _parsed(texts, parse):
-    """Return the finite number that `parse` makes of each text, NaN where it makes none."""
+def _numbers(texts):
+    """Return the finite number in each text, NaN where there is none."""
     values = np.full(len(texts), math.nan)
     for row, text in enumerate(texts):
-        with suppress(ValueError):
-            values[row] = parse(text)
+        try:
+            values[row] = float(text)
+        except ValueError:
+            continue
     values[np.isinf(values)] = math.nan
     return values
 
@@ -250,25 +271,3 @@ def _checked(name, column, texts, values, need):
     if len(unread) > MANY * len(texts) or any("," in text for text in unread):
         refuse(name, f"{need} in column {column!r}", conversion_of(column, unread[0]))
     return values
-
-
-def _refuse_mixed_zones(name, column, texts):
-    """Refuse times with a zone among times without one, which may be local."""
-    zoned = _parsed(texts, lambda text: _moment(text).tzinfo is not None)
-    if len(np.unique(zoned[np.isfinite(zoned)])) > 1:
-        way = f"pandas.to_datetime(frame[{column!r}], utc=True, format='ISO8601') where the others are UTC"
-        refuse(name, "a zone in all times or none", f"some of each in column {column!r}: {way}")
-
-
-def _moment(text):
-    """Return the time in an ISO 8601 text."""
-    moment = datetime.fromisoformat(text.strip().replace("/", "-"))
-    if moment.year not in YEARS:
-        raise ValueError(moment)
-    return moment
-
-
-def _microseconds(text):
-    """Return the time in an ISO 8601 text, in microseconds; without a zone it is UTC."""
-    moment = _moment(text)
-    return ((moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - EPOCH) / timedelta(microseconds=1)

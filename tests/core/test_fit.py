@@ -1,6 +1,7 @@
 """The fit: its search, its errors on data that no model made, and what it says of data that are wrong."""
 
 import gzip
+import re
 import warnings
 from dataclasses import replace
 
@@ -116,6 +117,14 @@ def test_the_fit_is_the_same_with_and_without_the_search_along_the_ratio(monkeyp
 def near():
     """A fit from a guess that is near."""
     return mpt.fit(axis, THREE_HUNDRED, q=0.1, r=1.0)
+
+
+def test_a_notebook_shows_the_table_that_is_printed(near):
+    lines = re.findall("<tr>(.*?)</tr>", near._repr_html_())
+    cells = [[each for each in re.split("</?t[hd]>", line) if each] for line in lines]
+    *printed, foot = str(near).splitlines()
+    assert cells == [re.split(" {2,}", line.strip()) for line in printed]
+    assert near._repr_html_().endswith(f"</table><p>{foot}</p>")
 
 
 def test_a_guess_that_is_far_off_finds_the_same_and_says_so(near):
@@ -472,40 +481,6 @@ def test_a_maximum_many_decades_away_is_found():
     assert found.values["r"] ** 0.05 == pytest.approx(
         quiet_fit(lambda r: axis(36.0, r), z, r=1.0).values["r"], rel=1e-3
     )
-
-
-# Rescaled
-
-
-@pytest.mark.parametrize(("factor", "level"), [(0.05, 0.5), (1.0, 0.95), (20.0, 0.95)])
-def test_a_rescaled_filter_states_the_errors_that_it_makes(factor, level):
-    true = plane(0.2, 4.0)
-    _, z = mpt.simulate(true, 3000, np.random.default_rng(8))
-    kf = mpt.KalmanFilter(true.with_noise_times(factor))
-    found = fitting.rescaled(kf, z, 10, level=level)
-    a = metrics.ahead(found, z, 10)
-    normal = {0.5: 0.6745, 0.95: 1.96}[level]
-    assert np.mean(np.abs(a.errors) < normal * a.sigma) == pytest.approx(level, abs=0.01)
-    assert 0.5 < found.model.Q[1, 1] / true.Q[1, 1] < 2
-    np.testing.assert_array_equal(found.model.R, true.R)
-
-
-def test_a_rescaled_filter_keeps_its_times_and_variances():
-    _, z = mpt.simulate(plane(0.2, 4.0), 300, np.random.default_rng(8))
-    kf = mpt.KalmanFilter(plane(0.2, 4.0), t=np.arange(300.0), r=np.full((300, 2), 4.0))
-    found = fitting.rescaled(kf, z, 10)
-    np.testing.assert_array_equal(found.t, kf.t)
-    np.testing.assert_array_equal(found.r, kf.r)
-
-
-def test_what_cannot_be_rescaled_is_refused():
-    _, z = mpt.simulate(plane(0.2, 4.0), 60, np.random.default_rng(8))
-    with pytest.raises(ValueError, match="estimator: needs a filter whose process noise decides"):
-        fitting.rescaled(mpt.KalmanFilter(plane(0.2, 1e6)), z, 10)
-    with pytest.raises(TypeError, match="estimator: needs a KalmanFilter"):
-        fitting.rescaled(mpt.LainiotisFilter(plane(0.2, 4.0)), z, 10)
-    with pytest.raises(ValueError, match="level: needs a number in"):
-        fitting.rescaled(mpt.KalmanFilter(plane(0.2, 4.0)), z, 10, level=1.0)
 
 
 @pytest.mark.filterwarnings("error")

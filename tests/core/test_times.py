@@ -123,7 +123,10 @@ REFUSED = {
         [np.datetime64(DATES[0]), DATES[1]],
         "t: needs .*got an array of objects of type datetime, datetime64",
     ),
-    "lengths, then none": ([DATES[1] - DATES[0], None], "t: needs .*got an array of objects of type NoneType, float"),
+    "lengths, then none": (
+        [DATES[1] - DATES[0], None],
+        "t: needs .*got an array of objects of type NoneType, timedelta",
+    ),
 }
 
 

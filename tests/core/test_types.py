@@ -169,6 +169,15 @@ def test_every_public_function_says_its_types():
         assert inspect.Parameter.empty not in told, name
 
 
+def test_a_signature_can_be_read():
+    """As help and editors show it: no object without a name, no type spelt out, no argument of inner use."""
+    classes = [value for value in vars(mpt).values() if inspect.isclass(value) and issubclass(value, mpt._base.Filter)]
+    for each in [*public_functions().values(), *classes, mpt.LinearModel]:
+        if getattr(each, "__name__", "") != "__init__":
+            shown = str(inspect.signature(each))
+            assert not re.search(r"<|ndarray\[tuple|\b_\w+:", shown), shown
+
+
 def fits(value, hint):
     """Tell whether a value is of an annotated type."""
     origin, parts = get_origin(hint), get_args(hint)

@@ -149,8 +149,9 @@ def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces)
         return found
 
     def fitting_at_once(*arguments):
-        assert in_pieces(*arguments)
-        return True
+        largest = in_pieces(*arguments)
+        assert largest is not None
+        return largest
 
     in_pieces = partition._in_pieces
     monkeypatch.setattr(partition, "rows_per_piece", lambda N, tracks: N)
@@ -164,20 +165,16 @@ def test_a_track_in_pieces_is_the_track(monkeypatch, name, gaps, tracks, pieces)
 
 # Some twenty times by how much `step` after `step` and the uncut columns differ, both in doubles.
 @pytest.mark.parametrize(
-    ("make", "sleep", "allowed", "fits"),
+    ("make", "sleep", "allowed"),
     [
-        (mpt.constant_velocity, 3600.0, 1e-6, True),
-        (mpt.constant_velocity, 86_400.0, 5e-6, True),  # after the second run
-        (mpt.constant_acceleration, 600.0, 5e-6, True),  # after the third
-        (mpt.constant_acceleration, 3600.0, 5e-5, True),
-        (mpt.constant_acceleration, 86_400.0, 1.0, False),
+        (mpt.constant_velocity, 3600.0, 1e-6),
+        (mpt.constant_velocity, 86_400.0, 5e-6),  # the pieces fit after the second run
+        (mpt.constant_acceleration, 600.0, 5e-6),  # after the third
+        (mpt.constant_acceleration, 3600.0, 5e-5),
     ],
 )
-def test_a_tracker_that_sleeps_again_and_again_is_the_track(monkeypatch, make, sleep, allowed, fits):
-    """Bursts of five fixes: each piece holds several pauses, over which its response to its start loses its digits.
-
-    Where the pieces come to fit together, they are the track; else it is not cut.
-    """
+def test_a_tracker_that_sleeps_again_and_again_is_the_track(monkeypatch, make, sleep, allowed):
+    """Bursts of five fixes: each piece holds several pauses, over which its response to its start loses its digits."""
     axis = make(dt=1.0, q=0.01, r=1.0)
     axis = replace(axis, P0=10 * np.eye(axis.n))
     steps = np.ones(239)
@@ -193,7 +190,7 @@ def test_a_tracker_that_sleeps_again_and_again_is_the_track(monkeypatch, make, s
     found, in_pieces = [], partition._in_pieces
     monkeypatch.setattr(partition, "_in_pieces", lambda *all: found.append(in_pieces(*all)) or found[-1])
     both, x, P, states = kf.estimates(z), axis.x0, axis.P0, []
-    assert found[-1] == fits  # the first are those of the pieces as rows
+    assert found[-1] is not None  # the first are those of the pieces as rows
     for length, z_k in zip([1.0, *steps], z, strict=True):
         x, P = kf.step(x, P, z_k, dt=length)
         states.append(x)
@@ -807,10 +804,3 @@ def test_a_vague_start_is_compared_with_the_variances_that_are_used():
     z[2] = 1.0
     with pytest.raises(ValueError, match=TOO_VAGUE):
         kf.filter(z)
-
-
-def test_a_variance_below_zero_is_refused():
-    axis = mpt.constant_acceleration(dt=1.0, q=1.0, r=1e-6, P0=np.eye(3))
-    t = np.concatenate([np.arange(10.0), 1e6 + np.arange(10.0)])
-    with pytest.raises(ValueError, match="negative variance"):
-        mpt.KalmanFilter(axis, t=t).filter(np.zeros((20, 1)))

@@ -314,6 +314,8 @@ def test_a_filter_of_ones_own_is_one_method(case, rows, alpha):
     if alpha > 1:
         with pytest.raises(TypeError, match="smooth: needs a filter of optimal gain, got a FadingFilter"):
             fading.smooth(case.z)
+        with pytest.raises(ValueError, match="estimator: needs a filter whose P follows from its gain and the model's"):
+            metrics.log_likelihood(fading, case.z)  # S would be that of the model, not of this filter
     with patch.object(partition, "rows_per_piece", lambda N, tracks: min(N, rows)):
         both = fading.estimates(case.z)
         agree(both.x, both.P, loops, near={"rtol": 1e-5, "atol": 1e-5})  # pieces fit together to 1e-6 sigma
@@ -345,11 +347,16 @@ def test_a_step_of_ones_own_may_come_from_a_second_parent(filter_of):
 
 
 def test_a_filter_of_ones_own_is_smoothed_only_if_it_says_that_it_may():
-    """From P0, the steady P, its gain is the Kalman gain; after a gap it is not, which no first step shows."""
+    """From P0, the steady P, its gain is the Kalman gain; after a gap it is not, which no first step shows.
+
+    Its P is that of its gain all the same, and so its innovations are those of the shipped filter.
+    """
     axis = mpt.constant_velocity(dt=1.0, q=0.01, r=0.1)
-    own = OfConstantGain(replace(axis, P0=mpt.SteadyStateFilter.from_kalman(axis).P))
+    steady = mpt.SteadyStateFilter.from_kalman(axis)
+    own, z = OfConstantGain(replace(axis, P0=steady.P)), np.array([[1.0], [np.nan], [3.0]])
+    np.testing.assert_allclose(metrics.nis(own, z), metrics.nis(steady, z), **SAME)
     with pytest.raises(TypeError, match="smooth: needs a filter of optimal gain, got a OfConstantGain"):
-        own.smooth(np.array([[1.0], [np.nan], [3.0]]))
+        own.smooth(z)
 
 
 @given(cases(timed=True), cases(timed=True), st.integers(0, 3))
@@ -458,6 +465,6 @@ def test_pieces_with_a_variance_below_zero_are_not_taken():
 
     x, P = np.empty((60, 2, 1, 1)), np.empty((60, 2, 2, 1))
     with patch.object(partition, "rows_per_piece", lambda N, tracks: 20):
-        assert partition.run_rows(rounding, rows, x0, P0, x, P)
+        assert partition.run_rows(rounding, rows, x0, P0, x, P) is not None
     assert not P[:, 1].any()
     np.testing.assert_allclose(x[..., 0, 0], kf.filter(z[..., 0]), **SAME)

@@ -70,9 +70,20 @@ def test_the_road_is_that_of_the_picture(taught):
         np.testing.assert_allclose(taught["road"](t, brake, lasting), lesson.road(t, brake, lasting))
 
 
-def mixed(errors, released):
-    """The rms error of a filter with these in a stop and a release, of which this share is released."""
-    return np.sqrt(np.average(np.square(errors), weights=[1 - released, released]))
+@pytest.mark.parametrize(("brake", "first", "last"), [(2, 55, 85), (3, 35, 70)])
+def test_a_driver_who_does_both_is_served_by_the_mean(taught, brake, first, last):
+    """The best of velocity, acceleration and mean for each share of brakes that are let go, by mean square."""
+    says("by 2 m/s² if 55 to 85 % of the brakes are let go after three seconds, by 3 m/s² if 35 to 70 % are.")
+    says("With fewer take the acceleration filter, with more the velocity filter.")
+    noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
+    errors = []
+    for lasting in (np.inf, 3):
+        velocity, acceleration = (taught["misses"](*each, brake, lasting, noise) for each in (VELOCITY, ACCELERATION))
+        errors.append([rms(each) for each in (velocity, acceleration, (velocity + acceleration) / 2)])
+    stop, let_go = np.square(errors)
+    shares = np.arange(0, 101, 5)
+    best = np.argmin([(100 - share) * stop + share * let_go for share in shares], axis=1)
+    assert (best == np.select([shares < first, shares <= last], [1, 2], 0)).all()
 
 
 def test_the_first_screen(taught):
@@ -82,17 +93,13 @@ def test_the_first_screen(taught):
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["table"]).splitlines()]
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
-    says("unless most brakes are let go after three seconds (by 2 m/s² three of four, by 3 m/s² every second)")
+    says("Who can bear 4 m on the calm road gets 13 m in the stop")
+    assert rows[4] == ["acceleration, q = 0.1", "13 m", "23 m", "15 m", "3.9 m"]
+    says("more than 5 m buys nothing there.")
     noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
-    for brake, pays in ((2, 0.75), (3, 0.5)):
-        velocity, acceleration = (
-            [rms(taught["misses"](*each, brake, lasting, noise)) for lasting in (np.inf, 3)]
-            for each in (VELOCITY, ACCELERATION)
-        )
-        assert mixed(velocity, pays) < 1.01 * mixed(acceleration, pays)
-        assert mixed(velocity, pays - 0.1) > mixed(acceleration, pays - 0.1)
-    says("Who can bear 8 m on the calm road gets 11 m in the stop, by an acceleration filter that is more restless.")
-    assert (rows[4][1], round(float(rows[4][4].split()[0]))) == ("11 m", 8)
+    restless = [(taught["calm"](3, q), rms(taught["misses"](3, q, 2, np.inf, noise))) for q in (0.22, 0.5, 1.0, 5.0)]
+    assert restless[0][0] == pytest.approx(5, abs=0.1)
+    assert min(stop for _, stop in restless) > restless[0][1] - 0.5
     says("in five seconds 25 m at 2 m/s², and 50 m at 4, if the brake lasts so long")
     for brake, taken in ((2.0, 25), (4.0, 50)):
         for model in lesson.FILTERS.values():
@@ -137,10 +144,10 @@ def test_why_the_velocity_is_late():
 
 
 def test_which_filter_wins(off, taught):
-    says("The fourth row is best at both stops, and its error on a calm road is 8 m.")
+    says("The fourth row is best at both stops, and its error on a calm road is 4 m.")
     says("The first table scatters by less than a metre from one set of 200 drives to the next")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))  # other drives than the lesson's
-    table = {(2, 0.01): [42, 50, 15], VELOCITY: [26, 33, 10], ACCELERATION: [16, 29, 16], (3, 1.0): [11, 20, 16]}
+    table = {(2, 0.01): [42, 50, 15], VELOCITY: [26, 33, 10], ACCELERATION: [16, 29, 16], (3, 0.1): [13, 23, 15]}
     for each, expected in table.items():
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
@@ -163,7 +170,9 @@ def test_which_filter_wins(off, taught):
 
 
 def test_the_winners_are_those_until_ten_seconds_after_the_brake():
-    says("(Counted until ten seconds after the end of the brake, the same filter wins in each case.)")
+    says(
+        "(Counted until ten seconds after the end of the brake, the same filter wins in each case, but the gentle nine"
+    )
     rows = [re.split(r"  +", line.strip())[1:] for line in shown(CELLS["brakes"]).splitlines()[1:]]
     functions, _, _ = source(CELLS["table"]).partition("\nbrakes = ")
     for brake, cells in zip((1, 2, 3, 4), rows, strict=True):
@@ -180,11 +189,13 @@ def test_the_winners_are_those_until_ten_seconds_after_the_brake():
                 for each in (VELOCITY, ACCELERATION)
             )
             assert cell.startswith("v " if velocity < acceleration else "a "), (brake, lasting)
+            if (brake, lasting) == (1, 9):
+                assert acceleration / velocity == pytest.approx(1, abs=0.02)
 
 
 def test_a_driver_who_has_just_speeded_up(taught):
     """From 10 to 20 m/s in the five seconds before the touch."""
-    says("just after speeding up, the acceleration filter can lose the stop, too.")
+    says("just after speeding up by 2 m/s², the acceleration filter loses the stop, too, by 34 m to 26.")
 
     def position(t):
         faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
@@ -198,6 +209,33 @@ def test_a_driver_who_has_just_speeded_up(taught):
         errors[n] = predicted - (position(np.arange(5.0, 16)) - z[0])
     assert WORST["acceleration, too far, just after speeding up"][0] == f"{errors[3].max():.0f} m"
     assert [round(rms(each)) for each in errors.values()] == [26, 34]
+    says("All this is after three seconds of steady drive or more")
+    t = np.arange(-60.0, 11) + 3
+    earlier = np.clip(-t, 0, 5) ** 2 + 10 * np.maximum(-t - 5, 0)  # metres further back, three seconds before
+    velocity, acceleration = (
+        rms(taught["misses"](*each, 2, np.inf, earlier[:, None])) for each in (VELOCITY, ACCELERATION)
+    )
+    assert acceleration < 0.9 * velocity
+
+
+def test_a_driver_who_brakes_and_at_once_speeds_up(taught):
+    says("A driver who brakes and at once speeds up as much makes its second row 64 and 108 m.")
+    worst = []
+    for brake in (2.0, 4.0):
+        short = []
+        for lasting in np.arange(0.5, 20 / brake, 0.5):
+
+            def position(t, brake=brake, lasting=lasting):
+                braked, after = np.clip(t, 0, lasting), np.maximum(t - lasting, 0)
+                end = 20 * np.minimum(t, 0) + 20 * braked - brake * braked**2 / 2
+                return end + (20 - brake * lasting) * after + brake * after**2 / 2
+
+            z = position(np.arange(-60.0, 21))
+            x, _ = taught["track"](z[:, None] - z[0], *taught["motion"](3, 1.0, 0.01), lesson.R)
+            predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
+            short.append((predicted - position(np.arange(5.0, 26)) + z[0]).min())
+        worst.append(round(-min(short)))
+    assert worst == [64, 108]
 
 
 def test_metres_grow_with_the_speed_at_a_brake_of_the_same_length(taught):
@@ -245,17 +283,30 @@ def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
 
 def test_what_not_to_promise():
     velocity, acceleration = (lesson.FILTERS[name] for name in ("velocity, q = 1", "acceleration, q = 0.01"))
-    says("From 20 m/s the largest misses are those of the last table")
+    says("From 20 m/s, with these two filters, count on the last table, and some metres for the sensor.")
     for brake, far, short in zip(
         (2.0, 4.0), WORST["either, too far"], WORST["acceleration, too short, if let go"], strict=True
     ):
         assert f"{max(lesson.misses(model, brake).max() for model in (velocity, acceleration)):.0f} m" == far
-        worst = min(lesson.misses(acceleration, brake, lasting).min() for lasting in np.arange(1.0, 20 / brake))
+        worst = min(lesson.misses(acceleration, brake, lasting).min() for lasting in np.arange(0.5, 20 / brake, 0.5))
         assert f"{-worst:.0f} m" == short
 
 
+def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
+    """Both filters tuned to 2 m on the calm road."""
+    says("With ten measurements a second the eight seconds become six.")
+    names = made()
+    exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", "dt, R = 0.1, 0.1"), names)
+    exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
+    both = [(2, 1.35), (3, 0.0301)]
+    assert [names["calm"](*each) for each in both] == [pytest.approx(2, abs=0.02)] * 2
+    quiet = np.zeros((len(names["t"]), 1))
+    for lasting, wins in ((5, 0), (6, 0), (7, 1), (8, 1)):
+        assert np.argmin([rms(names["misses"](*each, 2, lasting, quiet)) for each in both]) == wins
+
+
 def test_the_sensor_adds_some_metres(taught):
-    says("and the sensor adds some metres.")
+    says("count on the last table, and some metres for the sensor.")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))
     for brake, worst in ((2.0, 31), (4.0, 60)):
         found = max(taught["misses"](*each, brake, np.inf, noise).max() for each in (VELOCITY, ACCELERATION))
@@ -294,7 +345,7 @@ def test_the_list_of_the_small_computer():
 def test_with_a_worse_sensor_the_acceleration_gains_less():
     """With q such that the filter with acceleration is as calm as that of velocity with q = 1, as the table judges."""
     says("If both filters are tuned to 7 m on the calm road, they differ by some 6 % at most, either way.")
-    says("Tuned to 13 m, each wins its own brake by nearly a fifth.")
+    says("Tuned to 13 m, each wins its own brake by 2 m/s² by nearly a fifth, and the stop by 4 m/s² is nearly even.")
     names = made(R=25.0)
     noise = np.random.default_rng(7).normal(0, 5.0, (71, 100))
     ratios = {}
@@ -309,6 +360,7 @@ def test_with_a_worse_sensor_the_acceleration_gains_less():
     assert ratios[10.0, (2, np.inf)] == pytest.approx(0.82, abs=0.02)
     assert 1.15 < ratios[10.0, (2, 3)] < 1.25
     assert ratios[1.0, (2, 3)] == pytest.approx(1.06, abs=0.02)
+    assert 0.93 < ratios[10.0, (4, np.inf)] < 1
     of_velocity = names["calm"](*VELOCITY)
     model = mpt.constant_velocity(1.0, 1.0, 25.0)
     made_of = mpt.metrics.error_moments(mpt.SteadyStateFilter.from_kalman(model), replace(model, Q=0 * model.Q), 400)

@@ -35,7 +35,7 @@ def taught():
 
 
 def drives(taught, z, listed):
-    return taught["drive"](z, listed, 1.0)
+    return taught["drive"](z, listed, 1.0)[:, :2]
 
 
 def test_the_list_is_that_of_the_package(taught):
@@ -65,7 +65,7 @@ def test_the_desk_refuses_a_list_without_end_and_takes_a_start_that_is_known(tau
         taught["desk"](F, 0 * Q, 0.1, UNKNOWN)
     with pytest.raises(ValueError, match="take more steps"):
         taught["desk"](F, np.nan * Q, 0.1, UNKNOWN)
-    says("Leave $P$ at $10^4 I$ for speeds up to 100 m/s; a larger one does no harm (up to $10^{12} R$).")
+    says("a larger one does no harm here (up to $10^{12} R$).")
     assert [len(taught["desk"](F, Q, 0.1, 10.0**power * np.eye(2))[0]) for power in (4, 6, 8)] == [8, 8, 8]
 
 
@@ -107,6 +107,26 @@ def test_why_it_starts_over(taught):
     assert [round(each) for each in (speed, surprise, speed + second[1] * surprise)] == [10, 20, 30]
 
 
+def test_after_the_second_a_start_over_is_better_for_long_gaps_only(taught):
+    """The error five seconds ahead, when two measurements are back."""
+    says("(After the second it starts over, too, which is better after a gap of three or more, and worse after one or")
+    (F, Q), (far, pushed) = taught["motion"](2, 1.0, 0.01), taught["motion"](2, 5, 0.01)
+    listed = taught["listed"]
+
+    def back(P, gains):
+        for K in gains:
+            P = taught["follow"](P, K, F, Q, 0.1)
+        return (far @ P @ far.T + pushed)[0, 0]
+
+    for missed in (1, 2, 3, 10):
+        known = UNKNOWN
+        for K in listed[:2]:
+            known = taught["follow"](known, K, F, Q, 0.1)
+        for _ in range(missed):
+            known = F @ known @ F.T + Q
+        assert (back(1e6 * np.eye(2), listed[:2]) < back(known, listed[2:4])) == (missed >= 3)
+
+
 @pytest.mark.parametrize("at", [3, 5, 7])
 def test_a_later_miss_keeps_the_place_in_the_list(taught, at):
     z = 20.0 * np.arange(1, 41)
@@ -118,9 +138,9 @@ def test_a_later_miss_keeps_the_place_in_the_list(taught, at):
     np.testing.assert_allclose(x[at + 1], here + gain * (z[at + 1] - here[0]))
 
 
+# What a gap costs, {missed: ((now, ahead) of our sensor, (now, ahead) of one wrong by 10 m)}, as the table has it.
 GAPS = {
-    line.split("  ")[0]: re.findall(r"[\d.]+$|[\d.]+(?= )", line.partition("  ")[2])
-    for line in shown(CELLS["gap"]).splitlines()[1:]
+    line.split("  ")[0]: re.findall(r"(\d\.\d\d) and (\d\.\d\d)", line) for line in shown(CELLS["gap"]).splitlines()[1:]
 }
 
 
@@ -128,7 +148,7 @@ def test_what_a_miss_costs_while_the_list_runs(taught):
     """The table's row, by a loop of the test's own; and that a later miss costs a poor sensor nothing."""
     (F, Q), (far, pushed) = taught["motion"](2, 1.0, 0.01), taught["motion"](2, 5, 0.01)
     row = GAPS["three, while the list runs (after its third pair)"]
-    for R, said in ((0.1, row[0]), (100.0, row[1])):
+    for R, (_, said) in ((0.1, row[0]), (100.0, row[1])):
         listed, _ = taught["desk"](F, Q, R, UNKNOWN)
         error = UNKNOWN
         for K in listed[:3]:
@@ -152,9 +172,11 @@ def test_gaps_of_three_may_follow_one_another_but_not_at_the_start(taught):
         best = taught["follow"](best, grown[:, 0] / (grown[0, 0] + 0.1), F, Q, 0.1)
         frozen = taught["follow"](frozen, taught["listed"][-1], F, Q, 0.1)
     ratio = np.sqrt(((far @ frozen @ far.T + pushed) / (far @ best @ far.T + pushed))[0, 0])
-    assert f"{ratio:.2f}" == GAPS["three of four, always"][0]
-    says("To start, `drive` needs three that come.")
+    assert f"{ratio:.2f}" == GAPS["three of four, always"][0][1]
+    says("So it needs three measurements in a row to start: if every second is missed it never does")
     z = 20.0 * np.arange(1, 82)
+    z[np.arange(81) % 2 > 0] = np.nan
+    assert np.abs(drives(taught, z, taught["listed"])[40:, 1] - 20).min() > 6
     z[np.arange(81) % 4 > 0] = np.nan
     assert np.abs(drives(taught, z, taught["listed"])[40:, 1] - 20).max() > 9  # no speed is learnt
     z = 20.0 * np.arange(1, 202)
@@ -174,21 +196,21 @@ def test_gaps_that_repeat_cost_a_poor_sensor_more(taught):
         best = taught["follow"](best, grown[:, 0] / (grown[0, 0] + 100.0), F, Q, 100.0)
         frozen = taught["follow"](frozen, listed[-1], F, Q, 100.0)
         ratios.append(np.sqrt(((far @ frozen @ far.T + pushed) / (far @ best @ far.T + pushed))[0, 0]))
-    assert f"{ratios[-1]:.2f}" == GAPS["three of four, always"][1]
+    assert f"{ratios[-1]:.2f}" == GAPS["three of four, always"][1][1]
 
 
 def test_a_frozen_gain_bears_uneven_steps_and_a_wrong_length_not(taught):
     """Exact lengths or one fixed length, of 4,000 drives at 20 m/s."""
-    says("predict by the length of each in place of `dt`; while the list runs, the position then errs by 0.4 to 1 m.")
+    says("While the list runs the position then errs, at 20 m/s, by up to 1.2 m, and in proportion to the speed.")
     peaks = []
-    for _ in range(300):
+    rng = np.random.default_rng(8)
+    for steps in (*rng.uniform(0.7, 1.3, (300, 9)), *rng.choice([0.7, 1.3], (300, 9))):  # the latter are the worst
         error, found = np.diag([0.0, 400.0]), []
-        for K, dt in zip(taught["listed"], np.random.default_rng(len(peaks)).uniform(0.7, 1.3, 9), strict=False):
+        for K, dt in zip(taught["listed"], steps, strict=False):
             error = taught["follow"](error, K, *taught["motion"](2, dt, 0.01), 0.1)
             found.append(np.sqrt(error[0, 0]))
         peaks.append(max(found))
-    assert (round(np.median(peaks), 1), round(max(peaks), 1)) == (0.4, 1.0)
-    rng = np.random.default_rng(8)
+    assert 1.0 < max(peaks) < 1.25
     K, runs = taught["listed"][-1], 4000
 
     def typical(spread, fixed):
@@ -343,7 +365,7 @@ def test_the_error_of_a_prediction_holds_once_the_list_has_ended(taught):
     says("it is typically off by 0.23 m now, and by 1.1 m five seconds ahead")
     says("Tell the driver twice the typical error: here 2.2 m at five seconds")
     says("Once the list has ended, the last $P$ says how wrong the filter is")
-    says("Do not use the forecast before the list has ended: until then its error is larger than stated.")
+    says("Use no forecast while `k < len(listed)`: until then its error is larger than stated.")
     far, pushed = taught["motion"](2, 5, 0.01)
     made, error = [], np.diag([0.0, 400.0])  # the mean error of the speed, squared
     for K in [*taught["listed"], *[taught["listed"][-1]] * 40]:
@@ -358,14 +380,16 @@ def test_the_error_of_a_prediction_holds_once_the_list_has_ended(taught):
 
 def test_a_miss_costs_a_frozen_gain_little_and_ten_much(taught):
     """The table's errors are those of simulated cars; ours after ten, of the package's own filters."""
-    says("6 % worse five seconds ahead than a filter which computes its gain; after ten it is 2.2 times as bad.")
-    assert GAPS["three in a row"][0] == "1.06"
+    says("6 % worse five seconds ahead than a filter which computes its gain, and at first 45 % worse in position;")
+    assert GAPS["three in a row"][0] == ("1.45", "1.06")
+    says("after ten it is 2.2 and 4 times as bad.")
+    now, ratio = map(float, GAPS["ten in a row"][0])
+    assert round(now) == 4
     says("those of [When the driver brakes](when_the_driver_brakes.ipynb) are twice as bad after three.")
     for n, q in ((2, 1.0), (3, 0.01)):
         listed, P = taught["desk"](*taught["motion"](n, 1.0, q), 0.1, 1e4 * np.eye(n))
-        lost = taught["largest_ratio"](0.1, P, listed[-1:] * 12, missed=3, n=n, q=q)
+        _, lost = taught["largest_ratios"](0.1, P, listed[-1:] * 12, missed=3, n=n, q=q)
         assert 1.75 < lost < 2.25
-    ratio = float(GAPS["ten in a row"][0])
     assert round(ratio, 1) == 2.2
     model = VELOCITY
     rng = np.random.default_rng(5)

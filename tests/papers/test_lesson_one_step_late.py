@@ -149,6 +149,9 @@ def test_the_walk_of_the_picture():
     late = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE}))
     error = (true - late.filter(measured[:, None])[:, 0])[2:]
     says("The paper's filter is 1.5 m behind on average, and always far outside the grey stripe.")
+    says("(The dashed line has a stripe of its own, ± 0.47 m.)")
+    settled = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE})).covariances(100)
+    assert f"{2 * np.sqrt(settled[-1, 0, 0]):.2f}" == "0.47"
     assert f"{error.mean():.1f}" == "1.5"
     assert (error > 2 * np.sqrt(late.covariances(60)[2:, 0, 0])).all()
     new = mpt.metrics.innovations(late, measured[:, None])
@@ -230,7 +233,7 @@ def test_how_often_a_minute_raises_an_alarm():
     for name, shares in (("paper's filter", [share for _, share in found]), ("right filter", 4 * [honest])):
         says(f"| {name} | {' | '.join(f'{100 * share:.0f} %' for share in shares)} |")
     nis, tuned = alarms(0.6, NEXT, share=0.5)
-    says(f"with half the Q at 0.6 m/s the {100 * found[2][1]:.0f} % fall to {100 * tuned:.0f} %")
+    says(f"With half the Q at 0.6 m/s the {100 * found[2][1]:.0f} % fall to {100 * tuned:.0f} %")
     assert nis == pytest.approx(1, abs=0.05)
 
 
@@ -254,7 +257,7 @@ def test_nis_of_the_lesson_is_that_of_the_package(taught):
 
 
 def test_somebody_who_turns_back_alarms_both():
-    says("it lags for a while, too, and with the Q of this page NIS is large with either H;")
+    says("it lags for a while, too; with the Q of this page NIS shows the turn, with either H.")
     seconds = np.arange(200)
     positions = np.cumsum(1.5 * (1 - 2 * (seconds // 20 % 2)))
     z = positions[:, None] + np.random.default_rng(0).normal(0, np.sqrt(0.1), (200, 200))
@@ -315,7 +318,7 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
 
 
 def test_an_f_that_lets_the_speed_decay_fails_a_ramp():
-    says("if F lets the speed decay, a filter fails the ramp even where it is right.")
+    says("If F lets the speed decay, a filter fails the ramp even where it is right.")
     off = after_ramp(np.array([[1.0, 1.0], [0.0, 0.95]]), NOW, motion(1.0, 0.01)[2], 0.1, 0.0)
     assert (np.abs(off) > 0.1).all()
 
@@ -323,7 +326,8 @@ def test_an_f_that_lets_the_speed_decay_fails_a_ramp():
 @pytest.mark.parametrize("push", [0.1, 1.0, 3.0])
 def test_a_measurement_of_the_next_position_is_h_with_a_larger_r(push):
     """In the next position there is half a push more, of the variance (σ of a push · Δt/2)²."""
-    says("| a step later | [1 Δt] | add (σ of a push · Δt/2)² to r: σ is then right to some 5 % |")
+    says("| a step later | [1 Δt] | add (σ of a push · Δt/2)² to r, for the push on the way there: σ is then right to")
+    says("right to some 5 % |")
     true, measured = lesson.walk(121, push, tracks=4000)
     axis = mpt.gsm_axis(1.0, push**2, 0.1 + (push / 2) ** 2)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(axis), "P0": WIDE}))
@@ -440,9 +444,9 @@ def test_an_old_position_takes_a_negative_h_in_the_mean_only():
 def test_uneven_steps_give_the_late_filter_away():
     """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
     says(
-        "between 0.7 and 1.3 s NIS is 1.6 on the calm walk, and with 0.95 to 1.05 s it shows nothing, but"
-        " more than 2 at 15 m/s."
+        "With Δt between 0.7 and 1.3 s NIS is 1.6 on the calm walk. Between 0.95 and 1.05 s it shows nothing there, and"
     )
+    says("is more than 2 at 15 m/s.")
     late, _ = nis_of_uneven_steps(0.95, 1.05, speed=15.0)
     assert 2 < late < 3
     late, right = nis_of_uneven_steps(0.95, 1.05)

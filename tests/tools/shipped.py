@@ -21,7 +21,7 @@ from flit_core import buildapi
 
 ROOT = Path(__file__).parents[2]
 DIST = ROOT / "dist"
-README_CODE = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
+README_CODE = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL))
 
 LIGHT = """\
 import importlib.util, sys, mpt_helpers
@@ -53,7 +53,7 @@ open("observations.crx.gz", "wb").write(packed)"""
 
 def metadata():
     """Return the table `project` of pyproject.toml."""
-    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 def build(folder):
@@ -81,7 +81,7 @@ class Environment:
     def script(self, text, *arguments):
         """Run a text as a script."""
         path = self.here / "script.py"
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
         self.run(path, *arguments)
 
 

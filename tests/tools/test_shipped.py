@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 import tarfile
 import zipfile
 
@@ -23,6 +24,22 @@ COMMANDS = re.search(r"(?m)^\.PHONY: (.*)", MAKEFILE)[1].split()
 def built(tmp_path_factory):
     """The wheel and the source archive of this tree."""
     return shipped.build(tmp_path_factory.mktemp("dist"))
+
+
+def test_the_smoke_test_reads_utf_8_where_that_is_not_the_encoding_of_the_locale(tmp_path):
+    """As on Windows, where the README cannot be read by the locale's."""
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    code = f"""if True:
+        import sys, types
+        from pathlib import Path
+        sys.path.insert(0, {str(ROOT / "tests")!r})
+        from tools import shipped
+        assert "mpt.fit" in shipped.README_CODE
+        assert shipped.metadata()["name"] == "mpt_helpers"
+        there = types.SimpleNamespace(here=Path.cwd(), run=lambda path: exec(path.read_bytes()))
+        shipped.Environment.script(there, "assert len('\\u03c3\\u00b2') == 2")
+    """
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=os.environ | locale, check=True)
 
 
 def test_the_wheel_has_the_package_and_nothing_else(built):

@@ -147,6 +147,15 @@ def test_a_mobile_at_rest_repeats_its_position_and_its_fixes_count():
     assert c.said == []
 
 
+def test_noise_is_no_repeat_where_recordings_lie_far_apart():
+    """Ten fixes each hour, 700 m on: a hundredth of the way between two recordings is more than a fix scatters."""
+    t = (3600.0 * np.arange(48)[:, None] + np.arange(10)).ravel()
+    z = 0.2 * t[:, None] * [1.0, 0.5] + 3 * np.random.default_rng(1).standard_normal((480, 2))
+    c = clean(t, z)
+    assert not c.repeats.any()
+    assert len(c.recordings) == 48
+
+
 def test_a_rest_in_a_recording_of_repeats_keeps_a_fix_for_each_repeat():
     t, true, _ = ride(N=6000, dt=0.1, speed=15.0)
     rest = (t > 200) & (t < 260)
@@ -400,6 +409,7 @@ SHORT = ride(N=300)
         ({"rounding": np.nan}, "rounding: needs a number that is not negative, got nan"),
         ({"rounding": "1"}, "rounding: needs a number that is not negative"),
         ({"t": np.r_[np.zeros(299), 1.0]}, "t: needs at least 10 fixes at different times, got 2"),
+        ({"t": np.ma.masked_greater(SHORT[0], 295)}, "t: needs .* got a masked array"),
         ({"pause": 0.5}, "pause: needs recordings of three fixes and more, got 300 recordings of 300 fixes"),
         ({"limit": 0.99}, "limit: needs a squared distance in variances, above 1"),
         (
@@ -423,6 +433,7 @@ def test_segments_may_have_names_and_dates_for_times():
 
 
 def test_years_that_cannot_be_are_unread_and_the_others_count(tmp_path):
+    """A double holds the microseconds of three centuries, and an old pandas the nanoseconds of six."""
     t, _, z = ride(N=100)
     path = gpx(tmp_path / "years.gpx", t, *degrees(z))
     text = path.read_text().replace("2022-05-03T09:15:40Z", "0001-01-01T00:00:00Z")
