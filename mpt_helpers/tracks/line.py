@@ -256,7 +256,7 @@ def as_far_as_known(line: Line, noise: Noise, scale: Scale) -> Noise:
     """
     sample = _sample(line)
     likelihood = likelihood_of(sample, scale)
-    r = max(min(upper_limit(line), USUAL**2), scale.rounding)
+    r = max(min(upper_limit(line, scale), USUAL**2), scale.rounding)
     if (r < SMOOTHED**2 or r <= noise.r) if noise.rounding else _is_explained(sample, noise, scale, likelihood):
         return noise
     q = _q_given(likelihood, noise.q, r, math.exp(RATIOS[1]) * scale.step**3)
@@ -281,15 +281,15 @@ def _is_explained(line, noise, scale, likelihood):
     return bool(noise.r < USUAL**2 or negative < MOST_NEGATIVE[1] + BY_CHANCE[1] / unit.size)
 
 
-def upper_limit(line: Line) -> float:
-    """Return an upper limit of r, whatever the motion is."""
+def upper_limit(line: Line, scale: Scale) -> float:
+    """Return an upper limit of r, whatever the motion is, from fixes without gaps between them."""
     fixes = np.isfinite(line.z).any(axis=1)
-    differences, number = line.z[fixes], line.number[fixes]
+    t, differences = line.t[fixes], line.z[fixes]
     found = []
     for k in ORDERS:
         differences = np.diff(differences, axis=0)
-        own = differences[number[k:] == number[:-k]]
-        if np.isfinite(own).any() and len(own) >= len(number) / 2:
+        own = differences[t[k:] - t[:-k] < (k + 1) * scale.step]
+        if np.isfinite(own).any() and len(own) >= len(t) / 2:
             found.append(np.nanmean(own**2) / math.comb(2 * k, k))
     relative = 1.0 if line.relative is None else float(line.relative[fixes].mean())
     return float(min(found, default=math.inf)) / relative
