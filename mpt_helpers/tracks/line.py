@@ -36,7 +36,7 @@ SPARSE = 0.5
 # On eleven recorded tracks, thinned and with noise of 3 m, it was mostly below 0.02 while r was right, and 0.02 to 0.12
 # where the line was worse than the fixes. By chance it is 2 / n of n numbers, rarely 8 / n: so a few sparse fixes never
 # tell r, and a few dense ones nothing against it.
-LAGS, MOST_NEGATIVE, BY_CHANCE, CLIPPED = 4, (0.02, 0.08), (2.0, 8.0), 3.0
+LAGS, MOST_NEGATIVE, BY_CHANCE, CLIPPED = 4, (0.02, 0.06), (2.0, 8.0), 3.0
 # Differences of order k of white noise have binom(2k, k) times its variance, and motion only adds to it: the least of
 # these orders is an upper limit of r.
 ORDERS = range(1, 9)

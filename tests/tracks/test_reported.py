@@ -5,6 +5,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
+import pandas
 import pytest
 
 import mpt_helpers as mpt
@@ -523,6 +524,32 @@ def test_no_line_is_worse_than_its_fixes_or_claims_more_than_they_tell(motion, s
     assert [each[:54] for each in c.unusual] == ["ATTENTION: the errors of the fixes cannot be told from"] * (not known)
     sigma = np.sqrt(np.diagonal(c.P, axis1=1, axis2=2))[:, ::2]
     assert np.mean((np.abs(c.x[:, ::2] - true) < 1.96 * sigma)[kept]) > 0.8
+
+
+def test_faults_that_are_too_many_to_be_refused_are_told():
+    t, _, z = ride(N=900)
+    rng = np.random.default_rng(1)
+    far = rng.random(900) < 0.1
+    z[far] += rng.choice([-1, 1], (far.sum(), 2)) * rng.uniform(100, 300, (far.sum(), 2))
+    c = clean(t, z)
+    assert any("of the fixes are more than 6 times as far from the smoothed line" in each for each in c.unusual)
+
+
+@pytest.mark.parametrize(("empty", "said"), [(0.2, "fixes are weighted by their"), (0.7, "is not used: only 26%")])
+def test_an_accuracy_is_used_where_most_fixes_have_one_and_else_its_absence_is_told(empty, said):
+    rng = np.random.default_rng(0)
+    t = np.arange(600.0)
+    accuracy = np.where(rng.random(600) < 0.3, 20.0, 3.0)
+    x, y = np.column_stack([1.4 * t, 100 * np.sin(t / 200)]).T + accuracy * rng.standard_normal((2, 600))
+    accuracy[rng.random(600) < empty] = np.nan
+    frame = pandas.DataFrame({"time": t, "x": x, "y": y, "accuracy": accuracy})
+    assert said in mpt.track(frame).report()
+
+
+def test_a_step_of_a_tenth_of_a_second_is_told_as_that_though_unix_times_are_rounded():
+    _, _, z = ride(N=300, dt=0.1)
+    frame = pandas.DataFrame({"time": 1714723200 + 0.1 * np.arange(300), "x": z[:, 0], "y": z[:, 1]})
+    assert "in 0:00:30, every 0.1 s" in mpt.track(frame).report()
 
 
 def test_coarse_digits_are_not_called_smoothing(plain):
