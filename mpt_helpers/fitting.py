@@ -24,7 +24,7 @@ from ._checks import Array
 from ._immutable import same
 from .kalman import KalmanFilter
 from .model import LinearModel
-from .search import SIGNIFICANT, along_a_line, differences, lowest, newton
+from .search import FLAT_CURVATURE, SIGNIFICANT, along_a_line, differences, lowest, newton
 
 # Rows for each state that the search along a ratio skips: after them the initial state hardly matters.
 START_ROWS_PER_STATE = 5
@@ -33,8 +33,6 @@ MIN_SCALE = 1e-9
 # Number of blocks for the standard errors, and their length on long tracks. On recorded tracks, the scores of blocks
 # of 10 s are strongly correlated; those of 300 s are nearly independent.
 MIN_BLOCKS, MAX_BLOCKS, BLOCK_SECONDS = 6, 20, 300.0
-# A direction is flat if its curvature is below this fraction of the largest, the rounding error of second differences.
-FLAT_CURVATURE = 1e-6
 # A parameter is determined if its component along each flat direction of log L is below this. Smaller components come
 # from the tolerance of the search.
 MAX_FLAT_COMPONENT = 1e-2

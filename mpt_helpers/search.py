@@ -73,6 +73,9 @@ def lowest(function, point):
 SPACING = 0.005
 # The search ends where the gradient is below this fraction of the largest curvature; a smaller one would be the bias.
 FLAT_GRADIENT = 1e-5
+# A direction is flat if its curvature is below this fraction of the largest, the rounding error of second differences.
+# It is added to all curvatures, since rounding would decide a step along a flat direction.
+FLAT_CURVATURE = 1e-6
 
 
 def newton(function, point):
@@ -82,7 +85,8 @@ def newton(function, point):
         return _or_zero(differences(function, at)[1])
 
     def curvature(at):
-        return _or_zero(differences(function, at)[2])
+        H = _or_zero(differences(function, at)[2])
+        return H + FLAT_CURVATURE * np.abs(H).max() * np.eye(len(H))
 
     least = FLAT_GRADIENT * np.abs(curvature(point)).max()
     found = minimize(function, point, method="trust-exact", jac=gradient, hess=curvature, options={"gtol": least})
