@@ -33,6 +33,7 @@ __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 MOST, LOWEST = np.array([90.0, 360.0, 1e5]), -12_000.0
 METRES_OF_A_DEGREE = 111_000.0  # of latitude, and of longitude at most
 UNSORTED = 0.25  # share of times that run back: if it is larger, the rows are not in order of time
+MOST_KNOWN = 0.5  # share of the fixes that must have an accuracy
 # The grids that files round to: decimals of degrees, minutes or seconds, or integers of which 2^31 make half a circle.
 DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
@@ -342,8 +343,8 @@ def track(
     else:
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]
-    relative, name = _precision(recording, rows)
-    said += [f"fixes are weighted by their {name}"] if name else []
+    relative, weighted = _precision(recording, rows)
+    said += weighted
     how = {"seconds": seconds, "limit": limit, "pause": pause, "show": show}
     c = clean(t, z, relative, segment=segment, rounding=max(grids) ** 2 / 12, **how)
     return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
@@ -384,10 +385,16 @@ def _notes_on_order(t, segment):
 
 
 def _precision(recording, rows):
-    """Return the relative variances (N,) of fixes and the column that they are from, or None and None."""
+    """Return the relative variances (N,) of fixes, or None, and a note on the column that they are from.
+
+    A fix without an entry counts as the median one, if most fixes have one.
+    """
     for name in ("accuracy", "hdop"):
         sigma = getattr(recording, name)[rows]
         known = sigma > 0
-        if known.mean() > 0.9 and np.ptp(sigma[known]) > 0:
-            return np.where(known, sigma, np.median(sigma[known])) ** 2, name
-    return None, None
+        if not known.any() or np.ptp(sigma[known]) == 0:
+            continue
+        if known.mean() > MOST_KNOWN:
+            return np.where(known, sigma, np.median(sigma[known])) ** 2, [f"fixes are weighted by their {name}"]
+        return None, [f"the {name} is not used: only {known.mean():.0%} of the fixes have one"]
+    return None, []

@@ -35,6 +35,7 @@ from .line import (
     Line,
     Noise,
     Scale,
+    as_far_as_known,
     filter_of,
     first_guess,
     fitted,
@@ -42,7 +43,6 @@ from .line import (
     log_errors,
     on_one_line,
     scale_of,
-    with_upper_limit,
 )
 from .readers import Recording
 
@@ -145,7 +145,7 @@ class Cleaned:
         Process noise (m²/s³) and measurement variance of a fix (m²), the same for all axes.
     log_errors : dict
         Standard errors of their logarithms. That of r is infinite where r is not an estimate but the rounding of the
-        numbers, or an upper limit: on a sparse track the motion hides the noise of the fixes.
+        numbers, or assumed: on a sparse track, or a circling one, the motion hides the noise of the fixes.
     rounding : bool
         Whether r is the rounding of the numbers: the recorder has smoothed the positions, which hides their noise.
     band : Band or None
@@ -381,7 +381,7 @@ def clean(
         noise = fitted(line, noise, scale, near=before is not None)
     say("smoothing")
     line = line_of(segments)
-    noise = with_upper_limit(line, noise, scale)
+    noise = as_far_as_known(line, noise, scale)
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]

@@ -19,11 +19,11 @@ PAUSE, PAUSE_IN_STEPS = 60.0, 10
 # A group of fixes has wrong times if it has fewer than ten fixes and 5 % of all, and lies more than 100 days from the
 # others: a receiver that does not know the date yet reports 1980, or is off by 1024 weeks.
 STRAY, STRAY_SHARE, FAR_IN_TIME = 10, 0.05, 100 * 86400.0
-# A position is a repeat if it changes by at most HUNDREDTH of a large step (the NEARLY_ALL quantile): its last digit
-# may differ. Rows are written faster than fixes are made if two conditions hold. At least a tenth of the positions are
+# A position is a repeat if no axis changes by more than LAST_DIGIT of the grid of the numbers, in all rows of the
+# repeat together. Rows are written faster than fixes are made if two conditions hold. At least a tenth of positions are
 # repeated while the mobile moves at half its median speed or faster (in recorded tracks it is 0 to 2 %), and the median
 # step is at least three times the grid of the numbers.
-REPEATED, STEPS_OF_GRID, NEARLY_ALL = 0.1, 3.0, 0.95
+LAST_DIGIT, REPEATED, STEPS_OF_GRID, NEARLY_ALL = 1.5, 0.1, 3.0, 0.95
 # A step lies on a grid if it is a multiple of it to within ON_GRID of the grid. Numbers on no grid are rounded to at
 # most HUNDREDTH of a median step.
 ON_GRID, HUNDREDTH = 0.05, 0.01
@@ -134,10 +134,11 @@ def _repeated(t, z, rows, begin, rounding):
     period of those repeats.
     """
     again = np.zeros(len(t), dtype=bool)
-    steps = np.linalg.norm(np.diff(z[rows], axis=0), axis=1)
-    steps[begin[1:]] = math.nan  # between two recordings
-    least = HUNDREDTH * np.nanquantile(steps, NEARLY_ALL) if np.isfinite(steps).any() else 0.0
-    new = np.append(True, ~(steps <= least))
+    digit = LAST_DIGIT * math.sqrt(12 * rounding)
+    new = np.append(True, ~(np.abs(np.diff(z[rows], axis=0)) <= digit).all(axis=1) | begin[1:])
+    group = np.cumsum(new) - 1
+    creeps = ~(np.abs(z[rows] - z[rows][new][group]) <= digit).all(axis=1)
+    new |= np.isin(group, group[creeps])
     first = rows[new]
     if len(first) < FEWEST:
         return again

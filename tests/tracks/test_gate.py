@@ -299,11 +299,11 @@ def shift(t, z, rng):
 AT_MOST = {
     "run_fenix2_1hz": {singles: 0.05, bursts: 0.6, stuck: 5.0, shift: 0.01},
     "hike_gpxo_2s": {singles: 0.1, bursts: 0.15, stuck: 1.5, shift: 0.1},
-    "glider_nz_3s": {singles: 4.0, bursts: 15.0, stuck: 50.0, shift: 0.01},
+    "glider_nz_3s": {singles: 4.0, bursts: 15.0, stuck: 50.0, shift: 0.03},
     "run_stoplight_1hz": {singles: 0.1, bursts: 0.6, stuck: 5.0, shift: 0.02},
     "phone_ride_stoplight_1s": {singles: 0.8, bursts: 8.0, stuck: 50.0, shift: 0.05},
     "boat_plaka_2s": {singles: 0.1, bursts: 0.1, stuck: 0.5, shift: 0.02},
-    "hike_korita_11s": {singles: 0.6, bursts: 0.5, stuck: 2.0, shift: 0.02},
+    "hike_korita_11s": {singles: 0.6, bursts: 0.5, stuck: 2.0, shift: 0.4},
 }
 
 
