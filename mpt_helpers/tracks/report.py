@@ -141,7 +141,7 @@ def _along_and_across(c):
         return 0.0, 0.0, 0
     along = np.sum(off * velocity, axis=1)[moving] / speed[moving]
     squares = np.sum(off**2, axis=1)[moving]
-    return math.sqrt(np.mean(along**2)), math.sqrt(np.mean(squares - along**2)), len(along)
+    return math.sqrt(np.mean(along**2)), math.sqrt(np.mean(np.maximum(squares - along**2, 0))), len(along)
 
 
 def _share_refused(c):
