@@ -239,7 +239,7 @@ def test_every_internal_link_leads_somewhere(records):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_first_screen_asks_the_question_and_says_for_whom_and_what_was_found(visit, width):
     page = visit("index.html", width)
-    assert page.locator("h1").inner_text().startswith("Do four papers on tracking a position hold?")
+    assert page.locator("h1").inner_text().startswith("Four papers on position tracking: do their results hold?")
     for reader in ("students", "recorded track", "readers of the papers", "Python package"):
         assert reader in page.locator("p.for").inner_text()
     for each in ("p.about", "p.for", ".paper-row h2 >> nth=0"):
