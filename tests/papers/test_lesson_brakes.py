@@ -241,9 +241,7 @@ def test_with_a_worse_sensor_the_acceleration_gains_less():
 
 
 def test_the_largest_misses():
-    says(
-        "The largest without the sensor's errors, in stops by 2 m/s², was 31 m, and by 4 m/s² 60 m."
-    )
+    says("The largest without the sensor's errors, in stops by 2 m/s², was 31 m, and by 4 m/s² 60 m.")
     for brake, far in ((2.0, 31), (4.0, 60)):
         largest = max(lesson.misses(model, brake).max() for model in list(lesson.FILTERS.values())[1:])
         assert round(largest) == far
