@@ -189,9 +189,7 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
 
 
 def test_how_many_seconds_are_frozen():
-    says(
-        "if 1 % of the measurements of each axis are missed, the gain is at rest in two seconds of three, and with 5 % in"
-    )
+    says("if 1 % of the measurements of each axis are missed, the gain is at rest in two seconds of three")
     assert "at rest after 12 seconds" in shown(CELLS["freeze"])
     assert [round(share ** (3 * 13), 2) for share in (0.99, 0.95)] == [0.68, 0.14]  # thirteen in a row, three axes
 
