@@ -114,7 +114,7 @@ def test_the_question_of_the_first_line_is_answered(cases):
     one, made = np.std(height), mpt.metrics.rms(means)
     assert 2.4 < one < 2.6
     says("Each is wrong by two and a half metres or so")
-    says(f"for which all of a fix's error is noise: its $r$ is ({one:.2f} m)²")
+    says(f"which takes all of a fix's error for noise, of variance ({one:.2f} m)².")
     assert f"{one / 10:.2f}" == "0.25"
     says("some nineteen of their means should lie within 0.25 m of the mean of the day. Four did")
     assert round(28 * 0.6827) == 19
@@ -174,7 +174,7 @@ def test_the_mean_leaves_seven_percent_more_than_the_best_average():
     weights[[0, -1]] = t[1] / 2 + 1.0  # the trapezoidal rule, and a time tau at each end
     with_each = np.exp(-np.abs(np.subtract.outer(t, t))) @ weights / weights.sum()
     np.testing.assert_allclose(with_each, 1 / (1 + T / 2), rtol=1e-6)
-    says("The plain mean leaves up to 7 % more.")
+    says("The standard deviation of a plain mean is up to 7 % larger.")
     x = np.linspace(0.01, 50, 5000)
     ratio = np.sqrt(2 * (x - 1 + np.exp(-x)) / x**2 * (1 + x / 2))
     assert 1.06 < ratio.max() < 1.07
@@ -184,7 +184,7 @@ def test_the_mean_leaves_seven_percent_more_than_the_best_average():
 
 def test_the_pair_is_near_what_was_fitted(fits):
     says(
-        "So we took one pair of round numbers for all six heights below, after seeing them: σ = 1.2 m and τ = one hour."
+        "So we took one pair of round numbers for all heights of this page, after seeing them: σ = 1.2 m and τ = one hour."
     )
     assert ', {"r": r, "sigma": 1.2, "tau": 3600.0}' in source(CELLS["kalman"])
     assert "sigma=1.2, tau=3600.0" in source(CELLS["judged"])
@@ -331,7 +331,10 @@ def test_what_the_tables_say_is_said(cases, fits):
     says(
         "With constants from elsewhere the formula and aware were wrong by up to a factor of 3.5, either way (the lower"
     )
-    says("0.3 is 1/3.5), and for means of four hours of five.")
+    says("0.3 is 1/3.5). For means of four hours the worst factor was five.")
+    says("(A day has only a dozen different errors, so that each of these ratios is known to some 20 %.)")
+    errors_a_day = 1 + 24 / 2
+    assert 1 / np.sqrt(2 * errors_a_day) == pytest.approx(0.2, abs=0.01)  # of a standard deviation, for Gaussian errors
     pairs = [lesson.pair_of_others(name, fits) for name in HEIGHTS]
     low, high = np.min(pairs, axis=0), np.max(pairs, axis=0)
     says(f"({low[0]:.1f} to {high[0]:.1f} m, {low[1] / 60:.0f} to {high[1] / 60:.0f} min)")
@@ -416,7 +419,7 @@ def test_the_mean_of_the_day_is_not_that_of_the_header(cases):
     sideways = [
         max(np.abs(cases[f"{name}, {kind}"].offset[:UP]).max() for name in recorded.TABLES) for kind in (TWO, ONE)
     ]
-    says("to the east and north {:.1f} m and {:.1f} m, most of it".format(*sideways))
+    says("to the east and north {:.1f} m with two frequencies and {:.1f} m with one, most of it".format(*sideways))
 
 
 # The page on smoothing
@@ -597,7 +600,7 @@ def test_plates_have_moved_sideways(days, cases):
 
 def test_the_cell_to_copy_is_the_formula_and_what_no_average_sees(cases):
     names = {"np": np}
-    exec(source(CELLS["to-state"]).partition("\n\n\n")[0], names)
+    exec(source(CELLS["to-state"]).partition("\n\n\none = ")[0], names)
     height = cases[WALL].errors[:240, UP]
     stated = lesson.stated_at_rest(lesson.noise_of(height), *PAIR, 239 * 30.0, 240)
     assert names["to_state"](np.arange(240) * 30.0, height, 1.2) == pytest.approx(np.hypot(stated, 1.2))
