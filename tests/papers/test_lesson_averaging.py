@@ -183,9 +183,7 @@ def test_the_mean_leaves_seven_percent_more_than_the_best_average():
 
 
 def test_the_pair_is_near_what_was_fitted(fits):
-    says(
-        "So we took one pair of round numbers for all heights of this page, after seeing them: σ = 1.2 m and τ = one hour."
-    )
+    says("one pair of round numbers for all heights of this page, after seeing them: σ = 1.2 m and τ = one hour.")
     assert ', {"r": r, "sigma": 1.2, "tau": 3600.0}' in source(CELLS["kalman"])
     assert "sigma=1.2, tau=3600.0" in source(CELLS["judged"])
     by_size = sorted(float(fit.sigma[0]) for fit in fits.values())
@@ -270,7 +268,7 @@ def test_two_hours_of_a_fix_a_second_are_no_substitute_for_a_day():
 
 
 def test_a_log_is_read_as_the_cell_says(tmp_path):
-    assert 'np.loadtxt("log.txt", unpack=True)' in source(CELLS["to-state"])
+    assert 'np.loadtxt("log.txt", unpack=True)' in source(CELLS["fit"])
     log = np.column_stack([np.arange(0.0, 9000.0, 30.0), np.random.default_rng(4).standard_normal(300).cumsum()])
     np.savetxt(tmp_path / "log.txt", log)
     with warnings.catch_warnings():
