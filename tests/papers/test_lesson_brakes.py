@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import ROOT, cells_of, prose, shown, source
+from scipy.optimize import brentq
 
 import mpt_helpers as mpt
 from reproduction.paper_2016 import lesson_brakes as lesson
@@ -80,14 +81,14 @@ def test_a_driver_who_does_both(taught):
 
 def test_the_first_screen(taught):
     says("| velocity filter | 26 m | 10 m |")
-    says("| acceleration filter; no predicted speed below zero | 16 m | 16 m |")
+    says("| acceleration filter | 16 m | 16 m |")
     says("on a road where nothing pushes the car, their predictions are off by 2 m")
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["table"]).splitlines()]
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
     says("The last row is best at both stops, and its error on a calm road is 4 m.")
     assert rows[4] == ["acceleration, q = 0.1", "13 m", "23 m", "15 m", "3.9 m"]
-    says("in five seconds 25 m at 2 m/s², and 50 m at 4, if the brake lasts so long")
+    says("in five seconds 25 m at 2 m/s², and 50 m at 4.")
     for brake, taken in ((2.0, 25), (4.0, 50)):
         for model in lesson.FILTERS.values():
             assert round(lesson.misses(model, brake)[0]) == taken
@@ -131,16 +132,15 @@ def test_why_the_velocity_is_late():
 
 
 def test_which_filter_wins(off, taught):
-    says("At 2 m/s² the border is near eight seconds of braking.")
-    says("The errors scatter by less than a metre from one set of 200 drives to the next.")
+    says("At 2 m/s² the border lies between seven and eight seconds of braking.")
+    says("The errors are typical ones, and scatter by less than a metre from one set of 200 drives to the next.")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))  # other drives than the lesson's
     table = {(2, 0.01): [42, 50, 15], VELOCITY: [26, 33, 10], ACCELERATION: [16, 29, 16], (3, 0.1): [13, 23, 15]}
     for each, expected in table.items():
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than the five")
-    says("that the car has nearly stopped by then: about a fifth of its speed is left, or less. The other is a gentle")
-    says("brake that has lasted nine seconds.")
+    says("that the car has nearly stopped by then. The other is a gentle brake that has lasted nine seconds.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -148,8 +148,7 @@ def test_which_filter_wins(off, taught):
             if off(*VELOCITY, brake, lasting) > off(*ACCELERATION, brake, lasting)
         ]
         assert wins == list(range(from_when, 20 // brake))
-        assert from_when == 9 or 20 - brake * from_when <= 0.2 * 20
-        assert 20 - brake * (from_when - 1) >= 0.2 * 20
+        assert from_when == 9 or 20 - brake * from_when <= 4  # m/s
     gain = {each: off(*VELOCITY, each, np.inf) / off(*ACCELERATION, each, np.inf) for each in (1, 2, 3, 4, 6, 8)}
     assert min(gain.values()) > 1
     assert min(gain[1], gain[2], gain[3]) > 1.25  # twenty, ten and seven seconds
@@ -158,8 +157,7 @@ def test_which_filter_wins(off, taught):
 
 def test_a_driver_who_has_just_speeded_up(taught):
     """From 10 to 20 m/s in the five seconds before the touch."""
-    says("If the car has just speeded up by 2 m/s², the filter expects it to go on so, and loses the stop, too:")
-    says("34 m against 26.")
+    says("the acceleration filter loses the stop, too: 34 m against 26, after five seconds by 2 m/s².")
 
     def position(t):
         faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
@@ -172,21 +170,20 @@ def test_a_driver_who_has_just_speeded_up(taught):
         predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
         errors[n] = predicted - (position(np.arange(5.0, 16)) - z[0])
     assert [round(rms(each)) for each in errors.values()] == [26, 34]
-    says("The acceleration filter needs three seconds of steady drive before the touch.")
-    t = np.arange(-60.0, 11) + 3
-    earlier = np.clip(-t, 0, 5) ** 2 + 10 * np.maximum(-t - 5, 0)  # metres further back, three seconds before
-    velocity, acceleration = (
-        rms(taught["misses"](*each, 2, np.inf, earlier[:, None])) for each in (VELOCITY, ACCELERATION)
-    )
-    assert acceleration < 0.9 * velocity
+    says("It needs four seconds of steady drive before the touch.")
+    t = np.arange(-60.0, 11) + 4
+    earlier = np.clip(-t, 0, 5) ** 2 + 10 * np.maximum(-t - 5, 0)  # metres further back, four seconds before
+    for brake in (1, 2, 3, 4):
+        velocity, acceleration = (
+            rms(taught["misses"](*each, brake, np.inf, earlier[:, None])) for each in (VELOCITY, ACCELERATION)
+        )
+        assert acceleration < velocity
 
 
-def equally_calm(names, n, q, seconds=5):
+def equally_calm(names, n, q):
     """The q of the filter with acceleration that is as calm as a velocity filter, by the lesson's own measure."""
-    ahead = source(CELLS["table"]).partition("\nbrakes = ")[0].replace("horizon = 20, 5", f"horizon = 20, {seconds}")
-    exec(ahead, names)
     aim = names["calm"](n, q)
-    return min(np.logspace(-4, 0, 81), key=lambda each: abs(names["calm"](3, each) - aim))
+    return 10 ** brentq(lambda power: names["calm"](3, 10**power) - aim, -4, 0, xtol=0.01)
 
 
 def test_most_of_the_error_of_a_short_stop_is_made_before_anybody_knows():
@@ -207,7 +204,7 @@ def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
 
 def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
     """Both filters tuned to 2 m on the calm road."""
-    says("With ten measurements a second the border of eight seconds becomes six.")
+    says("With ten measurements a second, and both filters tuned to 2 m again, the border falls to six seconds.")
     names = made()
     exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", "dt, R = 0.1, 0.1"), names)
     exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
@@ -220,9 +217,7 @@ def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
 
 def test_with_a_worse_sensor_the_acceleration_gains_less():
     """With q such that the filter with acceleration is as calm as that of velocity with q = 1, as the table judges."""
-    says(
-        "With one of 5 m, and both filters tuned to 7 m on the calm road, they differ by some 6 % at most, either way."
-    )
+    says("both filters tuned to 7 m on the calm road, they differ on our three brakes by some 7 % at most, either way.")
     names = made(R=25.0)
     noise = np.random.default_rng(7).normal(0, 5.0, (71, 100))
     assert round(names["calm"](*VELOCITY)) == 7
@@ -241,7 +236,45 @@ def test_with_a_worse_sensor_the_acceleration_gains_less():
 
 
 def test_the_largest_misses():
-    says("The largest without the sensor's errors, in stops by 2 m/s², was 31 m, and by 4 m/s² 60 m.")
+    says(
+        "The largest miss of the two equally calm filters, without the sensor's errors, was 31 m in the stop by 2 m/s²,"
+    )
+    says("and 60 m by 4.")
     for brake, far in ((2.0, 31), (4.0, 60)):
         largest = max(lesson.misses(model, brake).max() for model in list(lesson.FILTERS.values())[1:])
         assert round(largest) == far
+
+
+def test_the_winners_are_those_until_ten_seconds_after_the_brake():
+    says(
+        "(Counted until ten seconds after the end of the brake, the same filter wins in each case, but the gentle nine"
+    )
+    rows = [re.split(r"  +", line.strip())[1:] for line in shown(CELLS["brakes"]).splitlines()[1:]]
+    functions, _, _ = source(CELLS["table"]).partition("\nbrakes = ")
+    for brake, cells in zip((1, 2, 3, 4), rows, strict=True):
+        for lasting, cell in zip((3, 5, 6, 7, 8, 9, np.inf), cells, strict=True):
+            if cell == "–":
+                assert 20 / brake <= lasting
+                continue
+            last = int(np.ceil(min(lasting, 20 / brake))) + 10
+            names = made()
+            exec(functions, names)
+            names["t"] = np.arange(-60.0, last + 1)
+            velocity, acceleration = (
+                rms(names["misses"](*each, brake, lasting, np.zeros((61 + last, 1))))
+                for each in (VELOCITY, ACCELERATION)
+            )
+            assert cell.startswith("v " if velocity < acceleration else "a "), (brake, lasting)
+            if (brake, lasting) == (1, 9):
+                assert acceleration / velocity == pytest.approx(1, abs=0.02)
+
+
+def test_how_fast_the_acceleration_is_learnt(taught):
+    says("It corrects its acceleration by 0.16 of each surprise. After three seconds it has learnt 1.1 of the 2 m/s²,")
+    says("and after five nearly all.")
+    says("The acceleration filter has learnt half of the brake when it ends")
+    F, Q = taught["motion"](3, 1.0, 0.01)
+    x, gains = taught["track"](taught["road"](np.arange(-60.0, 11), 2.0), F, Q, 0.1)
+    assert round(gains[-1, 2, 0], 2) == 0.16
+    assert round(-x[63, 2, 0], 1) == 1.1
+    assert -x[65, 2, 0] > 1.9
