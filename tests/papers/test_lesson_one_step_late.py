@@ -207,13 +207,10 @@ def test_what_counts_is_the_push_over_the_noise():
     assert (np.diff(by_push) < 0).all()
 
 
-def alarms(push, H, minutes=20_000, seed=14, share=1.0):
-    """The mean NIS, and the share of minutes whose NIS is not within 1 ± 2 sqrt(2/60), after one that settles.
-
-    The filter's Q is a share of that of the pushes.
-    """
+def alarms(push, H, minutes=20_000, seed=14):
+    """The mean NIS, and the share of minutes whose NIS is not within 1 ± 2 sqrt(2/60), after one that settles."""
     _, measured = lesson.walk(120, push, minutes, seed)
-    kf = mpt.KalmanFilter(replace(mpt.gsm_axis(dt=1.0, q=share * push**2, r=0.1), H=H, P0=WIDE))
+    kf = mpt.KalmanFilter(replace(mpt.gsm_axis(dt=1.0, q=push**2, r=0.1), H=H, P0=WIDE))
     new = mpt.metrics.innovations(kf, measured[:, None])
     nis = (new.values[60:, 0] ** 2 / new.S[60:, 0, 0].reshape(60, -1)).mean(axis=0)
     return nis.mean(), np.mean(np.abs(nis - 1) > 2 * np.sqrt(2 / 60))
@@ -232,9 +229,6 @@ def test_how_often_a_minute_raises_an_alarm():
     says("| σ of a push (m/s) | 0.1 | 0.3 | 0.6 | 1 |")
     for name, shares in (("paper's filter", [share for _, share in found]), ("right filter", 4 * [honest])):
         says(f"| {name} | {' | '.join(f'{100 * share:.0f} %' for share in shares)} |")
-    nis, tuned = alarms(0.6, NEXT, share=0.5)
-    says(f"With half the Q at 0.6 m/s the {100 * found[2][1]:.0f} % fall to {100 * tuned:.0f} %")
-    assert nis == pytest.approx(1, abs=0.05)
 
 
 def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
@@ -315,12 +309,6 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
             matrix[index] += rng.choice([-1, 1]) * 0.02
             off = after_ramp(F, H, motion(1.0, q)[2], r, 0.0, rows=400)
             assert np.abs(off).max() > 1e-3, (entry, q, r)
-
-
-def test_an_f_that_lets_the_speed_decay_fails_a_ramp():
-    says("If F lets the speed decay, a filter fails the ramp even where it is right.")
-    off = after_ramp(np.array([[1.0, 1.0], [0.0, 0.95]]), NOW, motion(1.0, 0.01)[2], 0.1, 0.0)
-    assert (np.abs(off) > 0.1).all()
 
 
 @pytest.mark.parametrize("push", [0.1, 1.0, 3.0])
@@ -408,7 +396,7 @@ def test_a_mark_that_is_passed_twice_tells_the_delay():
 
 def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     """There the paper's H is right: the settled filter errs by what it states, and NIS is that of the late filter."""
-    says("The same surprises could come from a sensor that shows the next position, and then nothing is late.")
+    says("the same surprises could come from a sensor that shows the next position, and then nothing is late.")
     push = 1.0
     true, measured = lesson.walk(121, push, tracks=4000)
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(mpt.gsm_axis(1.0, push**2, 0.1)), "P0": WIDE}))
@@ -419,84 +407,19 @@ def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     assert nis == pytest.approx(nis_of_late(1.0, push**2, 0.1), abs=0.01)
 
 
-def test_an_old_position_takes_a_negative_h_in_the_mean_only():
-    old, age = np.array([[1.0, -3.0]]), 3
-    L, made = makes(old, age=age)
-    np.testing.assert_allclose(L, np.eye(2), atol=1e-9)
-    states = np.sqrt(settled(old)[2][0, 0])
-    real = np.sqrt(made[0, 0])
-    says(f"For positions three seconds old it claims σ = {states:.2f} m here, and its real error is {real:.2f} m;")
-    F, _, Q = motion(1.0, 0.01)
-    P = settled(NOW)[2]
-    for _ in range(age):
-        P = F @ P @ F.T + Q
-    says(f"filtering and predicting has {np.sqrt(P[0, 0]):.2f} m, and claims it.")
-    # both by simulation, which owes nothing to the formulas above
-    true, measured = lesson.walk(100, tracks=20_000)
-    for H, rms in ((old, np.sqrt(made[0, 0])), (NOW, np.sqrt(P[0, 0]))):
-        kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": H, "P0": WIDE}))
-        x = kf.filter(measured[:-age, None])[-1]
-        if H is NOW:
-            x = np.linalg.matrix_power(F, age) @ x
-        assert np.sqrt(np.mean((x[0] - true[-1]) ** 2)) == pytest.approx(rms, rel=0.02)
-
-
-def test_uneven_steps_give_the_late_filter_away():
-    """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
-    says(
-        "With Δt between 0.7 and 1.3 s NIS is 1.6 on the calm walk. Between 0.95 and 1.05 s it shows nothing there, and"
-    )
-    says("is more than 2 at 15 m/s.")
-    late, _ = nis_of_uneven_steps(0.95, 1.05, speed=15.0)
-    assert 2 < late < 3
-    late, right = nis_of_uneven_steps(0.95, 1.05)
-    assert late == pytest.approx(nis_of_late(1.0, 0.01, 0.1), abs=0.03)
-    late, right = nis_of_uneven_steps(0.7, 1.3)
-    assert late == pytest.approx(1.6, abs=0.15)  # of other steps too: it depends on which come after which
-    assert right == pytest.approx(1, abs=0.02)
-
-
-def nis_of_uneven_steps(shortest, longest, speed=1.5):
-    """The mean NIS of the late and of the right filter."""
-    rng = np.random.default_rng(11)
-    tracks, rows = 2000, 100
-    steps = rng.uniform(shortest, longest, rows)
-    true = np.stack([np.zeros(tracks), np.full(tracks, speed)])
-    x, P = np.zeros((2, 2, tracks)), np.stack([WIDE, WIDE])
-    x[:, 1] = speed
-    found = []
-    for dt in steps:
-        F, G, Q = motion(dt, 0.01)
-        true = F @ true + G * rng.normal(0, 0.1, tracks)
-        z = true[0] + rng.normal(0, np.sqrt(0.1), tracks)
-        of_step = []
-        for i, H in enumerate((np.array([[1.0, dt]]), NOW)):
-            predicted, P_p = F @ x[i], F @ P[i] @ F.T + Q
-            S = (H @ P_p @ H.T).item() + 0.1
-            K = P_p @ H.T / S
-            new = z - H @ predicted
-            x[i], P[i] = predicted + K @ new, P_p - K @ H @ P_p
-            of_step.append(np.mean(new**2) / S)
-        found.append(of_step)
-    return np.mean(found[20:], axis=0)
-
-
 def test_what_lasts_for_minutes_drops_out_of_the_walk_past_a_mark():
-    """Errors that fade within the eleven seconds from the mark to the turn count most; those of half an hour hardly."""
-    says("Errors that last some seconds make that 0.15 s: repeat the walk, or go faster. Those that last many minutes")
+    """Errors of half an hour hardly count, where independent ones make 0.11 s."""
+    says("A wrong position of the mark drops out, and so do errors that last for many minutes.")
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE}))
-    rng, spread = np.random.default_rng(3), {}
+    rng, keep = np.random.default_rng(3), np.exp(-1 / 1800)
     positions = 1.5 * np.concatenate([np.arange(60), 59 - np.arange(1, 60)])
-    for tau in (5.0, 1800.0):
-        keep = np.exp(-1 / tau)
-        errors = np.empty((119, 2000))
-        errors[0] = rng.normal(0, np.sqrt(0.1), 2000)
-        for k in range(1, 119):
-            errors[k] = keep * errors[k - 1] + rng.normal(0, np.sqrt(0.1 * (1 - keep**2)), 2000)
-        found = kf.filter((positions[:, None] + errors)[:, None])[:, 0]
-        spread[tau] = ((found[59 + 11] - found[59 - 11]) / 3.0).std()
-    assert 0.13 < spread[5.0] < 0.155
-    assert spread[1800.0] < 0.03
+    errors = np.empty((119, 2000))
+    errors[0] = rng.normal(0, np.sqrt(0.1), 2000)
+    for k in range(1, 119):
+        errors[k] = keep * errors[k - 1] + rng.normal(0, np.sqrt(0.1 * (1 - keep**2)), 2000)
+    found = kf.filter((positions[:, None] + errors)[:, None])[:, 0]
+    spread = ((found[59 + 11] - found[59 - 11]) / 3.0).std()
+    assert spread < 0.03
 
 
 def test_after_a_turn_a_filter_looks_late_until_it_has_settled():
@@ -533,7 +456,7 @@ def test_an_h_that_fits_the_sensor_passes_the_ramp(taught, h):
 
 
 def test_an_old_position_is_mended_by_its_age_times_the_velocity(taught):
-    says("For a fraction of a step, put that fraction in place of Δt into F, and predict without Q: σ then lacks only")
+    says("to know about now, predict a copy of x and P by the first line of `step`, once for each step |")
     for delay in (0.4, 1.0, 2.7):
         position, speed = taught["ramp"](NOW, -delay)
         assert position + delay * (1.5 + speed) == pytest.approx(0, abs=1e-6)
