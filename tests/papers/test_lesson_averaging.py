@@ -157,8 +157,10 @@ def test_the_formula_is_computed_by_hand():
     best = 1 / np.sqrt(np.linalg.inv(R).sum())
     assert f"{best:.2f}" == f"{1 / np.sqrt(count):.2f}"
     says(f"leaves $1/\\sqrt{{1.42}}$ = {best:.2f} of the lasting error")
-    says("To halve it takes four different errors, and for these you wait $6\\tau$, six hours.")
+    says("takes four different errors, and for these you wait $6\\tau$, six hours, or seven with a plain mean.")
     assert 1 + 6 / 2 == 4
+    plain = [(1 - (1 - np.exp(-T)) / T) * 2 / T for T in (6.0, 7.0)]  # the variance of a plain mean over T tau
+    assert plain[1] < 1 / 4 < plain[0]
     assert f"{sigma**2:.2f}" == "1.44"
     says(f"After a time τ, {100 * np.exp(-1):.0f} % of it is left on average")
     fifty, four_hours = (lesson.stated_at_rest(0.0, 1.0, tau, T, 100) for T in (3000.0, 14_400.0))
@@ -254,7 +256,7 @@ def test_made_over_stated_is_judged_on_errors_of_a_known_kind():
 
 def test_two_hours_of_a_fix_a_second_are_no_substitute_for_a_day():
     """An error of 1.1 m that lasts 45 minutes, and reflections of 2.2 m that last 20 s: the fit finds these."""
-    says("take a day of it: reflections last for seconds to minutes, and in two hours the fit takes them for the")
+    says("take a day of it or more, and keep 1.2 m and an hour if the fit warns: in two hours it takes the reflections")
     rng, fades = np.random.default_rng(0), np.exp([-1 / 20, -1 / 2700])
     reflections, lasting = (
         lfilter([np.sqrt(1 - keep**2)], [1, -keep], size * rng.standard_normal(20_000))[-7200:]
@@ -329,10 +331,8 @@ def test_what_the_tables_say_is_said(cases, fits):
     says(
         "With constants from elsewhere the formula and aware were wrong by up to a factor of 3.5, either way (the lower"
     )
-    says("0.3 is 1/3.5). For means of four hours the worst factor was five.")
-    says("(A day has only a dozen different errors, so that each of these ratios is known to some 20 %.)")
-    errors_a_day = 1 + 24 / 2
-    assert 1 / np.sqrt(2 * errors_a_day) == pytest.approx(0.2, abs=0.01)  # of a standard deviation, for Gaussian errors
+    says("0.3 is 1/3.5). But $\\sqrt n$")
+    says("(For means of four hours the worst factor of the formula was five.")
     pairs = [lesson.pair_of_others(name, fits) for name in HEIGHTS]
     low, high = np.min(pairs, axis=0), np.max(pairs, axis=0)
     says(f"({low[0]:.1f} to {high[0]:.1f} m, {low[1] / 60:.0f} to {high[1] / 60:.0f} min)")
@@ -353,6 +353,24 @@ def test_what_the_tables_say_is_said(cases, fits):
     assert 4 < max(carried(480)) < 5.05
     small, large = carried(100)
     assert (f"{small:.1f}", f"{large:.1f}") == ("3.2", "3.5")
+
+
+def test_the_ratios_of_few_errors_are_known_badly():
+    """Of simulated days: 28 means of fifty minutes, and three means of four hours in half a day."""
+    says("There are few different errors in a day, so all these ratios are known to 20 to 40 %.)")
+    keep = np.exp(-60.0 / 3600.0)
+    errors = lfilter([np.sqrt(1 - keep**2)], [1, -keep], np.random.default_rng(6).standard_normal((2000, 2440)))[
+        :, 1000:
+    ]
+    for span, n, expected in ((50, 28, 0.2), (240, 3, 0.4)):
+        means = errors[:, : n * span].reshape(2000, n, span).mean(axis=2)
+        made = np.sqrt((means**2).mean(axis=1))
+        assert made.std() / np.sqrt((made**2).mean()) == pytest.approx(expected, abs=0.04)
+
+
+def test_the_fit_of_the_tropics_gives_eight_minutes(fits):
+    says("so τ is known badly: the same fit at Belem gives 8 min.")
+    assert round(lesson.constants_of(fits[f"Belem, {TWO}"])[2] / 60) == 8
 
 
 @pytest.mark.parametrize("speed", [1.4, 15.0, 30.0])
