@@ -338,7 +338,6 @@ def written_out(F, Q, H, r=0.1):
 def test_plain_numbers_lose_their_lead_with_more_unknowns(taught, unknowns, chain, said):
     """A chain is position, velocity, acceleration and jerk; the others all mix."""
     says("| 30 with two, 10 with four |")
-    says("four unknowns that all mix gain 6, and six gain 2")
     rng = np.random.default_rng(unknowns)
     mixing = np.eye(unknowns) + 0.1 * rng.standard_normal((unknowns, unknowns))
     mixing *= 0.98 / np.abs(np.linalg.eigvals(mixing)).max()
