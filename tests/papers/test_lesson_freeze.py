@@ -229,11 +229,11 @@ def test_a_line_through_two_measurements_is_a_start_for_a_good_sensor_only(sigma
         assert round(np.sqrt(2) * sigma) == 14
         assert f"frozen: its typical error peaks at {exact.max():.0f} m\n" in shown(CELLS["two"])
         says("The metres, the 60 m and the table of gaps are typical errors computed exactly")
-        says("With one that is wrong by 10 m it is not.")
+        says("With a sensor that is wrong by 10 m it is not.")
         assert "the list: its typical error peaks at 10 m" in shown(CELLS["two"])
         assert round(exact.max()) == 60
     else:
-        says("the dash-dotted filter is up to 30 % worse, and as good from step 8 on.")
+        says("With our sensor that is nearly enough: it is up to 30 % worse, and as good from step 8 on.")
         best = lesson.typical_errors(25)[1]
         ratio = exact / best * best[0] / sigma  # the two sensors, 0.32 m and the root of 0.1, differ by 1 %
         assert 1.25 < ratio.max() < 1.305
