@@ -114,7 +114,7 @@ def test_the_example_by_hand():
 
 
 def test_the_pretended_pieces_of_the_picture_end_too_low():
-    says("sure of both (the first, too, though it does not rest), climbs, and ends too low. The runner lifts each")
+    says("Each pretended piece starts at 0 and at rest, sure of both, climbs, and ends too low.")
     *_, hollow, filled = lesson.draw_relay().axes[1].lines
     assert (hollow.get_ydata() < filled.get_ydata()[1:] - 1).all()
     assert (hollow.get_ydata() > 1).all()
@@ -212,7 +212,7 @@ def test_what_is_measured_must_not_be_known_exactly_one_row_after_a_pretended_st
     z, off = taught["recordings"]["50% missing"], {}
     for s in (1e-4, 1e-12):
         names = with_model(F, np.diag([s, 0.01]))
-        names["with_variances"] = partial(names["with_variances"], r=0.0)
+        names["noise"] = 0.0
         with np.errstate(all="ignore"):
             off[s] = np.abs(names["in_pieces"](z, 5) - names["one_by_one"](z))[:, 0].max()
     assert off[1e-4] < 1e-6
