@@ -309,25 +309,15 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
             assert np.abs(off).max() > 1e-3, (entry, q, r)
 
 
-@pytest.mark.parametrize("push", [0.1, 1.0, 3.0])
-def test_a_measurement_of_the_next_position_is_h_with_a_larger_r(push):
-    """In the next position there is half a push more, of the variance (σ of a push · Δt/2)²."""
-    says("| a step later | [1 Δt] | add (σ of a push · Δt/2)² to r, for the push on the way there: σ is then right to")
-    says("right to some 5 % |")
-    true, measured = lesson.walk(121, push, tracks=4000)
-    axis = mpt.gsm_axis(1.0, push**2, 0.1 + (push / 2) ** 2)
-    kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(axis), "P0": WIDE}))
-    made = np.sqrt(np.mean((kf.filter(measured[1:, None])[60:, 0] - true[60:-1]) ** 2))
-    assert made / np.sqrt(kf.covariances(120)[-1, 0, 0]) == pytest.approx(1, abs=0.06)
-
-
 def test_a_ramp_sees_neither_q_nor_r():
-    says("Q, r and P. They change how fast the filter settles, not where, unless its gain for the speed fades to zero")
+    says("Q, r and P. They change how fast the filter settles, not where.")
     rng = np.random.default_rng(5)
     for _ in range(15):
         root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
         off = after_ramp(np.array([[1.0, 1.0], [0.0, 1.0]]), NOW, root @ root.T, 10 ** rng.uniform(-2, 2), 0.0)
         assert np.abs(off).max() < 1e-6
+    off = after_ramp(np.array([[1.0, 1.0], [0.0, 1.0]]), NOW, np.zeros((2, 2)), 0.1, 0.0)
+    assert np.abs(off).max() < 1e-3  # the gain fades to zero, but the ramp is found before
 
 
 def parabola(F, H, Q, r, rows=1500, a=0.3):
@@ -342,7 +332,7 @@ def parabola(F, H, Q, r, rows=1500, a=0.3):
 
 
 def test_with_acceleration_four_entries_pass_the_ramp_and_not_the_parabola():
-    says("If the acceleration is a third state, a ramp does not see what multiplies it: add a parabola.")
+    says("If the acceleration is a third state, a ramp does not see what multiplies it: add a parabola,")
     rng = np.random.default_rng(6)
     for _ in range(2):
         q, r = 10 ** rng.uniform([-2, -1], [0, 1])
