@@ -332,7 +332,7 @@ def test_what_the_tables_say_is_said(cases, fits):
         "With constants from elsewhere the formula and aware were wrong by up to a factor of 3.5, either way (the lower"
     )
     says("0.3 is 1/3.5). But $\\sqrt n$")
-    says("(For means of four hours the worst factor of the formula was five.")
+    says("For means of four hours the worst factor of the formula was five.")
     pairs = [lesson.pair_of_others(name, fits) for name in HEIGHTS]
     low, high = np.min(pairs, axis=0), np.max(pairs, axis=0)
     says(f"({low[0]:.1f} to {high[0]:.1f} m, {low[1] / 60:.0f} to {high[1] / 60:.0f} min)")
@@ -357,7 +357,7 @@ def test_what_the_tables_say_is_said(cases, fits):
 
 def test_the_ratios_of_few_errors_are_known_badly():
     """Of simulated days: 28 means of fifty minutes, and three means of four hours in half a day."""
-    says("There are few different errors in a day, so all these ratios are known to 20 to 40 %.)")
+    says("(There are few different errors in a day, so all these ratios are known to 20 to 40 %.)")
     keep = np.exp(-60.0 / 3600.0)
     errors = lfilter([np.sqrt(1 - keep**2)], [1, -keep], np.random.default_rng(6).standard_normal((2000, 2440)))[
         :, 1000:
