@@ -69,9 +69,7 @@ def test_the_road_is_that_of_the_picture(taught):
 
 def test_a_driver_who_does_both(taught):
     """The share of brakes let go after three seconds from which the velocity filter has the smaller mean square."""
-    says(
-        "For a driver who does both, the velocity filter is better only if he lets go in three of four brakes, or more."
-    )
+    says("the velocity filter is better only if he lets go in three of four brakes, or more.")
     noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
     stop, let_go = (
         np.square([rms(taught["misses"](*each, 2, lasting, noise)) for each in (VELOCITY, ACCELERATION)])
@@ -84,7 +82,7 @@ def test_a_driver_who_does_both(taught):
 def test_the_first_screen(taught):
     says("| velocity filter | 26 m | 10 m |")
     says("| acceleration filter | 16 m | 16 m |")
-    says("On a road where nothing pushes the car, the predictions of both are off by 2 m.")
+    says("on a calm road, where nothing pushes the car, the predictions of both are off by 2 m.")
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["table"]).splitlines()]
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
@@ -142,7 +140,7 @@ def test_which_filter_wins(off, taught):
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than the five")
-    says("that the car has nearly stopped by then. The other is a gentle brake that has lasted nine seconds.")
+    says("that the car is slow by then. The other is a gentle brake that has lasted nine seconds.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -159,7 +157,7 @@ def test_which_filter_wins(off, taught):
 
 def test_a_driver_who_has_just_speeded_up(taught):
     """From 10 to 20 m/s in the five seconds before the touch."""
-    says("After five seconds of 2 m/s² more the acceleration filter loses the stop, too: 34 m against 26.")
+    says("for five seconds, the acceleration filter loses the stop, too: 34 m against 26.")
 
     def position(t):
         faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
@@ -172,7 +170,7 @@ def test_a_driver_who_has_just_speeded_up(taught):
         predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
         errors[n] = predicted - (position(np.arange(5.0, 16)) - z[0])
     assert [round(rms(each)) for each in errors.values()] == [26, 34]
-    says("It needs four seconds of steady drive before the touch.")
+    says("To win, it needs four seconds of steady drive before the touch.")
     t = np.arange(-60.0, 11) + 4
     earlier = np.clip(-t, 0, 5) ** 2 + 10 * np.maximum(-t - 5, 0)  # metres further back, four seconds before
     for brake in (1, 2, 3, 4):
@@ -285,11 +283,11 @@ def test_a_recorded_drive_is_judged_by_later_measurements(taught):
 
 
 def test_a_q_is_found_for_an_error_on_the_calm_road(taught):
-    (code,) = re.findall(r"`(min\(np.logspace.*?)` finds the one of 2 m", TEXT)
+    (code,) = re.findall(r"`(min\(np.logspace.*?)` finds the one nearest to 2 m", TEXT)
     assert taught["calm"](3, eval(code, taught)) == pytest.approx(2, rel=0.05)
 
 
 def test_at_four_a_stop_is_nearly_a_tie(taught):
-    says("At 4 m/s² a stop is nearly a tie, and with a sensor of 5 m so is everything.")
+    says("In a stop by 4 m/s² the two hardly differ, and with a sensor of 5 m nowhere.")
     table = [re.split(r"  +", line.strip()) for line in shown(CELLS["brakes"]).splitlines()]
     assert table[4][-1] == "a 1.13"
