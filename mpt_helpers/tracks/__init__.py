@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
 from os import PathLike
@@ -272,7 +272,6 @@ def track(
     seconds: Seconds = 10.0,
     limit: float = 100.0,
     pause: Seconds | None = None,
-    show: Callable[[str], None] | None = None,
 ) -> Cleaned:
     """Return the track of a GPX or CSV file, or of a pandas frame, without its faults, smoothed and with a band.
 
@@ -294,8 +293,6 @@ def track(
         The NIS above which a fix is refused, as in `gated`.
     pause : float or timedelta, optional
         After so long without a fix, in s, a new recording begins, as in `clean`.
-    show : callable, optional
-        Called with the name of each stage as it begins.
 
     Returns
     -------
@@ -317,8 +314,6 @@ def track(
     ['time', 'x', 'y', 'v_x', 'v_y', 'sigma', 'sigma_v', 'kept', 'segment']
 
     """
-    if show is not None:
-        show("reading")
     is_frame = hasattr(source, "itertuples")  # which neither a path nor a pandas series has
     path = "frame" if is_frame else Path(source)
     recording = read_frame(source, columns) if is_frame else read(path, columns)
@@ -333,9 +328,6 @@ def track(
         raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
     t, segment = recording.time[rows] / 1e6, recording.segment[rows]
     t -= t.min()
-    said = [*recording.said, *_notes_on_order(t, segment)]
-    if back and len(known) > (1 + MANY) * len(rows):
-        said.append("ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?")
     if recording.metres is None:
         charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], segment)
         east = np.unwrap(recording.lon[rows], period=360)  # without a step of 360°
@@ -344,10 +336,9 @@ def track(
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]
     relative, weighted = _precision(recording, rows)
-    said += weighted
-    how = {"seconds": seconds, "limit": limit, "pause": pause, "show": show}
+    how = {"seconds": seconds, "limit": limit, "pause": pause}
     c = clean(t, z, relative, segment=segment, rounding=max(grids) ** 2 / 12, **how)
-    return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
+    return replace(c, source=Source(path, recording, rows, left_out, charts, plane, [*recording.said, *weighted]))
 
 
 def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
@@ -372,16 +363,6 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
     return rows, {reason: count for reason, count in reasons.items() if count > 0}
-
-
-def _notes_on_order(t, segment):
-    """Return notes on segments that are not in order of time, or overlap, as those of two receivers do."""
-    first = np.flatnonzero(np.append(True, np.diff(segment) != 0))
-    starts, ends = np.minimum.reduceat(t, first), np.maximum.reduceat(t, first)
-    order = np.argsort(starts, kind="stable")
-    if (starts[order][1:] < ends[order][:-1]).any():
-        return ["segments overlap in time, as of two receivers: each is a recording of its own"]
-    return [] if (np.diff(order) > 0).all() else ["segments are not in order of time"]
 
 
 def _precision(recording, rows):

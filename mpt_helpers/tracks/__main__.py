@@ -78,14 +78,9 @@ def _run(options):
     picture = folder / f"{stem}.png"
     if path.suffix != ".png":  # which is refused for what it holds
         require_free([picture], options.overwrite, path)  # before the work
-    how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
-    try:
-        c = tracks.track(path, columns=named, **how)
-        _show("drawing")
-        png = io.BytesIO()
-        c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
-    finally:
-        _show()
+    c = tracks.track(path, columns=named, seconds=options.seconds, limit=options.limit, pause=options.pause)
+    png = io.BytesIO()
+    c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
     if c.source.recording.metres is None:
         smooth, track = folder / f"{stem}_smooth.gpx", writers.gpx_bytes(c)
     else:
@@ -99,9 +94,3 @@ def _run(options):
         return
     print(c.report())
     print(f"written: {', '.join(files)}" + (f" (replaced: {', '.join(replaced)})" if replaced else ""))
-
-
-def _show(what=""):
-    """Show the current stage on a terminal, in one line; without one, clear that line."""
-    if sys.stderr.isatty():
-        print(f"\r\033[K{what and what + ' ...'}", end="", file=sys.stderr, flush=True)
