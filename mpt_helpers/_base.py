@@ -35,16 +35,15 @@ from ._engine.pieces import LARGEST_S, VAGUE_S, directions_seen
 from ._engine.run import MOST_ROUNDING_OF_S
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
-from ._immutable import Immutable
+from ._immutable import Immutable, types_as_written
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
 
 # The largest fraction of a variance that may be rounding error after a single step.
 MOST_ROUNDING = 0.1
-# A filter predicts P by the model if P after a step is, to this fraction, that of its gain and the model's prediction.
-SAME_P = 1e-6
 
 
+@types_as_written
 class Estimates(NamedTuple):
     """The states of all epochs and their covariances. Its repr shows their shapes.
 
@@ -506,7 +505,7 @@ class RecursiveFilter(Filter):
         expected = corrected_covariance(predicted_covariance(model, P), K, model.H, model.R)
         sigma, size = np.sqrt(np.abs(expected.diagonal())), np.abs(A) @ np.sqrt(np.abs(P.diagonal()))
         rounding = model.n * np.finfo(float).eps * size * size[:, None]
-        if (np.abs(after - expected) > SAME_P * sigma * sigma[:, None] + rounding).any():
+        if (np.abs(after - expected) > checks.SOLVED * sigma * sigma[:, None] + rounding).any():
             need = "a filter whose P follows from its gain and the model's prediction F P Fᵀ + Q, of which S is made"
             checks.refuse("estimator", need, f"a {type(self).__name__} that predicts P otherwise")
 

@@ -24,7 +24,8 @@ Seconds = float | timedelta | np.timedelta64  # a length of time; a number is on
 
 # A covariance at unit variances has entries of order one: asymmetry or negative eigenvalues below this are rounding.
 ROUNDING = 1e-12
-# The same tolerance for covariances computed by a solver, for models at the limits of double precision.
+# Tolerance of gains and covariances from a Riccati equation, relative to their size or to the standard deviations: at
+# the limits of double precision a solver leaves six digits.
 SOLVED = 1e-6
 TINY = np.finfo(float).tiny
 LATEST_TIME = 1e11  # s, 3,000 years: larger numbers are Unix milli-, micro- or nanoseconds
@@ -212,7 +213,7 @@ def no_infinity(z: np.ndarray, name: str = "z") -> None:
         refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
 
-def one_measurement(value: object, m: int, name: str = "z_k") -> tuple[Array, np.ndarray]:
+def one_measurement(value: Any, m: int, name: str = "z_k") -> tuple[Array, np.ndarray]:
     """Return a measurement as a new vector (m,), NaN where it is missing, and which of its components are there."""
     z_k = value.copy() if _is_finite_array(value, (m,)) else array(name, value, (m,), finite=False)
     return z_k, ~np.isnan(z_k)

@@ -19,10 +19,6 @@ from .lainiotis import LainiotisFilter
 from .model import LinearModel, stack
 from .steady import SteadyStateFilter
 
-# Two filters have the same gain if their states and covariances agree to this fraction of the size or standard
-# deviation: the gains from the two Riccati equations agree to at least six digits.
-SAME = 1e-6
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JoinFilter(Filter):
@@ -91,8 +87,8 @@ class JoinFilter(Filter):
         x_1, P_1 = self.first.step(x, P, z_k, dt, r)
         x_2, P_2 = self.second.step(x, P, z_k, dt, r)
         sigma = np.sqrt(np.abs(P_1.diagonal()))
-        same_x = np.abs(x_1 - x_2) <= SAME * (np.abs(x_1) + sigma)
-        same_P = np.abs(P_1 - P_2) <= SAME * sigma * sigma[:, None]
+        same_x = np.abs(x_1 - x_2) <= checks.SOLVED * (np.abs(x_1) + sigma)
+        same_P = np.abs(P_1 - P_2) <= checks.SOLVED * sigma * sigma[:, None]
         if not (self.optimal or (same_x.all() and same_P.all())):
             kinds = " and ".join(type(each).__name__ for each in self.parts)
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")

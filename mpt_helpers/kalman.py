@@ -95,14 +95,16 @@ class KalmanFilter(RecursiveFilter):
     def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
         if t is not None:
-            self._require_transition("t")
+            self._transition_for("t")
         object.__setattr__(self, "t", None if t is None else checks.times("t", t))
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
 
-    def _require_transition(self, name):
+    def _transition_for(self, name):
+        """Return the model's transition, which the argument of this name needs."""
         if self.model.transition is None:
             need = "a model with a transition, such as constant_velocity"
             checks.refuse(name, need, "one whose F and Q are for one length only")
+        return self.model.transition
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N, as in RecursiveFilter.
@@ -128,8 +130,7 @@ class KalmanFilter(RecursiveFilter):
         kf.P = P
         U = self._units[1]
         if dt is not None:
-            self._require_transition("dt")
-            kf.F, kf.Q = self.model.transition(dt)
+            kf.F, kf.Q = self._transition_for("dt")(dt)
         if r is not None or not seen.all():
             R = self.model.R if r is None else np.diag(np.where(seen, r, 1))
             H_1, U = unit_measurements(*masked(self.model.H, R, seen))
