@@ -86,9 +86,10 @@ def test_the_headline_numbers(settled):
     says(f"A phone that knew its height to 0.23 m (the root of {P[0, 0]:.4f}, in the first picture)")
     assert (round(np.sqrt(P[0, 0]), 2), round(lesson.sigma_after(30), 1)) == (0.23, 10.5)
     says(
-        "From a kilometre off, the settled gain would go the share 0.546 of the way, take the jump for a speed, and run"
+        "the settled gain would go the share 0.546 of the way, take the jump for a speed of 213 m/s, and run past you."
     )
     assert round(K[0, 0], 3) == 0.546
+    assert round(1000 * K[1, 0]) == 213
     says("takes the first measurement nearly as it is")
     unknown = mpt.KalmanFilter(mpt.LinearModel(F=F, H=[[1, 0]], Q=lesson.AXIS.Q, R=[[0.1]], P0=np.diag([1e6, 4.0])))
     assert unknown.covariances(1)[0, 0, 0] / 0.1 > 1 - 1e-6
@@ -135,7 +136,7 @@ def test_axes_that_are_linked():
         assert round(lesson.losses_apart([1, 1, 10], errors=errors)[0, 0]) == poor
     says("Read the line of 0.5: splitting costs 2 %.")
     says("at one half its height is known to 8.7 m instead of 10.5.")
-    says("the small filters state σ = 0.23 m along the diagonal (1, 1, 1), where it is 0.32 m")
+    says("along the diagonal (1, 1, 1) they state 0.23 m, where 0.32 m is true.)")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
     says("with changes of 0.9 where 0.3 is true the big filter states 4.4 m after the silence, and 10.9 m is true.")
     linked = lesson.correlated(3, 0.9)
@@ -161,7 +162,7 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
     clock = {each["name"]: each for each in stored}
     rows = {
         "one big filter": ("one filter of six states", "constant gain: one filter of six states"),
-        "axes stacked, a $P$ for each: `step_with_gaps`": (
+        "axes stacked, a $P$ for each: `step_with_gaps`, below": (
             "axes stacked, a P for each",
             "constant gain: three filters of two states",
         ),
@@ -188,9 +189,7 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
 
 
 def test_how_many_seconds_are_frozen():
-    says(
-        "all three are frozen, with twelve seconds of waiting after each, in two seconds of three, and with 5 % in one"
-    )
+    says("all three are frozen in two seconds of three; with 5 %, in one of seven.")
     says(
         "Freeze the gain again after twelve seconds without a miss, as many as P took to settle.".replace(
             " P ", " $P$ "
