@@ -114,12 +114,12 @@ def gpx(
     rows, left_out = usable(path, recording)
     why = report.counted(left_out)
     if recording.lat is None or not len(rows):
-        raise ValueError(f"{path}: needs a recorded track in degrees, got {len(time)} fixes{why and ', '}{why}")
+        checks.refuse(path, "a recorded track in degrees", f"{len(time)} fixes{why and ', '}{why}")
     if left_out and not skip:
         first = np.setdiff1d(np.arange(len(time)), rows)[0]
         where = f"fix {(segment[: first + 1] == segment[first]).sum()} of segment {segment[first]}"
-        need = "a position and a later time in each fix"
-        raise ValueError(f"{path}: needs {need}, got {why}, first in {where}; gpx(path, skip=True) leaves them out")
+        got = f"{why}, first in {where}; gpx(path, skip=True) leaves them out"
+        checks.refuse(path, "a position and a later time in each fix", got)
     if left_out:
         checks.warn(f"{path}: fixes left out: {why}")
     begins = np.flatnonzero((np.diff(segment[rows]) != 0) | (np.diff(time[rows]) > pause * 1e6)) + 1
@@ -321,11 +321,11 @@ def track(
     back = np.sum(np.diff(known) < 0)
     if back > UNSORTED * len(known):
         got = f"{back} of {len(known)} earlier than the one before: frame.sort_values('time') sorts them"
-        raise ValueError(f"{path}: needs times in order, got {got}")
+        checks.refuse(path, "times in order", got)
     rows, left_out = usable(path, recording)
     if len(rows) < FEWEST:
-        got = ", ".join([f"{len(rows)} of {len(recording.time)}", *filter(None, [report.counted(left_out)])])
-        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
+        got = ", ".join(filter(None, [f"{len(rows)} of {len(recording.time)}", report.counted(left_out)]))
+        checks.refuse(path, f"at least {FEWEST} fixes with a time and a position", got)
     t, segment = recording.time[rows] / 1e6, recording.segment[rows]
     t -= t.min()
     if recording.metres is None:
@@ -348,7 +348,7 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
         lat, lon = recording.lat, recording.lon
         somewhere = _on_earth(lat, lon)
         if somewhere.sum() < (1 - MANY) * (np.isfinite(lat) & np.isfinite(lon)).sum():
-            raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat, lon)}")
+            checks.refuse(path, "degrees of at most 90 and 360", _no_degrees(lat, lon))
     else:
         somewhere = np.isfinite(recording.metres).all(axis=1)
     timed = np.isfinite(time)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import io
 import json
-import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -67,11 +66,8 @@ def _parser():
 
 def _run(options):
     path, folder = options.file, options.out or options.file.parent
-    if path.absolute().parts[1:2] in (("dev",), ("proc",)):
-        raise ValueError(f"{path}: needs a file with a name of its own: save the recording to one first")
     if not folder.is_dir():
-        make = f"mkdir -p {shlex.quote(str(folder))}"
-        raise ValueError(f"{folder}: needs a folder that exists, to write to; make it: {make}")
+        raise ValueError(f"{folder}: needs a folder that exists, to write to")
     named = {what: getattr(options, f"column_{what}") for what in COLUMNS}
     named = {what: name for what, name in named.items() if name is not None}
     stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem

@@ -221,7 +221,6 @@ def test_a_pipe_a_device_or_nothing_is_refused_at_once(tmp_path, capsys):
         mpt.track(tmp_path / "pipe.gpx")
     for path, words in {
         tmp_path / "pipe.gpx": "needs a file, got",
-        "/dev/stdin": "needs a file with a name of its own",
         tmp_path / "none.gpx": "No such file",
     }.items():
         code, _, err = said(capsys, path)
@@ -233,7 +232,7 @@ def test_out_names_the_folder(spoilt, tmp_path, capsys):
     folder = tmp_path / "there"
     code, _, err = said(capsys, spoilt, "--out", folder)
     assert code == 1
-    assert f"there: needs a folder that exists, to write to; make it: mkdir -p {folder}" in err
+    assert "there: needs a folder that exists, to write to" in err
     folder.mkdir()
     assert said(capsys, spoilt, "--out", folder)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == ["giro.png", "giro_smooth.gpx"]
