@@ -384,7 +384,8 @@ class RecursiveFilter(Filter):
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks.
 
-        A subclass may override it by a faster version. One with a `next_step` of its own must, to take times or variances.
+        A subclass may override it by a faster version. To take times or variances, one with a `next_step` of its own
+        has to.
 
         Parameters
         ----------

@@ -36,8 +36,8 @@ class LinearModel(Immutable):
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
     A model is immutable; `dataclasses.replace` makes another one. With another dt or transition it has the F and Q that
-    the transition makes. With another F or Q it has no transition. In a model without a transition, another dt needs both
-    F and Q.
+    the transition makes. With another F or Q it has no transition. A model without a transition takes another dt only
+    together with F and Q.
 
     Parameters
     ----------
