@@ -110,7 +110,7 @@ def real_numbers(name: str, value: Any, need: str, *shapes: tuple[int | str, ...
         refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
     if values.dtype.kind not in "iuf":
         refuse(name, need, f"an array of {values.dtype} data", TypeError)
-    if shapes and values.shape not in shapes and not any(_fits(values.shape, shape) for shape in shapes):
+    if shapes and not any(_fits(values.shape, shape) for shape in shapes):
         refuse(name, need, f"shape {values.shape}")
     return values
 
