@@ -78,7 +78,7 @@ def _on_columns(estimator, epochs, x, covariances):
         if estimator.optimal:
             held = run_rows_of_any_start(estimator.advance, rows, x0, P0, x_part, P_part, directions)
         else:
-            held = run_rows(estimator.advance, rows, x0, P0, x_part, P_part) is not None
+            held = np.isfinite(run_rows(estimator.advance, rows, x0, P0, x_part, P_part)).all()
         require_held(held)
     return P
 

@@ -48,8 +48,8 @@ def smoothed(estimator, epochs):
 
     # The pass starts from x(N/N) and P(N/N), and writes to reversed views of x and P, epoch N - 1 first.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
-    held = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
-    require_held(held is not None)
+    largest = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+    require_held(np.isfinite(largest).all())
     return x, P
 
 
