@@ -36,7 +36,7 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 MOST_PASSES = 3
 # S is the variance of a predicted measurement due to P, in units of its noise. Above VAGUE_S, an update row by row
 # leaves about three digits in P. The root of S, by which a vague start is solved, has twice as many digits: above
-# LARGEST_S, its rounding causes an error of some percent of R in P.
+# LARGEST_S, its rounding causes an error of some percent of R in P. Below CLEAR_S, updates row by row keep nine digits.
 VAGUE_S = 1e12
 CLEAR_S = 1e6
 LARGEST_S = 1e30
