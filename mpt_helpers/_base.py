@@ -16,6 +16,7 @@ told in `_engine/__init__.py`. The general `advance` calls `next_step` for each 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -34,16 +35,15 @@ from ._engine.pieces import LARGEST_S, VAGUE_S, directions_seen
 from ._engine.run import MOST_ROUNDING_OF_S
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
-from ._immutable import Immutable
+from ._immutable import Immutable, types_as_written
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
 
 # The largest fraction of a variance that may be rounding error after a single step.
 MOST_ROUNDING = 0.1
-# A filter predicts P by the model if P after a step is, to this fraction, that of its gain and the model's prediction.
-SAME_P = 1e-6
 
 
+@types_as_written
 class Estimates(NamedTuple):
     """The states of all epochs and their covariances. Its repr shows their shapes.
 
@@ -186,6 +186,10 @@ class Filter(Immutable):
     def smooth(self, z: ArrayLike) -> Estimates:
         """Return the states of all epochs given all measurements, and their covariances.
 
+        This is the Rauch-Tung-Striebel smoother (1965), with P(k/N) in Joseph's form:
+
+            x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
+
         Parameters
         ----------
         z : array_like (N, m) or (N, m, M)
@@ -201,6 +205,11 @@ class Filter(Immutable):
         TypeError
             For a filter whose gain is not the Kalman gain for its P (constant gain, or a step of the user's own), a
             predictor, and a FIR filter.
+
+        Warns
+        -----
+        UserWarning
+            Where damped modes without process noise make P(k/N) inaccurate.
 
         """
         raise self._not_recursive("smooth")
@@ -219,7 +228,7 @@ class Filter(Immutable):
         dt : float or timedelta, optional
             Time since x(k/k) in s, for a KalmanFilter of a model with a transition; one with times needs it.
         r : array_like (m,), optional
-            Variances of the measurement, for a KalmanFilter; one with variances needs them.
+            Variances of the measurement in place of the model's R, for a KalmanFilter; one with variances needs them.
 
         Returns
         -------
@@ -236,6 +245,15 @@ class Filter(Immutable):
         TypeError
             For anything but real numbers, for a filter without steps (a predictor, a FIR filter), and for dt or r where
             the filter is not a KalmanFilter.
+
+        Examples
+        --------
+        >>> import mpt_helpers as mpt
+        >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.eye(2)))
+        >>> x, P = kf.step(kf.model.x0, kf.P0, [1.0])
+        >>> x, P = kf.step(x, P, [2.5], dt=1.5)
+        >>> x.round(2)
+        array([2.45, 0.94])
 
         """
         raise self._not_recursive("step")
@@ -441,7 +459,10 @@ class RecursiveFilter(Filter):
     def step(
         self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1), as `KalmanFilter.step`; dt and r need a `next_step` that accepts them."""
+        if dt is None and self.t is not None:
+            checks.refuse("dt", "the time since x, as the filter has times", "none")
+        if r is None and self.r is not None:
+            checks.refuse("r", "the variances of z_k, as the filter has them for each epoch", "none")
         x, P = checks.state(x, P, self.model.n)
         z_k, seen = checks.one_measurement(z_k, self.model.m)
         conditions = {}
@@ -462,33 +483,6 @@ class RecursiveFilter(Filter):
         return signature(self.next_step).parameters.keys()
 
     def smooth(self, z: ArrayLike) -> Estimates:
-        """Return the states of all epochs given all measurements, and their covariances.
-
-        This is the Rauch-Tung-Striebel smoother (1965), with P(k/N) in Joseph's form:
-
-            x(k/N) = C_k x(k+1/N) + (I - C_k F) x(k/k),   C_k = P(k/k) Fᵀ P(k+1/k)⁻¹
-
-        Parameters
-        ----------
-        z : array_like (N, m) or (N, m, M)
-            Measurements as for `filter`.
-
-        Returns
-        -------
-        Estimates
-            x(k/N) as `x`, (N, n) or (N, n, M), and P(k/N) as `P`, (N, n, n) or (N, n, n, M).
-
-        Raises
-        ------
-        TypeError
-            For a filter whose gain is not the Kalman gain for its P (constant gain, or a step of the user's own).
-
-        Warns
-        -----
-        UserWarning
-            Where damped modes without process noise make P(k/N) inaccurate.
-
-        """
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter of optimal gain, got a {type(self).__name__}")
         return self._as_given(z, lambda z: engine.in_tiles(smoothed, self, self.epochs_of(z), self.model.n))
@@ -511,7 +505,7 @@ class RecursiveFilter(Filter):
         expected = corrected_covariance(predicted_covariance(model, P), K, model.H, model.R)
         sigma, size = np.sqrt(np.abs(expected.diagonal())), np.abs(A) @ np.sqrt(np.abs(P.diagonal()))
         rounding = model.n * np.finfo(float).eps * size * size[:, None]
-        if (np.abs(after - expected) > SAME_P * sigma * sigma[:, None] + rounding).any():
+        if (np.abs(after - expected) > checks.SOLVED * sigma * sigma[:, None] + rounding).any():
             need = "a filter whose P follows from its gain and the model's prediction F P Fᵀ + Q, of which S is made"
             checks.refuse("estimator", need, f"a {type(self).__name__} that predicts P otherwise")
 
@@ -526,6 +520,11 @@ def _owner(cls, name):
     return next(each for each in cls.__mro__ if name in vars(each))
 
 
+def may_be_vague(P, H):
+    """Tell, by a bound that takes little time, whether H P Hᵀ may have a variance above VAGUE_S."""
+    return not np.vdot(H, H) * sum(P.diagonal().tolist()) < VAGUE_S
+
+
 def require_digits(T_1, T_2, P, after, H, S, dt=None):
     """Raise a ValueError if a step leaves no digit in a variance `after` it, or less than two in an S (p,).
 
@@ -533,6 +532,8 @@ def require_digits(T_1, T_2, P, after, H, S, dt=None):
     the variances of measurements with unit noise, and H P Hᵀ (p, p) is one term of theirs. Doubles round P_ij by
     ε σ_i σ_j, and so these terms by up to ε (|T_1| |T_2| σ)² and ε (|H| σ)². The error names dt where it is given.
     """
+    if not may_be_vague(P, H) and math.isfinite(np.vdot(after, after)):
+        return
     sigma = np.sqrt(np.abs(P.diagonal()))
     largest_S = (np.abs(H) @ sigma) ** 2
     finite = np.isfinite(after).all()

@@ -17,14 +17,17 @@ from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf
 
 Array = NDArray[np.float64]  # what a model holds and what a filter returns
 Seconds = float | timedelta | np.timedelta64  # a length of time; a number is one of seconds
 
 # A covariance at unit variances has entries of order one: asymmetry or negative eigenvalues below this are rounding.
 ROUNDING = 1e-12
-# The same tolerance for covariances computed by a solver, for models at the limits of double precision.
+# Tolerance of gains and covariances from a Riccati equation, relative to their size or to the standard deviations: at
+# the limits of double precision a solver leaves six digits.
 SOLVED = 1e-6
+TINY = np.finfo(float).tiny
 LATEST_TIME = 1e11  # s, 3,000 years: larger numbers are Unix milli-, micro- or nanoseconds
 
 
@@ -107,7 +110,7 @@ def real_numbers(name: str, value: Any, need: str, *shapes: tuple[int | str, ...
         refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
     if values.dtype.kind not in "iuf":
         refuse(name, need, f"an array of {values.dtype} data", TypeError)
-    if shapes and not any(_fits(values.shape, shape) for shape in shapes):
+    if shapes and values.shape not in shapes and not any(_fits(values.shape, shape) for shape in shapes):
         refuse(name, need, f"shape {values.shape}")
     return values
 
@@ -133,7 +136,8 @@ def array(name: str, value: object, shape: tuple[int, ...], finite: bool = True)
     need = f"a {shape} array of {'finite numbers' if finite else 'numbers'}"
     # In C order, since the rounding of a product depends on the memory layout.
     copy = real_numbers(name, value, need, shape).astype(float, order="C")
-    if np.isinf(copy).any() or (finite and np.isnan(copy).any()):
+    wrong = ~np.isfinite(copy) if finite else np.isinf(copy)
+    if wrong.any():
         refuse(name, need, "NaN or infinity" if finite else "infinity")
     copy.flags.writeable = False
     return copy
@@ -154,7 +158,7 @@ def covariance(name: str, value: object, size: int, definite: bool = False, tole
         refuse(name, need, f"a variance of {variance.min():.6g}")
     sigma = np.sqrt(np.maximum(variance, 0))
     # Covariances with a component of zero variance can only be rounding: up to `tolerance` of the largest possible.
-    unit = np.where(sigma > 0, sigma, np.sqrt(tolerance) * sigma.max() or np.finfo(float).tiny)
+    unit = np.where(sigma > 0, sigma, np.sqrt(tolerance) * sigma.max() or TINY)
     with np.errstate(over="ignore"):
         scaled = np.clip(matrix / unit[:, None] / unit, -1e9, 1e9)
     lowest = np.linalg.eigvalsh(scaled)[0]
@@ -165,20 +169,23 @@ def covariance(name: str, value: object, size: int, definite: bool = False, tole
     return matrix
 
 
+def _is_finite_array(value, shape):
+    """Tell, in less time than `array` takes, whether a value is an array of finite floats of this shape."""
+    is_array = type(value) is np.ndarray and value.dtype == float and value.shape == shape
+    return is_array and math.isfinite(np.vdot(value, value))  # the sum of squares is finite only if each number is
+
+
 def state(x: Any, P: Any, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return x (n,) and P (n, n), a covariance, as arrays of finite floats."""
-    as_they_are = type(x) is type(P) is np.ndarray and x.dtype == P.dtype == float
-    if not as_they_are or x.shape != (n,) or P.shape != (n, n) or not (np.isfinite(x).all() and np.isfinite(P).all()):
+    if not (_is_finite_array(x, (n,)) and _is_finite_array(P, (n, n))):
         x, P = array("x", x, (n,)), array("P", P, (n, n))
     sigma = np.sqrt(np.abs(P.diagonal()))
-    sigma += SOLVED**1.5 * sigma.max() + np.finfo(float).tiny
+    sigma += SOLVED**1.5 * max(sigma.tolist()) + TINY
     unit = P / sigma / sigma[:, None]
-    try:
-        np.linalg.cholesky(unit + SOLVED * np.eye(n))  # fails where an eigenvalue is below -SOLVED
-        symmetric = np.abs(unit - unit.T).max() <= SOLVED
-    except np.linalg.LinAlgError:
-        symmetric = False
-    if not symmetric:
+    asymmetry = unit - unit.T
+    unit.flat[:: n + 1] += SOLVED
+    _, failed_at = dpotrf(unit)  # LAPACK's Cholesky factor: there is none where an eigenvalue of P is below -SOLVED
+    if failed_at or np.vdot(asymmetry, asymmetry) > SOLVED**2:
         refuse("P", "a symmetric positive semidefinite matrix", f"{P.tolist()!s:.80}")
     return x, P
 
@@ -206,9 +213,9 @@ def no_infinity(z: np.ndarray, name: str = "z") -> None:
         refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
 
-def one_measurement(value: object, m: int, name: str = "z_k") -> tuple[Array, np.ndarray]:
+def one_measurement(value: Any, m: int, name: str = "z_k") -> tuple[Array, np.ndarray]:
     """Return a measurement as a new vector (m,), NaN where it is missing, and which of its components are there."""
-    z_k = array(name, value, (m,), finite=False)
+    z_k = value.copy() if _is_finite_array(value, (m,)) else array(name, value, (m,), finite=False)
     return z_k, ~np.isnan(z_k)
 
 

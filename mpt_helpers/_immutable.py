@@ -1,12 +1,21 @@
-"""The base class of models and filters: immutable, compared by value."""
+"""The base class of models and filters: immutable, compared by value. And the types that help shows of results."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+ResultClass = TypeVar("ResultClass", bound=type)
+
+
+def types_as_written(cls: ResultClass) -> ResultClass:
+    """Let help show the types of a NamedTuple as the source has them: 'Array' instead of ForwardRef('Array')."""
+    written = {name: each.__forward_arg__ for name, each in cls.__annotations__.items()}
+    cls.__annotations__ = cls.__new__.__annotations__ = written
+    return cls
 
 
 class Immutable:

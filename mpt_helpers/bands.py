@@ -35,6 +35,7 @@ from . import _checks as checks
 from ._base import Filter
 from ._checks import Array, Seconds
 from ._engine.columns import whitened
+from ._immutable import types_as_written
 from .model import LinearModel
 
 __all__ = [
@@ -64,6 +65,7 @@ MAX_UNCHECKED = 30
 SUITABLE_HORIZON = "a horizon after which there are fixes, within 1 to 1.5 times its length"
 
 
+@types_as_written
 class ForecastErrors(NamedTuple):
     """Errors of K predictions, each of a fix some seconds later. Tracks follow one another along K.
 
@@ -106,6 +108,7 @@ class ForecastErrors(NamedTuple):
         return f"ForecastErrors({K} predictions of {m} axes, {self.seconds:g} s ahead; {self.left_out} fixes left out)"
 
 
+@types_as_written
 class Coverage(NamedTuple):
     """The share of errors inside a band.
 
@@ -123,6 +126,7 @@ class Coverage(NamedTuple):
     independent: int
 
 
+@types_as_written
 class Expected(NamedTuple):
     """The expected measurement and its band.
 

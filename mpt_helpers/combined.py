@@ -19,10 +19,6 @@ from .lainiotis import LainiotisFilter
 from .model import LinearModel, stack
 from .steady import SteadyStateFilter
 
-# Two filters have the same gain if their states and covariances agree to this fraction of the size or standard
-# deviation: the gains from the two Riccati equations agree to at least six digits.
-SAME = 1e-6
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JoinFilter(Filter):
@@ -91,8 +87,8 @@ class JoinFilter(Filter):
         x_1, P_1 = self.first.step(x, P, z_k, dt, r)
         x_2, P_2 = self.second.step(x, P, z_k, dt, r)
         sigma = np.sqrt(np.abs(P_1.diagonal()))
-        same_x = np.abs(x_1 - x_2) <= SAME * (np.abs(x_1) + sigma)
-        same_P = np.abs(P_1 - P_2) <= SAME * sigma * sigma[:, None]
+        same_x = np.abs(x_1 - x_2) <= checks.SOLVED * (np.abs(x_1) + sigma)
+        same_P = np.abs(P_1 - P_2) <= checks.SOLVED * sigma * sigma[:, None]
         if not (self.optimal or (same_x.all() and same_P.all())):
             kinds = " and ".join(type(each).__name__ for each in self.parts)
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
@@ -179,19 +175,17 @@ class Separate(Filter):
         """
         z_k, _ = checks.one_measurement(z_k, self.model.m)
         x, P = checks.state(x, P, self.model.n)
+        if r is not None:
+            r = checks.real_numbers("r", r, f"a vector of {self.model.m} variances", z_k.shape).astype(float)
+        x_after, P_after, between = np.empty_like(x), np.zeros_like(P), P.copy()
+        for each, i, rows in self._slices():
+            between[i, i] = 0
+            has_none = r is None or (each.r is None and np.isnan(r[rows]).all())
+            x_after[i], P_after[i, i] = each.step(x[i], P[i, i], z_k[rows], dt, None if has_none else r[rows])
         sigma = np.sqrt(np.abs(P.diagonal()))
-        between = P - block_diag(*(P[i, i] for _, i, _ in self._slices()))
         if (np.abs(between) > checks.ROUNDING * sigma * sigma[:, None]).any():
             checks.refuse("P", "a block diagonal covariance", "one between the states of different filters")
-        if r is not None:
-            r = checks.real_numbers("r", r, f"a vector of {self.model.m} variances").astype(float)
-            if r.shape != z_k.shape:
-                checks.refuse("r", f"a vector of {self.model.m} variances", f"shape {r.shape}")
-        after = []
-        for each, i, rows in self._slices():
-            has_none = r is None or (each.r is None and np.isnan(r[rows]).all())
-            after.append(each.step(x[i], P[i, i], z_k[rows], dt, None if has_none else r[rows]))
-        return np.concatenate([x_i for x_i, _ in after]), block_diag(*(P_i for _, P_i in after))
+        return x_after, P_after
 
     def smooth(self, z: ArrayLike) -> Estimates:
         """Return the results of the filters' `smooth` as one state and a block diagonal covariance."""

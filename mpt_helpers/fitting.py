@@ -21,7 +21,7 @@ from . import _checks as checks
 from . import metrics
 from ._base import Filter
 from ._checks import Array
-from ._immutable import same
+from ._immutable import same, types_as_written
 from .kalman import KalmanFilter
 from .model import LinearModel
 from .search import FLAT_CURVATURE, SIGNIFICANT, along_a_line, differences, lowest, newton
@@ -46,6 +46,7 @@ UNKNOWN = math.log(10)
 MAX_START_DISTANCE, DOUBTFUL_START_DISTANCE = 1e3, 10.0
 
 
+@types_as_written
 class Fit(NamedTuple):
     """The result of `fit`; printed, it is a table of values and errors.
 
@@ -271,6 +272,7 @@ def _covariances_scale(likelihood, point):
     return same(one.t, two.t) and all(np.allclose(a, b, rtol=1e-9, atol=0, equal_nan=True) for a, b in alike)
 
 
+@types_as_written
 class Blocks(NamedTuple):
     """Parts of tracks whose scores count as independent: the block of each row (N, M), their number, and a name."""
 

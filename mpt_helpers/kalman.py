@@ -7,7 +7,6 @@ even when all measurements of an epoch are missing.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from . import _checks as checks
 from ._base import RecursiveFilter, require_digits
-from ._checks import Array, Seconds
+from ._checks import Array
 from ._engine.columns import Epochs, KalmanColumns
 from ._engine.pieces import directions_seen
 from ._engine.shared import Step
@@ -96,14 +95,16 @@ class KalmanFilter(RecursiveFilter):
     def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
         if t is not None:
-            self._require_transition("t")
+            self._transition_for("t")
         object.__setattr__(self, "t", None if t is None else checks.times("t", t))
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
 
-    def _require_transition(self, name):
+    def _transition_for(self, name):
+        """Return the model's transition, which the argument of this name needs."""
         if self.model.transition is None:
             need = "a model with a transition, such as constant_velocity"
             checks.refuse(name, need, "one whose F and Q are for one length only")
+        return self.model.transition
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N, as in RecursiveFilter.
@@ -123,11 +124,13 @@ class KalmanFilter(RecursiveFilter):
         dt is the length of the step in s, r (m,) are the variances; the model's where not given. Raises ValueError for
         a P that is not a covariance, and for a step whose variances exceed double precision.
         """
-        kf = copy.copy(self._filterpy)  # predict and update change it, and other threads may take a step, too
+        # A copy, since predict and update change it, and other threads may take a step, too; copy.copy takes longer.
+        kf = object.__new__(filterpy.kalman.KalmanFilter)
+        vars(kf).update(vars(self._filterpy))
         kf.P = P
         U = self._units[1]
         if dt is not None:
-            kf.F, kf.Q = self.model.over(dt)
+            kf.F, kf.Q = self._transition_for("dt")(dt)
         if r is not None or not seen.all():
             R = self.model.R if r is None else np.diag(np.where(seen, r, 1))
             H_1, U = unit_measurements(*masked(self.model.H, R, seen))
@@ -136,58 +139,9 @@ class KalmanFilter(RecursiveFilter):
         kf.update(np.zeros(len(U)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
-        keep = np.eye(self.model.n) - kf.K @ kf.H
+        keep = self._identity - kf.K @ kf.H
         require_digits(keep, kf.F, P, kf.P, kf.H @ kf.F, kf.S.diagonal(), dt)
         return keep @ kf.F, kf.K @ U, kf.P
-
-    def step(
-        self, x: ArrayLike, P: ArrayLike, z_k: ArrayLike, dt: Seconds | None = None, r: ArrayLike | None = None
-    ) -> tuple[Array, Array]:
-        """Return x(k+1/k+1) and P(k+1/k+1) from x(k/k), P(k/k) and one measurement z(k+1).
-
-        Parameters
-        ----------
-        x, P : array_like (n,), (n, n)
-            Estimate and covariance; at the start `model.x0` and `P0`.
-        z_k : array_like (m,)
-            The measurement, NaN where a component is missing.
-        dt : float or timedelta, optional
-            Time since x(k/k) in s, for a model with a transition; a filter with times needs it.
-        r : array_like (m,), optional
-            Variances of the measurement, in place of the model's R; a filter with variances needs them.
-
-        Returns
-        -------
-        x : ndarray (n,)
-            The estimate x(k+1/k+1).
-        P : ndarray (n, n)
-            Its covariance P(k+1/k+1).
-
-        Raises
-        ------
-        ValueError
-            For other shapes, for numbers that are not finite, for a P that is not a covariance, and for a P or dt so
-            large that the step exceeds double precision.
-        TypeError
-            For anything but real numbers.
-
-        Examples
-        --------
-        >>> import mpt_helpers as mpt
-        >>> kf = mpt.KalmanFilter(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.eye(2)))
-        >>> x, P = kf.step(kf.model.x0, kf.P0, [1.0])
-        >>> x, P = kf.step(x, P, [2.5], dt=1.5)
-        >>> x.round(2)
-        array([2.45, 0.94])
-
-        """
-        if dt is None and self.t is not None:
-            checks.refuse("dt", "the time since x, as the filter has times", "none")
-        if r is None and self.r is not None:
-            checks.refuse("r", "the variances of z_k, as the filter has them for each epoch", "none")
-        if dt is not None:
-            self._require_transition("dt")
-        return super().step(x, P, z_k, dt, r)
 
     def epochs_of(self, z: Array) -> Epochs:
         """Return z (N, m, M) with its time steps and variances; raises ValueError where their number differs."""
@@ -242,6 +196,10 @@ class KalmanFilter(RecursiveFilter):
             both = KalmanColumns(self.motion, H, uncorrelated, P0)
             return both, both
         return KalmanColumns(self.motion, H, R, P0), KalmanColumns(self.motion, H, R, P0, noises_are_states=True)
+
+    @cached_property
+    def _identity(self):
+        return np.eye(self.model.n)
 
     @cached_property
     def _units(self):

@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ._base import RecursiveFilter, require_digits
+from ._base import RecursiveFilter, may_be_vague, require_digits
 from ._checks import Array
-from ._engine.pieces import VAGUE_S
 from .equations import lainiotis_matrices, lainiotis_step, masked, start_gain
 
 
@@ -49,7 +48,7 @@ class LainiotisFilter(RecursiveFilter):
         constants = self._constants(seen)
         A, B, P_next = lainiotis_step(P, constants)
         C = constants.C
-        if not np.abs(P).max() * (C * C).sum() < VAGUE_S:
+        if may_be_vague(P, C.T):
             keep = np.eye(len(P)) - start_gain(P, C) @ C.T
             require_digits(constants.Fn, keep, P, P_next, C.T, (C.T @ P @ C).diagonal() + 1)
         return A, B, P_next

@@ -14,6 +14,7 @@ from ._base import Filter, one_or_many
 from ._checks import Array
 from ._engine.columns import whitened
 from ._engine.shared import epochs_at_a_time
+from ._immutable import types_as_written
 from .bands import ahead, coverage, following, interval_score
 from .equations import corrected_covariance, predicted_covariance
 from .model import LinearModel
@@ -103,6 +104,7 @@ def rms(values: ArrayLike, axis: int | tuple[int, ...] | None = None) -> Any:
     return np.sqrt(np.mean(np.square(values, dtype=float), axis=axis))
 
 
+@types_as_written
 class Innovations(NamedTuple):
     """The innovations of a filter and their covariance.
 
@@ -377,6 +379,7 @@ def chi_square_band(dof: int, runs: int, level: float = 0.95) -> tuple[float, fl
     return float(low), float(high)
 
 
+@types_as_written
 class ErrorMoments(NamedTuple):
     """The mean and the covariance of an error at the steps 1 to N.
 

@@ -242,7 +242,7 @@ def _checked_step(transition, dt):
 
 def _F_and_Q(transition, dt):
     """Return F and Q of one or many steps; a transition that takes a single dt is called once for each length."""
-    if np.ndim(dt) == 0 or getattr(transition, "takes_arrays", False):
+    if getattr(transition, "takes_arrays", False) or np.ndim(dt) == 0:
         return transition(dt)
     lengths, which = np.unique(dt, return_inverse=True)
     each = [transition(length) for length in lengths.tolist() or [0.0]]  # without a length, the shapes of any step
@@ -263,12 +263,10 @@ def half_step_gap(transition: Transition, dt: float) -> float:
     return float(np.nan_to_num(gaps, nan=np.inf, posinf=np.inf).max())
 
 
-def _matrices(rows):
-    """Return matrices (..., a, b) from a rows of b entries, which are numbers or arrays (...)."""
-    if not any(np.ndim(entry) for row in rows for entry in row):  # for one step, broadcasting takes four times as long
-        return np.array(rows, float)
-    entries = np.broadcast_arrays(*[np.asarray(entry, float) for row in rows for entry in row])
-    return np.moveaxis(np.array(entries).reshape(len(rows), len(rows[0]), *entries[0].shape), (0, 1), (-2, -1))
+def _steps_first(rows):
+    """Return matrices (..., n, n) from n rows of n entries, all of them numbers or all of them arrays (...)."""
+    matrices = np.asarray(rows, float)
+    return matrices.transpose(*range(2, matrices.ndim), 0, 1)
 
 
 @dataclass(frozen=True)
@@ -281,8 +279,9 @@ class ConstantVelocity:
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
         dt2 = dt * dt
-        F = _matrices([[1, dt], [0, 1]])
-        return F, self.q * _matrices([[dt2 * dt / 3, dt2 / 2], [dt2 / 2, dt]])
+        zero, one = 0 * dt, 0 * dt + 1
+        F = _steps_first([[one, dt], [zero, one]])
+        return F, self.q * _steps_first([[dt2 * dt / 3, dt2 / 2], [dt2 / 2, dt]])
 
 
 @dataclass(frozen=True)
@@ -296,9 +295,10 @@ class ConstantAcceleration:
         """Return F and Q of steps of dt seconds."""
         dt2 = dt * dt
         dt3, dt4 = dt2 * dt, dt2 * dt2
-        F = _matrices([[1, dt, dt2 / 2], [0, 1, dt], [0, 0, 1]])
+        zero, one = 0 * dt, 0 * dt + 1
+        F = _steps_first([[one, dt, dt2 / 2], [zero, one, dt], [zero, zero, one]])
         Q = [[dt4 * dt / 20, dt4 / 8, dt3 / 6], [dt4 / 8, dt3 / 3, dt2 / 2], [dt3 / 6, dt2 / 2, dt]]
-        return F, self.q * _matrices(Q)
+        return F, self.q * _steps_first(Q)
 
 
 @dataclass(frozen=True)
@@ -330,11 +330,12 @@ class Scaled:
 
 def _on_diagonal(parts):
     """Return matrices (..., n, n) with parts (..., n_i, n_i) on their diagonal; `block_diag` takes no axes before."""
-    ends = np.cumsum([part.shape[-1] for part in parts])
-    whole = np.moveaxis(np.zeros((ends[-1], ends[-1], *parts[0].shape[:-2])), (0, 1), (-2, -1))
-    for part, end in zip(parts, ends, strict=True):
-        here = slice(end - part.shape[-1], end)
-        whole[..., here, here] = part
+    sizes = [part.shape[-1] for part in parts]
+    whole = _steps_first(np.zeros((sum(sizes), sum(sizes), *parts[0].shape[:-2])))
+    start = 0
+    for part, size in zip(parts, sizes, strict=True):
+        whole[..., start : start + size, start : start + size] = part
+        start += size
     return whole
 
 

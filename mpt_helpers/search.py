@@ -80,13 +80,20 @@ FLAT_CURVATURE = 1e-6
 
 def newton(function, point):
     """Return the lowest point (d,) that Newton's method finds, in a trust region of a factor of e at first."""
+    known = {}  # gradient and curvature of the points so far: scipy asks for one, and later for the other
+
+    def derivatives(at):
+        key = at.tobytes()
+        if key not in known:
+            _, gradient, H = (_or_zero(each) for each in differences(function, at))
+            known[key] = gradient, H + FLAT_CURVATURE * np.abs(H).max() * np.eye(len(H))
+        return known[key]
 
     def gradient(at):
-        return _or_zero(differences(function, at)[1])
+        return derivatives(at)[0]
 
     def curvature(at):
-        H = _or_zero(differences(function, at)[2])
-        return H + FLAT_CURVATURE * np.abs(H).max() * np.eye(len(H))
+        return derivatives(at)[1]
 
     least = FLAT_GRADIENT * np.abs(curvature(point)).max()
     found = minimize(function, point, method="trust-exact", jac=gradient, hess=curvature, options={"gtol": least})

@@ -21,8 +21,6 @@ from ._engine.shared import TILE, tiles
 from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
 from .model import LinearModel
 
-# How far A may be from (I - B H) F, relative to the size of the terms: this allows for rounding in the solvers.
-SAME_A = 1e-6
 # The most taps of a FIR filter; a longer one would be slower than the steady-state filter.
 MOST_TAPS = 1_000_000
 
@@ -82,7 +80,7 @@ class SteadyStateFilter(RecursiveFilter):
         gap = np.abs(self.A - (F - self.B @ H @ F))
         size = np.abs(F) + np.abs(self.B) @ np.abs(H) @ np.abs(F)
         rounding = n * np.finfo(float).eps * size.max()  # where an entry of A is zero, and computed as nearly zero
-        if (gap > SAME_A * size + rounding).any():
+        if (gap > checks.SOLVED * size + rounding).any():
             checks.refuse("A", "(I - B H) F, as in every filter of the papers", f"a gap of {gap.max():.6g}")
 
     @classmethod

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
 from os import PathLike
@@ -114,12 +114,12 @@ def gpx(
     rows, left_out = usable(path, recording)
     why = report.counted(left_out)
     if recording.lat is None or not len(rows):
-        raise ValueError(f"{path}: needs a recorded track in degrees, got {len(time)} fixes{why and ', '}{why}")
+        checks.refuse(path, "a recorded track in degrees", f"{len(time)} fixes{why and ', '}{why}")
     if left_out and not skip:
         first = np.setdiff1d(np.arange(len(time)), rows)[0]
         where = f"fix {(segment[: first + 1] == segment[first]).sum()} of segment {segment[first]}"
-        need = "a position and a later time in each fix"
-        raise ValueError(f"{path}: needs {need}, got {why}, first in {where}; gpx(path, skip=True) leaves them out")
+        got = f"{why}, first in {where}; gpx(path, skip=True) leaves them out"
+        checks.refuse(path, "a position and a later time in each fix", got)
     if left_out:
         checks.warn(f"{path}: fixes left out: {why}")
     begins = np.flatnonzero((np.diff(segment[rows]) != 0) | (np.diff(time[rows]) > pause * 1e6)) + 1
@@ -272,7 +272,6 @@ def track(
     seconds: Seconds = 10.0,
     limit: float = 100.0,
     pause: Seconds | None = None,
-    show: Callable[[str], None] | None = None,
 ) -> Cleaned:
     """Return the track of a GPX or CSV file, or of a pandas frame, without its faults, smoothed and with a band.
 
@@ -294,8 +293,6 @@ def track(
         The NIS above which a fix is refused, as in `gated`.
     pause : float or timedelta, optional
         After so long without a fix, in s, a new recording begins, as in `clean`.
-    show : callable, optional
-        Called with the name of each stage as it begins.
 
     Returns
     -------
@@ -317,8 +314,6 @@ def track(
     ['time', 'x', 'y', 'v_x', 'v_y', 'sigma', 'sigma_v', 'kept', 'segment']
 
     """
-    if show is not None:
-        show("reading")
     is_frame = hasattr(source, "itertuples")  # which neither a path nor a pandas series has
     path = "frame" if is_frame else Path(source)
     recording = read_frame(source, columns) if is_frame else read(path, columns)
@@ -326,16 +321,13 @@ def track(
     back = np.sum(np.diff(known) < 0)
     if back > UNSORTED * len(known):
         got = f"{back} of {len(known)} earlier than the one before: frame.sort_values('time') sorts them"
-        raise ValueError(f"{path}: needs times in order, got {got}")
+        checks.refuse(path, "times in order", got)
     rows, left_out = usable(path, recording)
     if len(rows) < FEWEST:
-        got = ", ".join([f"{len(rows)} of {len(recording.time)}", *filter(None, [report.counted(left_out)])])
-        raise ValueError(f"{path}: needs at least {FEWEST} fixes with a time and a position, got {got}")
+        got = ", ".join(filter(None, [f"{len(rows)} of {len(recording.time)}", report.counted(left_out)]))
+        checks.refuse(path, f"at least {FEWEST} fixes with a time and a position", got)
     t, segment = recording.time[rows] / 1e6, recording.segment[rows]
     t -= t.min()
-    said = [*recording.said, *_notes_on_order(t, segment)]
-    if back and len(known) > (1 + MANY) * len(rows):
-        said.append("ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?")
     if recording.metres is None:
         charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], segment)
         east = np.unwrap(recording.lon[rows], period=360)  # without a step of 360°
@@ -344,10 +336,9 @@ def track(
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]
     relative, weighted = _precision(recording, rows)
-    said += weighted
-    how = {"seconds": seconds, "limit": limit, "pause": pause, "show": show}
+    how = {"seconds": seconds, "limit": limit, "pause": pause}
     c = clean(t, z, relative, segment=segment, rounding=max(grids) ** 2 / 12, **how)
-    return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
+    return replace(c, source=Source(path, recording, rows, left_out, charts, plane, [*recording.said, *weighted]))
 
 
 def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
@@ -357,7 +348,7 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
         lat, lon = recording.lat, recording.lon
         somewhere = _on_earth(lat, lon)
         if somewhere.sum() < (1 - MANY) * (np.isfinite(lat) & np.isfinite(lon)).sum():
-            raise ValueError(f"{path}: needs degrees of at most 90 and 360, got {_no_degrees(lat, lon)}")
+            checks.refuse(path, "degrees of at most 90 and 360", _no_degrees(lat, lon))
     else:
         somewhere = np.isfinite(recording.metres).all(axis=1)
     timed = np.isfinite(time)
@@ -372,16 +363,6 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
     return rows, {reason: count for reason, count in reasons.items() if count > 0}
-
-
-def _notes_on_order(t, segment):
-    """Return notes on segments that are not in order of time, or overlap, as those of two receivers do."""
-    first = np.flatnonzero(np.append(True, np.diff(segment) != 0))
-    starts, ends = np.minimum.reduceat(t, first), np.maximum.reduceat(t, first)
-    order = np.argsort(starts, kind="stable")
-    if (starts[order][1:] < ends[order][:-1]).any():
-        return ["segments overlap in time, as of two receivers: each is a recording of its own"]
-    return [] if (np.diff(order) > 0).all() else ["segments are not in order of time"]
 
 
 def _precision(recording, rows):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import io
 import json
-import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -67,25 +66,17 @@ def _parser():
 
 def _run(options):
     path, folder = options.file, options.out or options.file.parent
-    if path.absolute().parts[1:2] in (("dev",), ("proc",)):
-        raise ValueError(f"{path}: needs a file with a name of its own: save the recording to one first")
     if not folder.is_dir():
-        make = f"mkdir -p {shlex.quote(str(folder))}"
-        raise ValueError(f"{folder}: needs a folder that exists, to write to; make it: {make}")
+        raise ValueError(f"{folder}: needs a folder that exists, to write to")
     named = {what: getattr(options, f"column_{what}") for what in COLUMNS}
     named = {what: name for what, name in named.items() if name is not None}
     stem = Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
     picture = folder / f"{stem}.png"
     if path.suffix != ".png":  # which is refused for what it holds
         require_free([picture], options.overwrite, path)  # before the work
-    how = {"seconds": options.seconds, "limit": options.limit, "pause": options.pause, "show": _show}
-    try:
-        c = tracks.track(path, columns=named, **how)
-        _show("drawing")
-        png = io.BytesIO()
-        c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
-    finally:
-        _show()
+    c = tracks.track(path, columns=named, seconds=options.seconds, limit=options.limit, pause=options.pause)
+    png = io.BytesIO()
+    c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
     if c.source.recording.metres is None:
         smooth, track = folder / f"{stem}_smooth.gpx", writers.gpx_bytes(c)
     else:
@@ -99,9 +90,3 @@ def _run(options):
         return
     print(c.report())
     print(f"written: {', '.join(files)}" + (f" (replaced: {', '.join(replaced)})" if replaced else ""))
-
-
-def _show(what=""):
-    """Show the current stage on a terminal, in one line; without one, clear that line."""
-    if sys.stderr.isatty():
-        print(f"\r\033[K{what and what + ' ...'}", end="", file=sys.stderr, flush=True)

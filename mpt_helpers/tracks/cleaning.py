@@ -14,8 +14,7 @@ Then the band is tested on the second half of the track, with q and r fitted to 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,7 +64,7 @@ TURNS = 4  # of the gate, the look from both sides and the fit
 CHECKED = 1 / 3
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Band:
     """The prediction band, and how well it holds on the half of a track that q and r were not fitted to.
 
@@ -95,15 +94,9 @@ class Band:
     own: float
     checked: int
     independent: int
-    ahead: bands.ForecastErrors
-    widths: Array
-    unseen: NDArray[np.bool_]
-
-    def __repr__(self) -> str:
-        return (
-            f"Band({self.seconds:g} s ahead: ± {self.half_width:.3g}, held {self.held:.1%} of {self.asked:.0%} asked, "
-            f"{self.checked} checked, {self.independent} independent)"
-        )
+    ahead: bands.ForecastErrors = field(repr=False)
+    widths: Array = field(repr=False)
+    unseen: NDArray[np.bool_] = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +290,6 @@ def clean(
     pause: Seconds | None = None,
     segment: ArrayLike | None = None,
     rounding: float | None = None,
-    show: Callable[[str], None] | None = None,
 ) -> Cleaned:
     """Return a recorded track without its faults, smoothed, and with a tested prediction band.
 
@@ -323,8 +315,6 @@ def clean(
         A number or name for each row. A new recording begins where it changes.
     rounding : float, optional
         The variance of the rounding of z in m², found from the digits by default.
-    show : callable, optional
-        Called with the name of each step before the step begins.
 
     Returns
     -------
@@ -348,7 +338,6 @@ def clean(
     ([100], [], 0.035, 4.03)
 
     """
-    say = show or (lambda _: None)
     seconds = checks.duration("seconds", seconds)
     limit = checks.number("limit", limit, "a squared distance in variances, above 1, as 100", lambda value: value > 1)
     pause = None if pause is None else checks.duration("pause", pause)
@@ -366,7 +355,6 @@ def clean(
         return on_one_line(t, z, relative, fixes.same_as, segments, noise, scale)
 
     for _ in range(TURNS):
-        say("looking for faults")
         before, segments = segments, np.full(len(t), -1)
         kf = filter_of(noise, scale, clock, weights, z.shape[1])
         segments[fixes.rows] = gate.segments_of(kf, own, np.flatnonzero(fixes.begin), limit, 3)
@@ -377,9 +365,7 @@ def clean(
         if line.stands_still(scale):
             still = f"{(segments >= 0).sum()} of {len(own)} fixes standing still"
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
-        say("fitting")
         noise = fitted(line, noise, scale, near=before is not None)
-    say("smoothing")
     line = line_of(segments)
     noise = as_far_as_known(line, noise, scale)
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
@@ -388,7 +374,6 @@ def clean(
     x, P = np.full((len(t), n), np.nan), np.full((len(t), n, n), np.nan)
     x[line.rows], P[line.rows] = s.x, s.P
     x[line.rows, ::2] -= line.moved
-    say("judging the band")
     return Cleaned(
         t=t,
         z=z,

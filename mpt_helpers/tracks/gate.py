@@ -308,10 +308,6 @@ class _Moves:
         """Return the speed from fixes a to later fixes b."""
         return self.distance(a, b) / np.maximum(self.times[b] - self.times[a], LEAST_STEP)
 
-    def after_a_gap(self, a, b):
-        """Tell which fixes b follow fixes a after a gap."""
-        return self.times[b] - self.times[a] > self.gap
-
     def too_fast(self, a, b, at_most=FASTER):
         """Tell which moves from fixes a to b exceed `at_most` times the usual speed."""
         return (self.recording[a] == self.recording[b]) & (self.speed(a, b) > at_most * self.usual)
@@ -441,6 +437,6 @@ def _parts(rows, moves):
     """Return the parts of a segment: the rows between two refused fixes, its ends, and a few fixes beyond a gap."""
     before = np.arange(1, len(rows))  # the number of fixes before each step
     near_an_end = np.minimum(before, len(rows) - before) < JUMP
-    apart = (np.diff(rows) > 1) | (near_an_end & moves.after_a_gap(rows[:-1], rows[1:]))
+    apart = (np.diff(rows) > 1) | (near_an_end & (np.diff(moves.times[rows]) > moves.gap))
     cuts = {0, 1, *before[apart].tolist(), len(rows) - 1, len(rows)}
     return [rows[begin:end] for begin, end in pairwise(sorted(cuts))]

@@ -21,8 +21,6 @@ from ..search import AROUND, SIGNIFICANT, along_a_line
 HOUR_BETWEEN, FORGOTTEN, HELD = 3600.0, 8, 1e20
 # The initial speed is known to at most so many sigmas of a fix per step: `smooth` has no digits beside a vaguer one.
 VAGUEST_SPEED = 1e7
-# q and r are fitted to at most MOST_FITTED fixes, in parts spread over the track. These determine both to 1 %.
-MOST_FITTED, FITTED_AT_A_TIME = 20_000, 1_000
 # Limits of log(r / q), with r / q in units of the median step cubed (s³); the points of the global search; and the
 # tolerance of log(r / q).
 RATIOS = math.log(1e-8), math.log(1e6)
@@ -221,7 +219,7 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
     The global search is for a guess that may lie near a local maximum: recordings with many short gaps have several. An
     r below the rounding of the numbers is set to the rounding.
     """
-    likelihood = likelihood_of(_sample(line), scale)
+    likelihood = likelihood_of(line, scale)
     low, high = (each + math.log(scale.step**3) for each in RATIOS)
 
     def rated(point):
@@ -254,10 +252,9 @@ def as_far_as_known(line: Line, noise: Noise, scale: Scale) -> Noise:
     far too large; or it takes noise for motion, and r becomes far too small. The assumed r leaves the line near the
     fixes.
     """
-    sample = _sample(line)
-    likelihood = likelihood_of(sample, scale)
+    likelihood = likelihood_of(line, scale)
     r = max(min(upper_limit(line, scale), USUAL**2), scale.rounding)
-    if (r < SMOOTHED**2 or r <= noise.r) if noise.rounding else _is_explained(sample, noise, scale, likelihood):
+    if (r < SMOOTHED**2 or r <= noise.r) if noise.rounding else _is_explained(line, noise, scale, likelihood):
         return noise
     q = _q_given(likelihood, noise.q, r, math.exp(RATIOS[1]) * scale.step**3)
     return Noise(q, r, rounding=False, assumed=True)
@@ -302,16 +299,3 @@ def log_errors(line: Line, noise: Noise, scale: Scale) -> dict[str, float]:
     blocks = blocks._replace(of_rows=np.repeat(blocks.of_rows, line.z.shape[1], axis=1))  # one for all axes of a fix
     errors = fitting.log_errors(likelihood_of(line, scale), np.log([noise.q, noise.r]), known, blocks)
     return dict(zip("qr", errors.tolist(), strict=True))
-
-
-def _sample(line):
-    """Return a line, or parts spread over a long one; the first two fixes of each part count as those of a segment."""
-    if len(line.rows) <= MOST_FITTED:
-        return line
-    starts = np.linspace(0, len(line.rows) - FITTED_AT_A_TIME, MOST_FITTED // FITTED_AT_A_TIME).astype(int)
-    rows = np.unique(starts[:, None] + np.arange(FITTED_AT_A_TIME))
-    first = line.first.copy()
-    fixes = np.flatnonzero(np.isfinite(line.z).any(axis=1))
-    for start in starts:
-        first[fixes[np.searchsorted(fixes, start) :][:2]] = True
-    return line._replace(first=first).part(rows)

@@ -172,10 +172,13 @@ def test_every_public_function_says_its_types():
 def test_a_signature_can_be_read():
     """As help and editors show it: no object without a name, no type spelt out, no argument of inner use."""
     classes = [value for value in vars(mpt).values() if inspect.isclass(value) and issubclass(value, mpt._base.Filter)]
-    for each in [*public_functions().values(), *classes, mpt.LinearModel]:
+    modules = mpt._base, bands, metrics, mpt.fitting
+    results = [value for module in modules for value in vars(module).values() if hasattr(value, "_fields")]
+    assert len(results) >= 7
+    for each in [*public_functions().values(), *classes, mpt.LinearModel, *results]:
         if getattr(each, "__name__", "") != "__init__":
             shown = str(inspect.signature(each))
-            assert not re.search(r"<|ndarray\[tuple|\b_\w+:", shown), shown
+            assert not re.search(r"<|ndarray\[tuple|ForwardRef|\b_\w+:", shown), shown
 
 
 def fits(value, hint):

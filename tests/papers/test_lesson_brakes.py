@@ -5,17 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from after_a_gap import worst_ratio
 from conftest import ROOT, cells_of, prose, shown, source
+from scipy.optimize import brentq
 
 import mpt_helpers as mpt
 from reproduction.paper_2016 import lesson_brakes as lesson
 
 CELLS = {cell["id"]: cell for cell in cells_of(ROOT / "notebooks" / "lessons" / "when_the_driver_brakes.ipynb")}
 TEXT = re.sub(r"\s+", " ", prose(CELLS.values()).replace("*", ""))
-WORST = {
-    name: row for name, *row in (re.split(r"  +", line.strip()) for line in shown(CELLS["worst"]).splitlines()[1:])
-}
 VELOCITY, ACCELERATION = (2, 1.0), (3, 0.01)  # unknowns and q of the two that are equally calm
 
 
@@ -70,37 +67,28 @@ def test_the_road_is_that_of_the_picture(taught):
         np.testing.assert_allclose(taught["road"](t, brake, lasting), lesson.road(t, brake, lasting))
 
 
-@pytest.mark.parametrize(("brake", "first", "last"), [(2, 55, 85), (3, 35, 70)])
-def test_a_driver_who_does_both_is_served_by_the_mean(taught, brake, first, last):
-    """The best of velocity, acceleration and mean for each share of brakes that are let go, by mean square."""
-    says("by 2 m/s² if 55 to 85 % of the brakes are let go after three seconds, and by 3 m/s² if 35 to 70 % are;")
-    says("with fewer it is the acceleration filter, with more the velocity filter.")
+def test_a_driver_who_does_both(taught):
+    """The share of brakes let go after three seconds from which the velocity filter has the smaller mean square."""
+    says("the velocity filter is better only if he lets go in three of four brakes, or more.")
     noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
-    errors = []
-    for lasting in (np.inf, 3):
-        velocity, acceleration = (taught["misses"](*each, brake, lasting, noise) for each in (VELOCITY, ACCELERATION))
-        errors.append([rms(each) for each in (velocity, acceleration, (velocity + acceleration) / 2)])
-    stop, let_go = np.square(errors)
-    shares = np.arange(0, 101, 5)
-    best = np.argmin([(100 - share) * stop + share * let_go for share in shares], axis=1)
-    assert (best == np.select([shares < first, shares <= last], [1, 2], 0)).all()
+    stop, let_go = (
+        np.square([rms(taught["misses"](*each, 2, lasting, noise)) for each in (VELOCITY, ACCELERATION)])
+        for lasting in (np.inf, 3)
+    )
+    share = (stop[0] - stop[1]) / (stop[0] - stop[1] + let_go[1] - let_go[0])
+    assert 0.7 < share < 0.75
 
 
 def test_the_first_screen(taught):
     says("| velocity filter | 26 m | 10 m |")
-    says("| acceleration filter; no predicted speed below zero | 16 m | 16 m |")
-    says("on a road where nothing pushes the car, their predictions are off by 2 m")
+    says("| acceleration filter | 16 m | 16 m |")
+    says("on a calm road, where nothing pushes the car, the predictions of both are off by 2 m.")
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["table"]).splitlines()]
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
-    says("A more restless acceleration filter, off by 4 m on that calm road, has 13 m in the stop;")
+    says("The last row is best at both stops, and its error on a calm road is 4 m.")
     assert rows[4] == ["acceleration, q = 0.1", "13 m", "23 m", "15 m", "3.9 m"]
-    says("still more restless ones gain nothing there.")
-    noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
-    restless = [(taught["calm"](3, q), rms(taught["misses"](3, q, 2, np.inf, noise))) for q in (0.22, 0.5, 1.0, 5.0)]
-    assert restless[0][0] == pytest.approx(5, abs=0.1)
-    assert min(stop for _, stop in restless) > restless[0][1] - 0.5
-    says("in five seconds 25 m at 2 m/s², and 50 m at 4, if the brake lasts so long")
+    says("in five seconds 25 m at 2 m/s², and 50 m at 4.")
     for brake, taken in ((2.0, 25), (4.0, 50)):
         for model in lesson.FILTERS.values():
             assert round(lesson.misses(model, brake)[0]) == taken
@@ -132,7 +120,7 @@ def test_why_the_velocity_is_late():
     assert [round(gains[q][1], 3) for q in gains] == [0.212, 0.905]
     assert [round(2 / gains[q][1], 1) for q in gains] == [9.4, 2.2]
     says("Of the 30 m by which the solid blue line is off from second 1 to 5, 25 are of this kind, and 5 m come from")
-    says("a speed that is about half a second old, and so 1 m/s too high")
+    says("a speed that is about half a second old, and so for five seconds 1 m/s too high.")
     K_s, K_v = gains[1.0]
     position = (1 - K_s) * 2 / K_v  # what is left of the surprise
     speed = 2 / K_v - position - 1  # the surprise is position, speed, and half a brake of 2 m/s²
@@ -144,16 +132,15 @@ def test_why_the_velocity_is_late():
 
 
 def test_which_filter_wins(off, taught):
-    says("The fourth row is best at both stops, and its error on a calm road is 4 m.")
-    says("The first table scatters by less than a metre from one set of 200 drives to the next")
+    says("At 2 m/s² the border lies between seven and eight seconds of braking.")
+    says("The errors are typical ones, and scatter by less than a metre from one set of 200 drives to the next.")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))  # other drives than the lesson's
     table = {(2, 0.01): [42, 50, 15], VELOCITY: [26, 33, 10], ACCELERATION: [16, 29, 16], (3, 0.1): [13, 23, 15]}
     for each, expected in table.items():
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than the five")
-    says("that the car has nearly stopped by then: about a fifth of its speed is left, or less. The other is a gentle")
-    says("brake that has lasted nine seconds.")
+    says("that the car is slow by then. The other is a gentle brake that has lasted nine seconds.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -161,18 +148,95 @@ def test_which_filter_wins(off, taught):
             if off(*VELOCITY, brake, lasting) > off(*ACCELERATION, brake, lasting)
         ]
         assert wins == list(range(from_when, 20 // brake))
-        assert from_when == 9 or 20 - brake * from_when <= 0.2 * 20
-        assert 20 - brake * (from_when - 1) >= 0.2 * 20
+        assert from_when == 9 or 20 - brake * from_when <= 4  # m/s
     gain = {each: off(*VELOCITY, each, np.inf) / off(*ACCELERATION, each, np.inf) for each in (1, 2, 3, 4, 6, 8)}
     assert min(gain.values()) > 1
     assert min(gain[1], gain[2], gain[3]) > 1.25  # twenty, ten and seven seconds
     assert max(gain[4], gain[6], gain[8]) < 1.2  # five seconds and less
 
 
+def test_a_driver_who_has_just_speeded_up(taught):
+    """From 10 to 20 m/s in the five seconds before the touch."""
+    says("for five seconds, the acceleration filter loses the stop, too: 34 m against 26.")
+
+    def position(t):
+        faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
+        return 10 * np.minimum(t, 0) + faster**2 + 20 * braked - braked**2
+
+    z = position(np.arange(-60.0, 11))
+    errors = {}
+    for n, q in (VELOCITY, ACCELERATION):
+        x, _ = taught["track"](z[:, None] - z[0], *taught["motion"](n, 1.0, q), lesson.R)
+        predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
+        errors[n] = predicted - (position(np.arange(5.0, 16)) - z[0])
+    assert [round(rms(each)) for each in errors.values()] == [26, 34]
+    says("To win, it needs four seconds of steady drive before the touch.")
+    t = np.arange(-60.0, 11) + 4
+    earlier = np.clip(-t, 0, 5) ** 2 + 10 * np.maximum(-t - 5, 0)  # metres further back, four seconds before
+    for brake in (1, 2, 3, 4):
+        velocity, acceleration = (
+            rms(taught["misses"](*each, brake, np.inf, earlier[:, None])) for each in (VELOCITY, ACCELERATION)
+        )
+        assert acceleration < velocity
+
+
+def equally_calm(names, n, q):
+    """The q of the filter with acceleration that is as calm as a velocity filter, by the lesson's own measure."""
+    aim = names["calm"](n, q)
+    return 10 ** brentq(lambda power: names["calm"](3, 10**power) - aim, -4, 0, xtol=0.01)
+
+
+def test_most_of_the_error_of_a_short_stop_is_made_before_anybody_knows():
+    says("and the first three seconds, in which neither of the two is good, make most of the error.")
+    for model in list(lesson.FILTERS.values())[1:]:
+        squares = lesson.misses(model, 4.0) ** 2
+        assert squares[:3].sum() > 0.5 * squares.sum()
+
+
+@pytest.mark.parametrize("brake", [1, 2, 3, 4, 5, 6, 8])
+def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
+    """For brakes that the lesson does not show, too; of filters that learn fast enough."""
+    for q in (0.01, 0.1, 1.0):
+        model = mpt.constant_acceleration(1.0, q, lesson.R, P0=1e4 * np.eye(3))
+        with_rule, without = (rms(lesson.misses(model, brake, stops=each)) for each in (True, False))
+        assert with_rule <= 1.001 * without
+
+
+def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
+    """Both filters tuned to 2 m on the calm road."""
+    says("With ten measurements a second, and both filters tuned to 2 m again, the border falls to six seconds.")
+    names = made()
+    exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", "dt, R = 0.1, 0.1"), names)
+    exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
+    both = [(2, 1.35), (3, 0.0301)]
+    assert [names["calm"](*each) for each in both] == [pytest.approx(2, abs=0.02)] * 2
+    quiet = np.zeros((len(names["t"]), 1))
+    for lasting, wins in ((5, 0), (6, 0), (7, 1), (8, 1)):
+        assert np.argmin([rms(names["misses"](*each, 2, lasting, quiet)) for each in both]) == wins
+
+
+def test_with_a_worse_sensor_the_acceleration_gains_less():
+    """With q such that the filter with acceleration is as calm as that of velocity with q = 1, as the table judges."""
+    says("both filters tuned to 7 m on the calm road, they differ on our three brakes by some 7 % at most, either way.")
+    names = made(R=25.0)
+    noise = np.random.default_rng(7).normal(0, 5.0, (71, 100))
+    assert round(names["calm"](*VELOCITY)) == 7
+    ratios = {}
+    for brake in ((2, np.inf), (4, np.inf), (2, 3)):
+        velocity, acceleration = (
+            rms(names["misses"](*each, *brake, noise)) for each in (VELOCITY, (3, equally_calm(names, *VELOCITY)))
+        )
+        ratios[brake] = acceleration / velocity
+    assert 0.93 < min(ratios.values()) < 0.95
+    assert ratios[2, 3] == pytest.approx(1.06, abs=0.02)
+    of_velocity = names["calm"](*VELOCITY)
+    model = mpt.constant_velocity(1.0, 1.0, 25.0)
+    made_of = mpt.metrics.error_moments(mpt.SteadyStateFilter.from_kalman(model), replace(model, Q=0 * model.Q), 400)
+    assert of_velocity == pytest.approx(np.sqrt(np.array([1, 5]) @ made_of.covariance[-1] @ np.array([1, 5])))
+
+
 def test_the_winners_are_those_until_ten_seconds_after_the_brake():
-    says(
-        "(Counted until ten seconds after the end of the brake, the same filter wins in each case, but the gentle nine"
-    )
+    says("Counted until ten seconds after the end of the brake, that case is a tie, and no other winner changes.)")
     rows = [re.split(r"  +", line.strip())[1:] for line in shown(CELLS["brakes"]).splitlines()[1:]]
     functions, _, _ = source(CELLS["table"]).partition("\nbrakes = ")
     for brake, cells in zip((1, 2, 3, 4), rows, strict=True):
@@ -193,173 +257,37 @@ def test_the_winners_are_those_until_ten_seconds_after_the_brake():
                 assert acceleration / velocity == pytest.approx(1, abs=0.02)
 
 
-def test_a_driver_who_has_just_speeded_up(taught):
-    """From 10 to 20 m/s in the five seconds before the touch."""
-    says("Just after speeding up by 2 m/s², the acceleration filter loses the stop, too (34 m, against 26).")
-
-    def position(t):
-        faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
-        return 10 * np.minimum(t, 0) + faster**2 + 20 * braked - braked**2
-
-    z = position(np.arange(-60.0, 11))
-    errors = {}
-    for n, q in (VELOCITY, ACCELERATION):
-        x, _ = taught["track"](z[:, None] - z[0], *taught["motion"](n, 1.0, q), lesson.R)
-        predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
-        errors[n] = predicted - (position(np.arange(5.0, 16)) - z[0])
-    assert WORST["acceleration, too far, just after speeding up"][0] == f"{errors[3].max():.0f} m"
-    assert [round(rms(each)) for each in errors.values()] == [26, 34]
-    says("All this needs three seconds of steady drive before.")
-    t = np.arange(-60.0, 11) + 3
-    earlier = np.clip(-t, 0, 5) ** 2 + 10 * np.maximum(-t - 5, 0)  # metres further back, three seconds before
-    velocity, acceleration = (
-        rms(taught["misses"](*each, 2, np.inf, earlier[:, None])) for each in (VELOCITY, ACCELERATION)
-    )
-    assert acceleration < 0.9 * velocity
+def test_how_fast_the_acceleration_is_learnt(taught):
+    says("It corrects its acceleration by 0.16 of each surprise. After three seconds it has learnt 1.1 of the 2 m/s²,")
+    says("and after five nearly all.")
+    says("The acceleration filter has learnt half of the brake when it ends")
+    F, Q = taught["motion"](3, 1.0, 0.01)
+    x, gains = taught["track"](taught["road"](np.arange(-60.0, 11), 2.0), F, Q, 0.1)
+    assert round(gains[-1, 2, 0], 2) == 0.16
+    assert round(-x[63, 2, 0], 1) == 1.1
+    assert -x[65, 2, 0] > 1.9
 
 
-def test_a_driver_who_brakes_and_at_once_speeds_up(taught):
-    says("a driver who brakes and at once speeds up as much makes the acceleration filter 64 m too short, or 108.")
-    worst = []
-    for brake in (2.0, 4.0):
-        short = []
-        for lasting in np.arange(0.5, 20 / brake, 0.5):
-
-            def position(t, brake=brake, lasting=lasting):
-                braked, after = np.clip(t, 0, lasting), np.maximum(t - lasting, 0)
-                end = 20 * np.minimum(t, 0) + 20 * braked - brake * braked**2 / 2
-                return end + (20 - brake * lasting) * after + brake * after**2 / 2
-
-            z = position(np.arange(-60.0, 21))
-            x, _ = taught["track"](z[:, None] - z[0], *taught["motion"](3, 1.0, 0.01), lesson.R)
-            predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
-            short.append((predicted - position(np.arange(5.0, 26)) + z[0]).min())
-        worst.append(round(-min(short)))
-    assert worst == [64, 108]
+def test_a_recorded_drive_is_judged_by_later_measurements(taught):
+    """As by the true positions, within the sensor's error."""
+    names = {**taught}
+    exec(source(CELLS["recorded"]).partition("\n\n\nt_recorded")[0], names)
+    t = np.arange(-60.0, 16)
+    noise = np.random.default_rng(3).normal(0, np.sqrt(lesson.R), len(t))
+    for each in (VELOCITY, ACCELERATION):
+        found = names["misses_of"](taught["road"](t, 2.0) + noise, *each)[60:]
+        true = taught["misses"](*each, 2.0, np.inf, noise[:71, None])[:, 0]
+        assert np.abs(found - true).max() < 4 * np.sqrt(2 * lesson.R)  # less its first measurement's error
+    said = [float(each) for each in re.findall(r": ([\d.]+) m", shown(CELLS["recorded"]))]
+    assert said == pytest.approx([26, 16], abs=1)  # as the first table has it of 200 drives
 
 
-def test_metres_grow_with_the_speed_at_a_brake_of_the_same_length(taught):
-    says("At twice the speed and twice the brake all errors double, except the sensor's part.")
-    slow = taught["misses"](*ACCELERATION, 2, 3, QUIET)
-    fast = {**taught}
-    exec(source(CELLS["table"]).partition("\nbrakes = ")[0].replace("speed, horizon = 20", "speed, horizon = 40"), fast)
-    np.testing.assert_allclose(fast["misses"](*ACCELERATION, 4, 3, QUIET), 2 * slow, atol=1e-6)
+def test_a_q_is_found_for_an_error_on_the_calm_road(taught):
+    (code,) = re.findall(r"`(min\(np.logspace.*?)` finds the one nearest to 2 m", TEXT)
+    assert taught["calm"](3, eval(code, taught)) == pytest.approx(2, rel=0.05)
 
 
-def equally_calm(names, n, q, seconds=5):
-    """The q of the filter with acceleration that is as calm as a velocity filter, by the lesson's own measure."""
-    ahead = source(CELLS["table"]).partition("\nbrakes = ")[0].replace("horizon = 20, 5", f"horizon = 20, {seconds}")
-    exec(ahead, names)
-    aim = names["calm"](n, q)
-    return min(np.logspace(-4, 0, 81), key=lambda each: abs(names["calm"](3, each) - aim))
-
-
-def test_two_seconds_ahead_the_acceleration_wins_a_stop_of_four_seconds(monkeypatch):
-    says("Two seconds ahead, again equally calm ($q = 0.044$), the acceleration filter wins a stop of four seconds")
-    equal = equally_calm(made(), *VELOCITY, seconds=2)
-    assert equal == pytest.approx(0.044, rel=0.06)
-    monkeypatch.setattr(lesson, "SECONDS", 2.0)
-    velocity = rms(lesson.misses(lesson.FILTERS["velocity, q = 1"], 5.0))
-    acceleration = rms(lesson.misses(mpt.constant_acceleration(1.0, 0.044, lesson.R, P0=1e4 * np.eye(3)), 5.0))
-    says(f"by {acceleration:.0f} m against {velocity:.0f}")
-
-
-def test_most_of_the_error_of_a_short_stop_is_made_before_anybody_knows():
-    says("and the first three seconds, in which neither of the two is good, make most of the error.")
-    for model in list(lesson.FILTERS.values())[1:]:
-        squares = lesson.misses(model, 4.0) ** 2
-        assert squares[:3].sum() > 0.5 * squares.sum()
-
-
-@pytest.mark.parametrize("brake", [1, 2, 3, 4, 5, 6, 8])
-def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
-    """For brakes that the lesson does not show, too; of filters that learn fast enough."""
-    for q in (0.01, 0.1, 1.0):
-        model = mpt.constant_acceleration(1.0, q, lesson.R, P0=1e4 * np.eye(3))
-        with_rule, without = (rms(lesson.misses(model, brake, stops=each)) for each in (True, False))
-        assert with_rule <= 1.001 * without
-
-
-def test_what_not_to_promise():
-    velocity, acceleration = (lesson.FILTERS[name] for name in ("velocity, q = 1", "acceleration, q = 0.01"))
-    says("The last table has the worst of our drives from 20 m/s, not a bound: the sensor adds some metres")
-    for brake, far, short in zip(
-        (2.0, 4.0), WORST["either, too far"], WORST["acceleration, too short, if let go"], strict=True
-    ):
-        assert f"{max(lesson.misses(model, brake).max() for model in (velocity, acceleration)):.0f} m" == far
-        worst = min(lesson.misses(acceleration, brake, lasting).min() for lasting in np.arange(0.5, 20 / brake, 0.5))
-        assert f"{-worst:.0f} m" == short
-
-
-def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
-    """Both filters tuned to 2 m on the calm road."""
-    says("With ten measurements a second the eight seconds become six.")
-    names = made()
-    exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", "dt, R = 0.1, 0.1"), names)
-    exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
-    both = [(2, 1.35), (3, 0.0301)]
-    assert [names["calm"](*each) for each in both] == [pytest.approx(2, abs=0.02)] * 2
-    quiet = np.zeros((len(names["t"]), 1))
-    for lasting, wins in ((5, 0), (6, 0), (7, 1), (8, 1)):
-        assert np.argmin([rms(names["misses"](*each, 2, lasting, quiet)) for each in both]) == wins
-
-
-def test_the_sensor_adds_some_metres(taught):
-    says("the sensor adds some metres")
-    noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))
-    for brake, worst in ((2.0, 31), (4.0, 60)):
-        found = max(taught["misses"](*each, brake, np.inf, noise).max() for each in (VELOCITY, ACCELERATION))
-        assert 3 < found - worst < 9
-
-
-def test_a_miss_costs_these_filters_more(taught):
-    says("After three misses in a row the error five seconds ahead grows to about twice that of the same filter")
-    for (n, q), expected in ((VELOCITY, (2.1, 8)), (ACCELERATION, (1.8, 12))):
-        lost = [worst_ratio(missed, lambda dt, n=n, q=q: taught["motion"](n, dt, q), lesson.R) for missed in (3, 10)]
-        assert (round(lost[0], 1), round(lost[1])) == expected
-
-
-def test_the_list_of_the_small_computer():
-    says("The gains can be listed beforehand")
-    assert "from the eighth step on within 2 % of the limit" in source(CELLS["device"])
-    gains = mpt.KalmanFilter(lesson.FILTERS["acceleration, q = 0.01"]).coefficients(200).B[:, :, 0]
-    off = np.abs(gains / gains[-1] - 1).max(axis=1)
-    assert np.flatnonzero(off > 0.02)[-1] + 2 == 8
-    said, true = map(float, re.findall(r"in five seconds ([\d.]+) m on", shown(CELLS["device"])))
-    says(f"This run is off by {true - said:.1f} m; the typical error there is 1.5 m.")
-    names = made()
-    z = names["road"](np.arange(-60, 7), 2)[:, None] + np.random.default_rng(9).normal(0, np.sqrt(0.1), (67, 1000))
-    x, _ = names["track"](z - z[0], *names["motion"](3, 1.0, 0.01), 0.1)
-    found = [names["ahead"](each, 5) for each in x[-1].T] + z[0] - names["road"](11, 2)
-    assert f"{rms(found):.1f}" == "1.5"
-    names = made()
-    exec(source(CELLS["device"]), names)
-    from_first = (names["z"] - names["first"])[:, None]
-    assert np.flatnonzero(np.isnan(from_first)).tolist() == [40]
-    x = mpt.KalmanFilter(lesson.FILTERS["acceleration, q = 0.01"]).filter(from_first)[-1]
-    np.testing.assert_allclose([names[each] for each in "sva"], x, atol=1e-3)  # 25 steps after the miss
-
-
-def test_with_a_worse_sensor_the_acceleration_gains_less():
-    """With q such that the filter with acceleration is as calm as that of velocity with q = 1, as the table judges."""
-    says("If both filters are tuned to 7 m on the calm road, they differ by some 6 % at most, either way.")
-    says("Tuned to 13 m, each wins its own brake by 2 m/s² by nearly a fifth, and the stop by 4 m/s² is nearly even.")
-    names = made(R=25.0)
-    noise = np.random.default_rng(7).normal(0, 5.0, (71, 100))
-    ratios = {}
-    for q, calm in ((1.0, 7), (10.0, 13)):
-        of_velocity = names["calm"](2, q)
-        assert round(of_velocity) == calm
-        both = (2, q), (3, equally_calm(names, 2, q))
-        for brake in ((2, np.inf), (4, np.inf), (2, 3)):
-            velocity, acceleration = (rms(names["misses"](*each, *brake, noise)) for each in both)
-            ratios[q, brake] = acceleration / velocity
-    assert 0.93 < min(each for (q, _), each in ratios.items() if q == 1) < 0.95
-    assert ratios[10.0, (2, np.inf)] == pytest.approx(0.82, abs=0.02)
-    assert 1.15 < ratios[10.0, (2, 3)] < 1.25
-    assert ratios[1.0, (2, 3)] == pytest.approx(1.06, abs=0.02)
-    assert 0.93 < ratios[10.0, (4, np.inf)] < 1
-    of_velocity = names["calm"](*VELOCITY)
-    model = mpt.constant_velocity(1.0, 1.0, 25.0)
-    made_of = mpt.metrics.error_moments(mpt.SteadyStateFilter.from_kalman(model), replace(model, Q=0 * model.Q), 400)
-    assert of_velocity == pytest.approx(np.sqrt(np.array([1, 5]) @ made_of.covariance[-1] @ np.array([1, 5])))
+def test_at_four_a_stop_is_nearly_a_tie(taught):
+    says("In a stop by 4 m/s² the two hardly differ, and with a sensor of 5 m nowhere.")
+    table = [re.split(r"  +", line.strip()) for line in shown(CELLS["brakes"]).splitlines()]
+    assert table[4][-1] == "a 1.13"

@@ -149,9 +149,7 @@ def test_the_walk_of_the_picture():
     late = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "P0": WIDE}))
     error = (true - late.filter(measured[:, None])[:, 0])[2:]
     says("The paper's filter is 1.5 m behind on average, and always far outside the grey stripe.")
-    says("(The dashed line has a stripe of its own, ± 0.47 m.)")
-    settled = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE})).covariances(100)
-    assert f"{2 * np.sqrt(settled[-1, 0, 0]):.2f}" == "0.47"
+    says("The surprises scatter as they should: 95 % or more lie within ± 2.")
     assert f"{error.mean():.1f}" == "1.5"
     assert (error > 2 * np.sqrt(late.covariances(60)[2:, 0, 0])).all()
     new = mpt.metrics.innovations(late, measured[:, None])
@@ -207,13 +205,10 @@ def test_what_counts_is_the_push_over_the_noise():
     assert (np.diff(by_push) < 0).all()
 
 
-def alarms(push, H, minutes=20_000, seed=14, share=1.0):
-    """The mean NIS, and the share of minutes whose NIS is not within 1 ± 2 sqrt(2/60), after one that settles.
-
-    The filter's Q is a share of that of the pushes.
-    """
+def alarms(push, H, minutes=20_000, seed=14):
+    """The mean NIS, and the share of minutes whose NIS is not within 1 ± 2 sqrt(2/60), after one that settles."""
     _, measured = lesson.walk(120, push, minutes, seed)
-    kf = mpt.KalmanFilter(replace(mpt.gsm_axis(dt=1.0, q=share * push**2, r=0.1), H=H, P0=WIDE))
+    kf = mpt.KalmanFilter(replace(mpt.gsm_axis(dt=1.0, q=push**2, r=0.1), H=H, P0=WIDE))
     new = mpt.metrics.innovations(kf, measured[:, None])
     nis = (new.values[60:, 0] ** 2 / new.S[60:, 0, 0].reshape(60, -1)).mean(axis=0)
     return nis.mean(), np.mean(np.abs(nis - 1) > 2 * np.sqrt(2 / 60))
@@ -221,7 +216,7 @@ def alarms(push, H, minutes=20_000, seed=14, share=1.0):
 
 def test_how_often_a_minute_raises_an_alarm():
     """The share is one of 20,000 minutes or more, 0.4 % give or take at most; its mean NIS is the exact one."""
-    says("The alarms are counted in 20,000 simulated minutes or more")
+    says("The shares of minutes are counted in 20,000 simulated ones or more")
     pushes = (0.1, 0.3, 0.6, 1.0)
     found = [alarms(push, NEXT, 80_000 if push == 0.1 else 20_000) for push in pushes]
     for push, (nis, _) in zip(pushes, found, strict=True):
@@ -229,17 +224,14 @@ def test_how_often_a_minute_raises_an_alarm():
     limits = 60 * (1 + np.array([-2, 2]) * np.sqrt(2 / 60))
     honest = chi2.cdf(limits[0], 60) + chi2.sf(limits[1], 60)  # its surprises are white and Gaussian: any push
     assert alarms(0.6, NOW)[1] == pytest.approx(honest, abs=0.006)
-    says("| σ of a push (m/s) | 0.1 | 0.3 | 0.6 | 1 |")
+    says("| σ of a push (m/s), with a sensor wrong by 0.32 m | 0.1 | 0.3 | 0.6 | 1 |")
     for name, shares in (("paper's filter", [share for _, share in found]), ("right filter", 4 * [honest])):
         says(f"| {name} | {' | '.join(f'{100 * share:.0f} %' for share in shares)} |")
-    nis, tuned = alarms(0.6, NEXT, share=0.5)
-    says(f"With half the Q at 0.6 m/s the {100 * found[2][1]:.0f} % fall to {100 * tuned:.0f} %")
-    assert nis == pytest.approx(1, abs=0.05)
 
 
 def test_three_hours_show_that_something_is_off_and_a_minute_does_not():
     minute, hours = ([float(each) for each in re.findall(r"\d\.\d\d", line)] for line in printed_by("nis").splitlines())
-    says("The minute alarms nobody. Three hours of such pushes (the speed strays far, and NIS does not mind) show that")
+    says("Three hours of such pushes show that something is a little off, but not what.")
     assert all(abs(nis - 1) < 2 * minute[2] for nis in minute[:2])
     assert hours[0] < 1 - 3 * hours[2]
     assert abs(hours[1] - 1) < 2 * hours[2]
@@ -257,7 +249,7 @@ def test_nis_of_the_lesson_is_that_of_the_package(taught):
 
 
 def test_somebody_who_turns_back_alarms_both():
-    says("it lags for a while, too; with the Q of this page NIS shows the turn, with either H.")
+    says("If you turn back within a step, it lags for a while, too.")
     seconds = np.arange(200)
     positions = np.cumsum(1.5 * (1 - 2 * (seconds // 20 % 2)))
     z = positions[:, None] + np.random.default_rng(0).normal(0, np.sqrt(0.1), (200, 200))
@@ -274,7 +266,7 @@ def test_the_ramp_of_the_four_cases():
     found = re.findall(r"off by (-?[\d.]+) m and ([\d.]+) m/s", printed_by("ramp"))
     assert found == [("0.00", "0.00"), ("-1.50", "0.00"), ("1.50", "0.00"), ("0.00", "0.00")]
     assert len(code_of("ramp").split("\n\n\n")[0].splitlines()) == 5
-    says("Five lines of code, and one fact about the sensor, bring it to light.")
+    says("A few lines of code, and one fact about the sensor, bring it to light.")
 
 
 def after_ramp(F, H, Q, r, sensor, dt=1.0, v=1.5, rows=1000):
@@ -317,31 +309,15 @@ def test_each_wrong_entry_of_f_and_h_shows_on_a_ramp():
             assert np.abs(off).max() > 1e-3, (entry, q, r)
 
 
-def test_an_f_that_lets_the_speed_decay_fails_a_ramp():
-    says("If F lets the speed decay, a filter fails the ramp even where it is right.")
-    off = after_ramp(np.array([[1.0, 1.0], [0.0, 0.95]]), NOW, motion(1.0, 0.01)[2], 0.1, 0.0)
-    assert (np.abs(off) > 0.1).all()
-
-
-@pytest.mark.parametrize("push", [0.1, 1.0, 3.0])
-def test_a_measurement_of_the_next_position_is_h_with_a_larger_r(push):
-    """In the next position there is half a push more, of the variance (σ of a push · Δt/2)²."""
-    says("| a step later | [1 Δt] | add (σ of a push · Δt/2)² to r, for the push on the way there: σ is then right to")
-    says("right to some 5 % |")
-    true, measured = lesson.walk(121, push, tracks=4000)
-    axis = mpt.gsm_axis(1.0, push**2, 0.1 + (push / 2) ** 2)
-    kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(axis), "P0": WIDE}))
-    made = np.sqrt(np.mean((kf.filter(measured[1:, None])[60:, 0] - true[60:-1]) ** 2))
-    assert made / np.sqrt(kf.covariances(120)[-1, 0, 0]) == pytest.approx(1, abs=0.06)
-
-
 def test_a_ramp_sees_neither_q_nor_r():
-    says("Q, r and P. They change how fast the filter settles, not where, unless its gain for the speed fades to zero")
+    says("Q, r and P. They change how fast the filter settles, not where.")
     rng = np.random.default_rng(5)
     for _ in range(15):
         root = rng.normal(0, 1, (2, 2)) * 10 ** rng.uniform(-1, 1, (2, 1))
         off = after_ramp(np.array([[1.0, 1.0], [0.0, 1.0]]), NOW, root @ root.T, 10 ** rng.uniform(-2, 2), 0.0)
         assert np.abs(off).max() < 1e-6
+    off = after_ramp(np.array([[1.0, 1.0], [0.0, 1.0]]), NOW, np.zeros((2, 2)), 0.1, 0.0)
+    assert np.abs(off).max() < 1e-3  # the gain fades to zero, but the ramp is found before
 
 
 def parabola(F, H, Q, r, rows=1500, a=0.3):
@@ -356,7 +332,7 @@ def parabola(F, H, Q, r, rows=1500, a=0.3):
 
 
 def test_with_acceleration_four_entries_pass_the_ramp_and_not_the_parabola():
-    says("If the acceleration is a third state, a ramp does not see what multiplies it: add a parabola.")
+    says("If the acceleration is a third state, a ramp does not see what multiplies it: add a parabola,")
     rng = np.random.default_rng(6)
     for _ in range(2):
         q, r = 10 ** rng.uniform([-2, -1], [0, 1])
@@ -419,89 +395,24 @@ def test_a_sensor_of_the_next_position_raises_the_same_alarms():
     assert nis == pytest.approx(nis_of_late(1.0, push**2, 0.1), abs=0.01)
 
 
-def test_an_old_position_takes_a_negative_h_in_the_mean_only():
-    old, age = np.array([[1.0, -3.0]]), 3
-    L, made = makes(old, age=age)
-    np.testing.assert_allclose(L, np.eye(2), atol=1e-9)
-    states = np.sqrt(settled(old)[2][0, 0])
-    real = np.sqrt(made[0, 0])
-    says(f"For positions three seconds old it claims σ = {states:.2f} m here, and its real error is {real:.2f} m;")
-    F, _, Q = motion(1.0, 0.01)
-    P = settled(NOW)[2]
-    for _ in range(age):
-        P = F @ P @ F.T + Q
-    says(f"filtering and predicting has {np.sqrt(P[0, 0]):.2f} m, and claims it.")
-    # both by simulation, which owes nothing to the formulas above
-    true, measured = lesson.walk(100, tracks=20_000)
-    for H, rms in ((old, np.sqrt(made[0, 0])), (NOW, np.sqrt(P[0, 0]))):
-        kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": H, "P0": WIDE}))
-        x = kf.filter(measured[:-age, None])[-1]
-        if H is NOW:
-            x = np.linalg.matrix_power(F, age) @ x
-        assert np.sqrt(np.mean((x[0] - true[-1]) ** 2)) == pytest.approx(rms, rel=0.02)
-
-
-def test_uneven_steps_give_the_late_filter_away():
-    """F, H and Q are those of each step, of a walk at 1.5 m/s with pushes of 0.1 m/s per second."""
-    says(
-        "With Δt between 0.7 and 1.3 s NIS is 1.6 on the calm walk. Between 0.95 and 1.05 s it shows nothing there, and"
-    )
-    says("is more than 2 at 15 m/s.")
-    late, _ = nis_of_uneven_steps(0.95, 1.05, speed=15.0)
-    assert 2 < late < 3
-    late, right = nis_of_uneven_steps(0.95, 1.05)
-    assert late == pytest.approx(nis_of_late(1.0, 0.01, 0.1), abs=0.03)
-    late, right = nis_of_uneven_steps(0.7, 1.3)
-    assert late == pytest.approx(1.6, abs=0.15)  # of other steps too: it depends on which come after which
-    assert right == pytest.approx(1, abs=0.02)
-
-
-def nis_of_uneven_steps(shortest, longest, speed=1.5):
-    """The mean NIS of the late and of the right filter."""
-    rng = np.random.default_rng(11)
-    tracks, rows = 2000, 100
-    steps = rng.uniform(shortest, longest, rows)
-    true = np.stack([np.zeros(tracks), np.full(tracks, speed)])
-    x, P = np.zeros((2, 2, tracks)), np.stack([WIDE, WIDE])
-    x[:, 1] = speed
-    found = []
-    for dt in steps:
-        F, G, Q = motion(dt, 0.01)
-        true = F @ true + G * rng.normal(0, 0.1, tracks)
-        z = true[0] + rng.normal(0, np.sqrt(0.1), tracks)
-        of_step = []
-        for i, H in enumerate((np.array([[1.0, dt]]), NOW)):
-            predicted, P_p = F @ x[i], F @ P[i] @ F.T + Q
-            S = (H @ P_p @ H.T).item() + 0.1
-            K = P_p @ H.T / S
-            new = z - H @ predicted
-            x[i], P[i] = predicted + K @ new, P_p - K @ H @ P_p
-            of_step.append(np.mean(new**2) / S)
-        found.append(of_step)
-    return np.mean(found[20:], axis=0)
-
-
 def test_what_lasts_for_minutes_drops_out_of_the_walk_past_a_mark():
-    """Errors that fade within the eleven seconds from the mark to the turn count most; those of half an hour hardly."""
-    says("Errors that last some seconds make that 0.15 s: repeat the walk, or go faster. Those that last many minutes")
+    """Errors of half an hour hardly count, where independent ones make 0.11 s."""
+    says("A wrong position of the mark drops out, and so do errors that last for many minutes.")
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE}))
-    rng, spread = np.random.default_rng(3), {}
+    rng, keep = np.random.default_rng(3), np.exp(-1 / 1800)
     positions = 1.5 * np.concatenate([np.arange(60), 59 - np.arange(1, 60)])
-    for tau in (5.0, 1800.0):
-        keep = np.exp(-1 / tau)
-        errors = np.empty((119, 2000))
-        errors[0] = rng.normal(0, np.sqrt(0.1), 2000)
-        for k in range(1, 119):
-            errors[k] = keep * errors[k - 1] + rng.normal(0, np.sqrt(0.1 * (1 - keep**2)), 2000)
-        found = kf.filter((positions[:, None] + errors)[:, None])[:, 0]
-        spread[tau] = ((found[59 + 11] - found[59 - 11]) / 3.0).std()
-    assert 0.13 < spread[5.0] < 0.155
-    assert spread[1800.0] < 0.03
+    errors = np.empty((119, 2000))
+    errors[0] = rng.normal(0, np.sqrt(0.1), 2000)
+    for k in range(1, 119):
+        errors[k] = keep * errors[k - 1] + rng.normal(0, np.sqrt(0.1 * (1 - keep**2)), 2000)
+    found = kf.filter((positions[:, None] + errors)[:, None])[:, 0]
+    spread = ((found[59 + 11] - found[59 - 11]) / 3.0).std()
+    assert spread < 0.03
 
 
 def test_after_a_turn_a_filter_looks_late_until_it_has_settled():
     """Without noise, of the right filter: the delay that the mark tells, by seconds between the mark and the turn."""
-    says("Walk evenly for as long as the filter takes to settle after a turn, here ten seconds, and for the longest")
+    says("Walk evenly for as long as the filter takes to settle after a turn, here ten seconds, plus the longest")
     kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": NOW, "P0": WIDE}))
 
     def delay(beyond):
@@ -533,7 +444,7 @@ def test_an_h_that_fits_the_sensor_passes_the_ramp(taught, h):
 
 
 def test_an_old_position_is_mended_by_its_age_times_the_velocity(taught):
-    says("For a fraction of a step, put that fraction in place of Δt into F, and predict without Q: σ then lacks only")
+    says("once for each step, and for a fraction of one with that fraction in place of Δt in F |")
     for delay in (0.4, 1.0, 2.7):
         position, speed = taught["ramp"](NOW, -delay)
         assert position + delay * (1.5 + speed) == pytest.approx(0, abs=1e-6)
@@ -556,3 +467,24 @@ def test_the_half_in_g():
 
 def test_a_lesson_calls_no_ledger():
     assert not any(re.search(r"\bpublished\(|\bpaper\.", source(cell)) for cell in LESSON.cells)
+
+
+def test_an_old_position_takes_a_negative_h_in_the_mean_only():
+    old, age = np.array([[1.0, -3.0]]), 3
+    L, made = makes(old, age=age)
+    np.testing.assert_allclose(L, np.eye(2), atol=1e-9)
+    states = np.sqrt(settled(old)[2][0, 0])
+    real = np.sqrt(made[0, 0])
+    says(f"for positions three seconds old it claims {states:.2f} m, and its real error is {real:.2f} m.")
+    F, _, Q = motion(1.0, 0.01)
+    P = settled(NOW)[2]
+    for _ in range(age):
+        P = F @ P @ F.T + Q
+    # both by simulation, which owes nothing to the formulas above
+    true, measured = lesson.walk(100, tracks=20_000)
+    for H, rms in ((old, np.sqrt(made[0, 0])), (NOW, np.sqrt(P[0, 0]))):
+        kf = mpt.KalmanFilter(mpt.LinearModel(**{**matrices(lesson.PRINTED), "H": H, "P0": WIDE}))
+        x = kf.filter(measured[:-age, None])[-1]
+        if H is NOW:
+            x = np.linalg.matrix_power(F, age) @ x
+        assert np.sqrt(np.mean((x[0] - true[-1]) ** 2)) == pytest.approx(rms, rel=0.02)

@@ -19,7 +19,6 @@ import mpt_helpers as mpt
 from mpt_helpers import tracks
 from mpt_helpers.__main__ import main
 from mpt_helpers.tracks import cleaning, readers, report, writers
-from mpt_helpers.tracks import line as lines
 
 RIDE = ROOT / "docs" / "tracks" / "ride.gpx"
 PNG = b"\x89PNG"
@@ -34,11 +33,11 @@ def no_pixels(monkeypatch):
 CLEANED = {}
 
 
-def cleaned_once(*track, show=None, clean=tracks.clean, **how):
+def cleaned_once(*track, clean=tracks.clean, **how):
     """The cleaned track. The same fixes, which many tests write in some form to some place, are cleaned once."""
     key = pickle.dumps((track, sorted(how.items())))
     if key not in CLEANED:
-        CLEANED[key] = clean(*track, show=show, **how)
+        CLEANED[key] = clean(*track, **how)
     return deepcopy(CLEANED[key])
 
 
@@ -222,7 +221,6 @@ def test_a_pipe_a_device_or_nothing_is_refused_at_once(tmp_path, capsys):
         mpt.track(tmp_path / "pipe.gpx")
     for path, words in {
         tmp_path / "pipe.gpx": "needs a file, got",
-        "/dev/stdin": "needs a file with a name of its own",
         tmp_path / "none.gpx": "No such file",
     }.items():
         code, _, err = said(capsys, path)
@@ -234,7 +232,7 @@ def test_out_names_the_folder(spoilt, tmp_path, capsys):
     folder = tmp_path / "there"
     code, _, err = said(capsys, spoilt, "--out", folder)
     assert code == 1
-    assert f"there: needs a folder that exists, to write to; make it: mkdir -p {folder}" in err
+    assert "there: needs a folder that exists, to write to" in err
     folder.mkdir()
     assert said(capsys, spoilt, "--out", folder)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == ["giro.png", "giro_smooth.gpx"]
@@ -352,7 +350,7 @@ def test_hdop_weighs_the_fixes(tmp_path):
         (lambda text: re.sub("<time>.*?</time>", "", text), "got 0 of 300, 300 with no time that can be read"),
         (
             lambda text: re.sub("<time>.*?</time>", "<time>noon</time>", text),
-            "needs ISO 8601, Unix seconds, or seconds from 0 in column 'time', got 'noon': numbers are decimal",
+            "needs ISO 8601, Unix seconds, or seconds from 0 in column 'time', got 'noon': pandas.to_datetime makes",
         ),
         (
             lambda text: re.sub("<time>.*?</time>", "<time>2024-05-03T10:00:00Z</time>", text),
@@ -666,35 +664,6 @@ def test_the_way_and_the_time_in_motion_are_those_within_segments(seed):
     expected = [metres / 1000, seconds, 3.6 * np.median(speed[speed > 0.5]), 3.6 * np.quantile(speed, 0.999)]
     expected.append(3.6 * np.sqrt(np.median(P[inside, 1, 1])))
     np.testing.assert_allclose(list(report.distance_and_speeds(c).values()), expected, rtol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_q_and_r_of_a_long_track_are_those_of_segments_that_begin_with_two_fixes(seed, monkeypatch):
-    """As many segments as fit, from the first fix to the last; the first two fixes of each tell where it begins."""
-    rng = np.random.default_rng(seed)
-    most, each, N = 60, 12, int(rng.integers(61, 300))
-    monkeypatch.setattr(lines, "MOST_FITTED", most)
-    monkeypatch.setattr(lines, "FITTED_AT_A_TIME", each)
-    z = rng.standard_normal((N, 2)).cumsum(axis=0)
-    z[rng.random(N) < 0.2] = np.nan
-    z[[0, -1]] = 0.0
-    first = np.zeros(N, bool)
-    first[[0, 1, N // 2, N // 2 + 1]] = True
-    number = np.arange(N) // (N // 2)
-    line = cleaning.Line(np.arange(N), np.arange(N) * 1.0, z, 0 * z, first, number, None)
-    part = lines._sample(line)
-    starts = np.linspace(0, N - each, most // each).astype(int)
-    rows = sorted({row for start in starts for row in range(start, start + each)})
-    np.testing.assert_array_equal(part.rows, rows)
-    np.testing.assert_array_equal(part.z, z[rows])
-    due = first.copy()
-    for start in starts:
-        left = 2
-        for row in range(start, N):
-            if left and not np.isnan(z[row]).all():
-                due[row], left = True, left - 1
-    np.testing.assert_array_equal(part.first, due[rows])
-    assert lines._sample(line.part(slice(most))).first.sum() == first[:most].sum()
 
 
 @pytest.fixture(scope="module")
