@@ -183,10 +183,10 @@ def square_root(C):
     array([[2., 0.],
            [0., 0.]])
     """
-    sigma = np.sqrt(np.maximum(C.diagonal(axis1=-2, axis2=-1), 0))[..., None]
+    sigma = np.sqrt(np.maximum(np.einsum("...ii->...i", C), 0))[..., None]
     unit = np.where(sigma > 0, sigma, 1)
     w, V = np.linalg.eigh(C / unit / _transposed(unit))
-    least = C.shape[-1] * np.finfo(float).eps * w[..., -1:]
+    least = w.shape[-1] * np.finfo(float).eps * w[..., -1:]
     w = np.where(w > least, w, 0)[..., None, :]  # a smaller eigenvalue is the rounding of a zero
     return sigma * (V * np.sqrt(w)) @ _transposed(V)
 
