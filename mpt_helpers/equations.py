@@ -174,7 +174,7 @@ def masked(H, R, seen):
 
 
 def square_root(C):
-    """Return a matrix G with G Gᵀ = C for a positive semidefinite matrix C (n×n).
+    """Return a matrix G with G Gᵀ = C for a positive semidefinite matrix C (n×n), or a stack of them.
 
     It is diag(σ) times the symmetric root of the correlation matrix: unique, so that tracks drawn with it do not depend
     on the signs that an eigenvalue routine picks, and accurate for variances of very different size.
@@ -183,11 +183,12 @@ def square_root(C):
     array([[2., 0.],
            [0., 0.]])
     """
-    sigma = np.sqrt(np.maximum(np.diag(C), 0))
+    sigma = np.sqrt(np.maximum(np.einsum("...ii->...i", C), 0))[..., None]
     unit = np.where(sigma > 0, sigma, 1)
-    w, V = np.linalg.eigh(C / unit[:, None] / unit)
-    w = np.where(w > len(w) * np.finfo(float).eps * w[-1], w, 0)  # a smaller eigenvalue is the rounding of a zero
-    return sigma[:, None] * (V * np.sqrt(w)) @ V.T
+    w, V = np.linalg.eigh(C / unit / _transposed(unit))
+    least = w.shape[-1] * np.finfo(float).eps * w[..., -1:]
+    w = np.where(w > least, w, 0)[..., None, :]  # a smaller eigenvalue is the rounding of a zero
+    return sigma * (V * np.sqrt(w)) @ _transposed(V)
 
 
 def _transposed(stack):

@@ -20,6 +20,7 @@ import numpy as np
 
 from .. import _checks as checks
 from ..equations import square_root, start_gain, unit_measurements
+from .columns import product
 
 # Up to this many tracks, a numpy call costs more in overhead than in arithmetic.
 FEW_TRACKS = 64
@@ -35,8 +36,9 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 MOST_PASSES = 3
 # S is the variance of a predicted measurement due to P, in units of its noise. Above VAGUE_S, an update row by row
 # leaves about three digits in P. The root of S, by which a vague start is solved, has twice as many digits: above
-# LARGEST_S, its rounding causes an error of some percent of R in P.
+# LARGEST_S, its rounding causes an error of some percent of R in P. Below CLEAR_S, updates row by row keep nine digits.
 VAGUE_S = 1e12
+CLEAR_S = 1e6
 LARGEST_S = 1e30
 # Eigenvalues of a correlation matrix are taken to be at least this: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
@@ -48,7 +50,7 @@ def run_rows(advance, rows, x0, P0, x, P):
     """Filter all rows from x0 (n, c, W) and P0 (n, n, W), in pieces where that is faster and loses no digits.
 
     The states x(1) ... x(N) are written to x (N, n, c, W), and P(1) ... P(N) to P (N, n, n, W) unless it is None.
-    Returns the largest variances (W, n), or None where the covariances exceeded double precision.
+    Returns the largest variances (W, n), NaN where the covariances exceeded double precision.
     """
     N, _, c, W = x.shape
     K, largest = rows_per_piece(N, c * W), None
@@ -65,16 +67,17 @@ def _in_sequence(advance, rows, x_k, P_k, x, P):
 
     An overflow persists to the last row; a negative variance may not.
     """
-    least, largest = 0.0, P_k.diagonal()
+    largest = P_k.diagonal()
+    least = np.zeros_like(largest)
     for k, row in enumerate(_one_by_one(rows)):
         x_k, P_k, _ = advance(row, x_k, P_k)
         x[k] = x_k
         variances = P_k.diagonal()
-        least, largest = min(least, variances.min()), np.maximum(largest, variances)
+        least, largest = np.minimum(least, variances), np.maximum(largest, variances)
         if P is not None:
             P[k] = P_k
-    held = least == 0 and np.isfinite(P_k).all()
-    return P_k, largest if held else None
+    held = (least == 0).all(axis=1) & np.isfinite(P_k).all(axis=(0, 1))
+    return P_k, np.where(held[:, None], largest, np.nan)
 
 
 def _in_pieces(advance, rows, K, x0, P0, x, P):
@@ -92,7 +95,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
         # Each piece starts where the preceding one ends, the first at x0 and P0.
         x_next = np.concatenate([x0, x_pieces[-1, ..., :-W]], axis=-1)
         P_next = np.concatenate([P0, P_last[..., :-W]], axis=-1)
-        if largest is not None and agree(x_start, P_start, x_next, P_next):
+        if np.isfinite(largest).all() and agree(x_start, P_start, x_next, P_next):
             x[...] = uncut(x_pieces, N, W)
             if P is not None:
                 P[...] = uncut(P_pieces, N, W)
@@ -234,105 +237,109 @@ def run_rows_of_any_start(advance, rows, x0, P0, x, P, directions):
     `advance` is that of an optimal filter, and directions are the `directions_seen` of its sensors. Returns whether the
     covariances stayed within double precision.
     """
-    k, x_k, P_k = 0, x0, P0
-    if not (largest_S(directions, P0.diagonal()) < VAGUE_S).all():
-        k, x_k, P_k = _from_a_vague_start(advance, rows, x0, square_root(P0[..., 0]), x, P, directions)
+    first_x, first_P = x0[None], P0[None]  # x and P before each of the rows 0 to k
+    if _vague(directions, P0.diagonal()).any():
+        next_x, next_P, done = _from_a_vague_start(advance, rows, x0, P0, directions, "P0")
+        if (done == len(next_x)).all():  # else some columns had a pause too soon: below, all are filtered again
+            first_x, first_P = np.concatenate([first_x, next_x]), np.concatenate([first_P, next_P])
+    k = len(first_x) - 1
+    x[:k] = first_x[1:]
+    if P is not None:
+        P[:k] = first_P[1:]
     rest = of_each(rows, lambda array: array[k:])
-    largest = run_rows(advance, rest, x_k, P_k, x[k:], None if P is None else P[k:])
-    W = x.shape[-1]
-    suspects = np.arange(W) if largest is None else np.flatnonzero(~(largest_S(directions, largest) < VAGUE_S))
-    suspects = suspects[rest[1][..., suspects].any(axis=(0, 1)) | (largest is None)]
-    if not len(suspects):
+    largest = run_rows(advance, rest, first_x[k], first_P[k], x[k:], None if P is None else P[k:])
+    again = np.flatnonzero(_vague(directions, largest))  # perhaps only where nothing is measured: P of each row tells
+    if not len(again):
         return True
-    # The variances may be large only where nothing is measured: look at those after each measurement.
-    own = of_each(rest, lambda array: array[..., suspects])
-    x_own, P_own = np.empty_like(x[k:, ..., suspects]), np.empty((len(own[0]), *P0.shape[:2], len(suspects)))
-    held = run_rows(advance, own, x_k[..., suspects], P_k[..., suspects], x_own, P_own)
-    vague = _leave_P_vague(own, P_own, directions).any(axis=0) | (held is None)
-    for column in suspects[vague]:
-        here = slice(column, column + 1)
-        P_here = np.empty((len(x), *P0.shape[:2], 1)) if P is None else P[..., here]
-        own = of_each(rows, lambda array, here=here: array[..., here])
-        if not _run_rows_with_pauses(advance, own, x0[..., here], P0[..., here], x[..., here], P_here, directions):
-            return False
-    return True
+    own = of_each(rows, lambda array: array[..., again])
+    own_x, own_P = (np.empty((len(x) + 1, *first.shape[1:-1], len(again))) for first in (first_x, first_P))
+    own_x[: k + 1], own_P[: k + 1] = first_x[..., again], first_P[..., again]
+    held = _run_rows_with_pauses(advance, own, k, own_x, own_P, directions)
+    x[..., again] = own_x[1:]
+    if P is not None:
+        P[..., again] = own_P[1:]
+    return held
 
 
-def _leave_P_vague(rows, P, directions):
-    """Tell which rows have a measurement and leave P (N, n, n, W) vague, (N, W)."""
-    return rows[1].any(axis=1) & ~(largest_S(directions, P.diagonal(axis1=1, axis2=2)) < VAGUE_S)
+def _vague(directions, variances):
+    """Tell which states of these variances (..., n) make a measurement more than VAGUE_S times as uncertain as R."""
+    return ~(largest_S(directions, variances) < VAGUE_S)  # true of NaN
 
 
-def _run_rows_with_pauses(advance, rows, x0, P0, x, P, directions):
-    """Filter all rows of one column (W = 1), and start anew at each row that leaves P vague, as after a long pause.
+def _run_rows_with_pauses(advance, rows, k, x, P, directions):
+    """Filter the rows from k on, and start anew at each row that leaves P vague: a pause is a start.
 
-    Returns whether the covariances stayed within double precision.
+    x (N + 1, n, c, W) and P (N + 1, n, n, W) are those before each row, known up to row k. Columns that go on from the
+    same row do so together. Returns whether the covariances stayed within double precision.
     """
-    k = 0
-    while k < len(x):
-        x_k, P_k = (x0, P0) if k == 0 else (x[k - 1], P[k - 1])
-        part = slice(k, k + ROWS_BETWEEN_PAUSES)
-        here = of_each(rows, lambda array, part=part: array[part])
-        held = run_rows(advance, here, x_k, P_k, x[part], P[part])
-        vague = _leave_P_vague(here, P[part], directions)[:, 0]
-        if not largest_S(directions, P_k.diagonal()) < VAGUE_S:  # before all of them
-            vague = here[1].any(axis=(1, 2))
-        if vague.any():
-            k += vague.argmax()
-            if k and not np.isfinite(P[k - 1]).all():  # an overflow, not a pause
+    N, vague = len(rows[0]), _vague(directions, P[k].diagonal())
+    at = np.full(len(vague), k)  # the next row of each column
+    while (k := at.min()) < N:
+        columns = np.flatnonzero(at == k)
+        anew = vague[columns].any()
+        if anew:
+            columns = columns[vague[columns]]
+        end = N if anew else k + ROWS_BETWEEN_PAUSES - k % ROWS_BETWEEN_PAUSES
+        here = of_each(rows, lambda array, part=slice(k, end), columns=columns: array[part][..., columns])
+        x_k, P_k = x[k][..., columns], P[k][..., columns]
+        if anew:
+            if not np.isfinite(P_k).all():  # an overflow, not a pause
                 return False
-            k += _from_a_pause(advance, rows, k, x0, P0, x, P, directions)
-        elif held is None:
-            return False
+            name = "P0" if k == 0 else "z" if rows[2] is None else "t"
+            x_here, P_here, done = _from_a_vague_start(advance, here, x_k, P_k, directions, name)
+            vague[columns] = False
         else:
-            k = part.stop
+            x_here, P_here = (np.empty((len(here[0]), *each.shape)) for each in (x_k, P_k))
+            largest = run_rows(advance, here, x_k, P_k, x_here, P_here)
+            left_vague = here[1].any(axis=1) & _vague(directions, P_here.diagonal(axis1=1, axis2=2))
+            vague[columns] = left_vague.any(axis=0)
+            if not np.isfinite(largest[~vague[columns]]).all():
+                return False
+            done = np.where(vague[columns], left_vague.argmax(axis=0), len(x_here))
+        after = slice(k + 1, k + 1 + len(x_here))
+        x[after][..., columns], P[after][..., columns] = x_here, P_here
+        at[columns] += done
     return True
 
 
-def _from_a_pause(advance, rows, k, x0, P0, x, P, directions):
-    """Filter rows from row k on as `_from_a_vague_start`, from the prediction up to row k. Returns their number.
-
-    The prediction has covariance F P Fᵀ + Q = A Aᵀ with A = [F P^½, Q^½]: this root keeps the digits of both terms.
-    """
-    x_k, P_k = (x0, P0) if k == 0 else (x[k - 1], P[k - 1])
-    A = square_root(P_k[..., 0])
-    z, seen, F, Q, r = of_each(rows, lambda array: array[k:])
-    if F is not None:  # row k follows on the prediction after no time
-        A = np.hstack([F[0, ..., 0] @ A, square_root(Q[0, ..., 0])])
-        x_k = np.tensordot(F[0, ..., 0], x_k, axes=1)
-        F, Q = F.copy(), Q.copy()
-        F[0], Q[0] = np.eye(len(x_k))[..., None], 0.0
-    name = "z" if F is None else "t"
-    return _from_a_vague_start(advance, (z, seen, F, Q, r), x_k, A, x[k:], P[k:], directions, name)[0]
-
-
-def _from_a_vague_start(advance, rows, x0, A, x, P, directions, name="P0"):
-    """Filter the first rows from a vague P0 = A Aᵀ. Returns their number, and x and P after the last of them.
+def _from_a_vague_start(advance, rows, x0, P0, directions, name):
+    """Filter the first rows from a vague P0. Returns x and P after each, and the number of rows of each column (W,).
 
     Row by row, the first updates would lose as many digits as P0 / R has, and without process noise never regain them.
-    So the rows 0 to k are treated as one piece, extended by one row at a time, and row k is its end. This continues
-    until P is no longer vague, by the `directions_seen`, and each sensor of each track has measured 2 n times;
-    or until a track has no more measurements. It ends before a row that makes P vague again even from an exact start,
-    as a pause does. An error names what is too vague.
+    So the rows 0 to k are treated as one piece, extended by one row at a time, and row k is its end. A column continues
+    until S is clear of vague (CLEAR_S), or until it is not vague and each sensor has measured 2 n times, or until
+    nothing more is measured. It ends before a row that makes P vague again even from an exact start, as a pause does.
+
+    name is the argument that makes P0 vague, for errors. After a pause, name "t", row 0 is predicted first: its
+    covariance F P Fᵀ + Q is A Aᵀ with A = [F P^½, Q^½], a root that keeps the digits of both terms.
     """
+    z, seen, F, Q, r = rows
+    A = square_root(np.moveaxis(P0, 2, 0))
+    if name == "t":
+        x0 = product(F[0], x0)
+        A = np.concatenate([np.moveaxis(F[0], 2, 0) @ A, square_root(np.moveaxis(Q[0], 2, 0))], axis=2)
+        F, Q = F.copy(), Q.copy()
+        F[0], Q[0] = np.eye(len(x0))[..., None], 0.0  # row 0 follows on the prediction after no time
     n, c, W = x0.shape
-    counts = np.cumsum(rows[1], axis=0)
+    counts = np.cumsum(seen, axis=0)
+    last = (counts == counts[-1]).all(axis=1)
     often = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=1)
-    all_seen = (counts == counts[-1]).all(axis=1)
-    L, y, done = np.zeros((0, n, W)), np.zeros((0, c, W)), 0
-    for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, rows, n)):
-        if done and not (largest_S(directions, P_piece.diagonal()) < VAGUE_S).all():
+    L, y, x, P = np.zeros((0, n, W)), np.zeros((0, c, W)), [], []
+    paused, enough, done = np.zeros(W, bool), np.zeros(W, bool), np.zeros(W, int)
+    for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, (z, seen, F, Q, r), n)):
+        if k > 0:
+            paused |= _vague(directions, P_piece.diagonal())
+        if (paused | enough).all():
             break
-        if rows[1][k].any():
+        if seen[k].any():
             L, y = _compressed(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
         x_k, P_k = _after_a_piece(x_piece[:, :c], y, x_piece[:, c:], P_piece, L, x0, A, name)
-        x[k] = x_k
-        if P is not None:
-            P[k] = P_k
-        done = k + 1
-        if (all_seen[k] | (often[k] & (largest_S(directions, P_k.diagonal()) < VAGUE_S))).all():
-            break
-    return done, x_k, P_k
+        x.append(x_k)
+        P.append(P_k)
+        done += ~paused
+        S = largest_S(directions, P_k.diagonal())
+        enough |= last[k] | (S < CLEAR_S) | (often[k] & (S < VAGUE_S))
+    return np.array(x), np.array(P), done
 
 
 def _after_a_piece(x_piece, y, T, P_piece, L, x0, A, name):

@@ -26,15 +26,16 @@ def estimates(estimator, epochs, x, covariances):
     P is (N, n, n, 1) where all tracks share it.
     """
     N, _, M = x.shape
-    if estimator.optimal and largest_S(directions_of(estimator, epochs), estimator.P0.diagonal()) > VAGUE_S:
-        return _on_columns(estimator, epochs, x, covariances)
+    directions = directions_of(estimator, epochs) if estimator.optimal else None
+    if estimator.optimal and largest_S(directions, estimator.P0.diagonal()) > VAGUE_S:
+        return _on_columns(estimator, epochs, x, covariances, directions)
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
     # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
     alike = epochs.dt is None and epochs.r is None and (unsearched or not epochs.missing.any())
     shared = estimator.shared_steps(N, M) if alike else None
     if shared is None:
-        return _on_columns(estimator, epochs, x, covariances)
+        return _on_columns(estimator, epochs, x, covariances, directions)
     steps, products = shared
     run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:
@@ -44,7 +45,7 @@ def estimates(estimator, epochs, x, covariances):
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.any():
         of_gaps = np.empty((*x.shape[:2], gaps.sum()))
-        _on_columns(estimator, epochs.of(gaps), of_gaps, covariances=False)
+        _on_columns(estimator, epochs.of(gaps), of_gaps, False, directions)
         x[..., gaps] = of_gaps
     return None
 
@@ -58,10 +59,9 @@ def directions_of(estimator, epochs):
     return estimator.directions_by(np.diag(R))
 
 
-def _on_columns(estimator, epochs, x, covariances):
+def _on_columns(estimator, epochs, x, covariances, directions):
     """Compute the `estimates` of tracks as columns, tile by tile."""
     (N, n, M), W = x.shape, epochs.width
-    directions = directions_of(estimator, epochs)
     P = np.empty((N, n, n, W)) if covariances else None
     most = TILE if W == 1 else TILE_OF_COVARIANCES
     if W > 1 and epochs.dt is not None:  # each row of each track has an F and a Q
@@ -78,7 +78,7 @@ def _on_columns(estimator, epochs, x, covariances):
         if estimator.optimal:
             held = run_rows_of_any_start(estimator.advance, rows, x0, P0, x_part, P_part, directions)
         else:
-            held = run_rows(estimator.advance, rows, x0, P0, x_part, P_part) is not None
+            held = np.isfinite(run_rows(estimator.advance, rows, x0, P0, x_part, P_part)).all()
         require_held(held)
     return P
 

@@ -21,8 +21,8 @@ from .shared import epochs_at_a_time
 # UNDRIVEN times its variance after the first measurement.
 DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
-# The largest S (see `pieces`) after the first epoch: the smoothed states near a vague start are the small rest of a
-# large P, and rounding leaves one or two digits in it.
+# The largest S (see `pieces`) of a sensor that has just measured: the smoothed states near a vague start, or after a
+# long pause, are the small rest of a large P, and rounding leaves one or two digits in it.
 MOST_TO_SMOOTH = 1e15
 
 
@@ -34,10 +34,7 @@ def smoothed(estimator, epochs):
     if N == 1:
         return x, P
     _warn_of_undriven_modes(epochs.motion, P[0])
-    S = largest_S(directions_of(estimator, epochs), P[0].diagonal()).max()
-    if S > MOST_TO_SMOOTH:
-        need = f"for smooth a start that leaves what is measured less than {MOST_TO_SMOOTH:g} times as uncertain as R"
-        checks.refuse("P0", f"{need} does after the first epoch (a smaller P0 says as little)", f"{S:.2g} times")
+    _require_digits(directions_of(estimator, epochs), epochs.missing[:-1], P[:-1], epochs.dt is not None)
     d, C, D = np.empty_like(x[:-1]), np.empty_like(P[:-1]), np.empty_like(P[:-1])
     for part in epochs_at_a_time(N - 1, P[0].size):
         motion = epochs.motions(slice(part.start + 1, part.stop + 1))
@@ -48,8 +45,8 @@ def smoothed(estimator, epochs):
 
     # The pass starts from x(N/N) and P(N/N), and writes to reversed views of x and P, epoch N - 1 first.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
-    held = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
-    require_held(held is not None)
+    largest = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+    require_held(np.isfinite(largest).all())
     return x, P
 
 
@@ -109,3 +106,26 @@ def _warn_of_undriven_modes(motion, P):
         text = f"smooth: F has damped modes without process noise, {', '.join(undriven)}, so the backward pass is"
         text += " ill-conditioned and covariances may be wrong. Process noise of a millionth of the variances helps"
         checks.warn(text)
+
+
+def _require_digits(directions, missing, P, timed):
+    """Raise a ValueError where a sensor has just measured, and within n steps will see an S above MOST_TO_SMOOTH.
+
+    A sensor that has not measured does no harm: nothing that it sees is known well beside what is vague.
+    """
+    m, n, variances = missing.shape[1], P.shape[1], P.diagonal(axis1=1, axis2=2)
+    if largest_S(directions, variances.max(axis=0)).max() <= MOST_TO_SMOOTH:
+        return
+    p = min(m, n)  # more sensors than states are joined
+    seen = ~missing[..., : P.shape[3]]
+    for j in range(p):
+        measured = seen[:, j] if p == m else seen.any(axis=1)
+        S = np.where(measured, largest_S(directions[j::p], variances), 0)
+        if S.max() > MOST_TO_SMOOTH:
+            k, column = np.argwhere(S > MOST_TO_SMOOTH)[0]
+            name, what, advice = "P0", "a start that leaves", "a smaller P0 says as little"
+            if seen[:k, :, column].any():
+                name, what = ("t", "pauses that leave") if timed else ("z", "gaps that leave")
+                advice = "or smooth what is before and after by itself"
+            need = f"for smooth {what} what is measured less than {MOST_TO_SMOOTH:g} times as uncertain as R does"
+            checks.refuse(name, f"{need} ({advice})", f"{S.max():.2g} times")

@@ -108,11 +108,7 @@ def unusual(c: Cleaned) -> list[str]:
             "mobile turns or stops between them, or neighbouring fixes share their errors. r is assumed, the line "
             "stays near the fixes, and errors lengthen the way"
         )
-    rows = c.line.rows[fixes[c.line.rows]]
-    off = (c.z - c.x[:, ::2])[rows]
-    if c.line.relative is not None:
-        off = off / np.sqrt(c.line.relative[fixes[c.line.rows]])
-    off = np.linalg.norm(off, axis=1)
+    off = np.linalg.norm(_off_the_line(c)[fixes[c.line.rows]], axis=1)
     far = float(np.mean(off > FAR * np.median(off)))
     if far > A_FEW and math.isfinite(c.log_errors["r"]):
         found.append(
@@ -126,12 +122,16 @@ def unusual(c: Cleaned) -> list[str]:
     return found
 
 
+def _off_the_line(c):
+    """Return how far the fixes of the line's rows are from it (K, m), in m of a fix of median precision."""
+    off = (c.z - c.x[:, ::2])[c.line.rows]
+    return off if c.line.relative is None else off / np.sqrt(c.line.relative)
+
+
 def _along_and_across(c):
     """Return how far fixes in motion are from the smoothed line, along it and across it (rms, m), and their number."""
     rows = c.line.rows
-    velocity, off = c.x[rows, 1:4:2], (c.z - c.x[:, ::2])[rows, :2]
-    if c.line.relative is not None:
-        off = off / np.sqrt(c.line.relative[:, :2])
+    velocity, off = c.x[rows, 1:4:2], _off_the_line(c)[:, :2]
     speed = np.linalg.norm(velocity, axis=1)
     moving = np.isfinite(off).all(axis=1) & c.mask[rows] & (speed > MOVING)
     if c.z.shape[1] == 1 or not moving.any():
