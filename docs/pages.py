@@ -246,7 +246,7 @@ def home_page(about, given):
 
 
 class Lesson(NamedTuple):
-    """A lesson: its file's name, its title, its first sentence, and the paper of whose notebook it speaks."""
+    """A lesson: its file's name, its title, its question, and the paper of whose notebook it speaks."""
 
     name: str
     title: str
@@ -261,11 +261,7 @@ def lessons():
 
 def described_lesson(name, cells):
     """Return a lesson as the home page and the page of its paper list it."""
-    first = source(cells[0])
-    prose = [
-        part.strip() for part in first.split("\n\n")[1:] if part.strip() and not part.lstrip().startswith(("*", "<"))
-    ]
-    question = re.split(r"(?<=[.?!])\s", " ".join(prose[0].split()))[0] if prose else ""
+    question = re.search(r"(?m)^\*([^*]+)\*$", source(cells[0]))[1]
     linked = re.findall(r"\]\(\.\./(\w+)\.ipynb", "\n".join(map(source, cells)))
     return Lesson(name, title(cells), question, next((key for key in linked if key in keys()), ""))
 
