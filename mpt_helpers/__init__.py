@@ -10,7 +10,7 @@ To see how the filters work, read in this order:
 - `riccati` solves for the limits, `metrics` and `bands` judge results, `fitting` estimates the parameters of a model by
   means of `search`, `monte_carlo` repeats experiments;
 - `_base`: what every filter offers; `_engine`: how a filter runs over tracks, in `columns` (one epoch), `run`, `shared`
-  (tracks without gaps), `pieces` (a long track) and `smoother` (the way back).
+  (tracks without gaps), `pieces` (a long track) and `smoother` (the backward pass).
 
 Papers are cited by their year:
 

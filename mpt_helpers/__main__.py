@@ -10,7 +10,7 @@ USAGE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code, 2 as of any command line that is not understood."""
+    """Run a command and return its exit code; 2 if the command line is not understood."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     if given[:1] == ["track"]:
         from .tracks.__main__ import main as track

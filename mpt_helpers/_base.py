@@ -10,8 +10,8 @@ Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, b
 
 Their covariances are (N, n, n, M), or (N, n, n, 1) where all tracks share them.
 
-A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine does the rest; how z goes through it is
-told in `_engine/__init__.py`. The general `advance` calls `next_step` for each track, KalmanFilter has a faster one.
+A `RecursiveFilter` defines `next_step`: A_k, B_k and P of one step. The engine runs it over tracks, as described in
+`_engine/__init__.py`. The general `advance` calls `next_step` for each track; KalmanFilter has a faster one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from inspect import signature
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -318,13 +318,6 @@ class Filter(Immutable):
         n, m = self.model.n, self.model.m
         return f"<{type(self).__name__}: {n} state{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}{given}>"
 
-    if not TYPE_CHECKING:  # a type checker would take every name for one that is there
-
-        def __getattr__(self, name: str) -> Any:
-            """Name `step` where filterpy's `predict` or `update` is asked for. This runs only where no such name is."""
-            hint = "; step(x, P, z_k) predicts and updates" if name in ("predict", "update") else ""
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=self)
-
     def _not_recursive(self, name: str = "estimator") -> TypeError:
         return TypeError(f"{name}: needs a filter with P0, covariances and step, got a {type(self).__name__}")
 
@@ -340,7 +333,7 @@ class RecursiveFilter(Filter):
 
     model: LinearModel
 
-    # A class that has the Kalman gain, and the covariance of it, says so: its tracks can be smoothed.
+    # True in a class whose gain is the Kalman gain for its P. Only its tracks can be smoothed.
     optimal: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
@@ -391,13 +384,14 @@ class RecursiveFilter(Filter):
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks.
 
-        A subclass may have a faster version. It needs one to take times and variances with a `next_step` of its own.
+        A subclass may override it by a faster version. To take times or variances, one with a `next_step` of its own
+        has to.
 
         Parameters
         ----------
         row : tuple
-            z (m, c, W), zero where missing; seen (m, W), which are there; F and Q (n, n, W) and r (m, W), or None where
-            they are the model's. Each of W columns has c tracks with one P (see `_engine.columns`).
+            z (m, c, W), zero where missing; seen (m, W), False where missing; F and Q (n, n, W) and r (m, W), or None
+            where they are the model's. Each of W columns has c tracks with one P (see `_engine.columns`).
         x, P : ndarray (n, c, W), (n, n, W)
             The states and covariances before the row, which are not modified.
 

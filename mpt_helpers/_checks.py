@@ -1,4 +1,4 @@
-"""Checks of user input where it enters; all code behind relies on them.
+"""Checks of user input where it enters the package; the code behind does not check it again.
 
 There is a check where bad input would silently give a wrong number, or where the error would not name the argument.
 """
@@ -110,7 +110,7 @@ def real_numbers(name: str, value: Any, need: str, *shapes: tuple[int | str, ...
         refuse(name, need, "None" if value is None else f"an array of objects of type {kinds}", TypeError)
     if values.dtype.kind not in "iuf":
         refuse(name, need, f"an array of {values.dtype} data", TypeError)
-    if shapes and values.shape not in shapes and not any(_fits(values.shape, shape) for shape in shapes):
+    if shapes and not any(_fits(values.shape, shape) for shape in shapes):
         refuse(name, need, f"shape {values.shape}")
     return values
 
@@ -196,7 +196,7 @@ def state(x: Any, P: Any, n: int) -> tuple[np.ndarray, np.ndarray]:
 def measurements(z: Any, m: int, name: str = "z") -> Array:
     """Return measurements, NaN where one is missing, as floats (N, m) or (N, m, M); (N,) of one sensor is (N, 1).
 
-    Infinite values pass: `no_infinity` looks for them once a result is not finite.
+    Infinite values pass; callers search for them with `no_infinity` if a result is not finite.
     """
     need = f"an (N, {m}) or (N, {m}, M) array of numbers, NaN where one is missing"
     of_one = [("N",)] if m == 1 else []
@@ -220,7 +220,7 @@ def one_measurement(value: Any, m: int, name: str = "z_k") -> tuple[Array, np.nd
 
 
 def variances(name: str, value: object, m: int) -> Array:
-    """Return variances (N, m) or (N, m, M) as a read-only float array, without a look at the numbers."""
+    """Return variances (N, m) or (N, m, M) as a read-only float array; `used_variances` checks their values."""
     values = measurements(value, m, name).copy(order="C")
     values.flags.writeable = False
     return values

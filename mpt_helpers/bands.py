@@ -183,21 +183,21 @@ def ahead(estimator: Filter, z: ArrayLike, seconds: Seconds) -> ForecastErrors:
     N, m, M = z.shape
     t = np.broadcast_to(estimator.times_of(N).reshape(N, -1), (N, M))
     R = np.broadcast_to(estimator.epochs_of(z).noise(model.R), (N, m, m, M))
-    start = model.x0, estimator.P0
     tracks = []
     for c in range(M):
         of_track = (each[..., c] for each in (t, z, x, P, R))
-        tracks.append(_forecasts_of_track(model, start, *of_track, seconds))  # type: ignore[call-arg]
-    track = np.repeat(np.arange(M), [len(made) for made, *_ in tracks])
-    if len(track) == 0:
+        forecasts = _forecasts_of_track(model, estimator.P0, seconds, *of_track)
+        tracks.append(forecasts | {"track": np.full(len(forecasts["made"]), c)})
+    fields = {name: np.concatenate([each[name] for each in tracks]) for name in tracks[0]}
+    K = len(fields["made"])
+    if K == 0:
         checks.refuse("seconds", SUITABLE_HORIZON, f"{seconds:g}")
-    *arrays, rests = (np.concatenate(parts) for parts in zip(*tracks, strict=True))
-    left_out = int(np.isfinite(z).any(axis=1).sum()) - len(track)
-    return ForecastErrors(*arrays, track, rests, left_out, seconds)  # type: ignore[call-arg]  # mypy counts no *arrays
+    left_out = int(np.isfinite(z).any(axis=1).sum()) - K
+    return ForecastErrors(**fields, left_out=left_out, seconds=seconds)
 
 
-def _forecasts_of_track(model, start, t, z, x, P, R, seconds):
-    """Return the arrays of ForecastErrors of one track, but for `track`; start is x0 and P0."""
+def _forecasts_of_track(model, P0, seconds, t, z, x, P, R):
+    """Return the arrays of ForecastErrors of one track by name."""
     fixes = np.flatnonzero(np.isfinite(z).any(axis=1))
     t_fix = t[fixes]
     checking = np.searchsorted(t_fix, t_fix + seconds * (1 - TIME_ROUNDING))
@@ -206,20 +206,31 @@ def _forecasts_of_track(model, start, t, z, x, P, R, seconds):
     due = checking[made]
     row, due_row = fixes[made], fixes[due]
     expected, S = _predicted_measurement(model, x[row], P[row], later[made], R[due_row])
-    sigma = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
+    return {
+        "made": t[row],
+        "due": t[due_row],
+        "errors": z[due_row] - expected,
+        "sigma": np.sqrt(np.diagonal(S, axis1=1, axis2=2)),
+        "recent": _recent_sizes(model, P0, seconds, t, z, x, P, R, fixes)[made],
+        "row": row,
+        "due_row": due_row,
+        "fixes": due - made,
+        "rests": _repeats(z[due_row], z[row]),
+    }
 
-    # One step ahead, for the recent average of NIS / m.
-    x_before, P_before = np.vstack([start[0], x])[fixes], np.concatenate([start[1][None], P])[fixes]
+
+def _recent_sizes(model, P0, seconds, t, z, x, P, R, fixes):
+    """Return c after each of the fixes (rows of z), from the innovations of a prediction from one row to the next."""
+    x_before, P_before = np.vstack([model.x0, x])[fixes], np.concatenate([P0[None], P])[fixes]
     steps = np.diff(t, prepend=t[0] - model.dt)[fixes]
-    one_step_ahead, S = _predicted_measurement(model, x_before, P_before, steps, R[fixes])
-    nis = _nis_per_number(z[fixes] - one_step_ahead, S)
-    in_horizon = np.arange(len(fixes)) - np.searchsorted(t_fix, t_fix - seconds * (1 + TIME_ROUNDING))
-    average, recent = 1.0, np.empty(len(fixes))
+    expected, S = _predicted_measurement(model, x_before, P_before, steps, R[fixes])
+    nis = _nis_per_number(z[fixes] - expected, S)
+    in_horizon = np.arange(len(fixes)) - np.searchsorted(t[fixes], t[fixes] - seconds * (1 + TIME_ROUNDING))
+    average, sizes = 1.0, np.empty(len(fixes))
     for k in range(len(fixes)):
         average = _updated_average(average, nis[k], in_horizon[k])
-        recent[k] = _recent_size(average)
-    errors = z[due_row] - expected
-    return t[row], t[due_row], errors, sigma, recent[made], row, due_row, due - made, _repeats(z[due_row], z[row])
+        sizes[k] = _recent_size(average)
+    return sizes
 
 
 def following(a: ForecastErrors, before: ForecastErrors | None = None, level: float = 0.95) -> Array:

@@ -372,9 +372,8 @@ def _warnings(found, z, guess, bounded):
 def _distance_of_x0(estimator, z):
     """Return the distance of x0 from the best initial state of a track, in standard deviations: the largest of all.
 
-    The innovations are linear in the initial state: e = e_0 - G d for x0 + d. With P0 = 0 and at unit covariance, least
-    squares gives d and its covariance V. The residuals give the scale c of V: a fit to a far start makes every S too
-    large by the same factor. The distance is the root of dᵀ (P0 + c V)⁻¹ d; for other filters than Kalman it is zero.
+    It is zero for other filters than Kalman. The innovations at unit covariance are linear in the initial state, so
+    those from n + 1 states give e = e_0 - G d for any x0 + d.
     """
     if not isinstance(estimator, KalmanFilter):
         return 0.0
@@ -388,9 +387,19 @@ def _distance_of_x0(estimator, z):
     G = np.array([e - innovations_from(model.x0 + unit)[0] for unit in np.eye(model.n)])
     farthest = 0.0
     for track, measured in enumerate(count.sum(axis=0).tolist()):
-        e_0, G_0 = e[..., track].ravel(), G[..., track].reshape(model.n, -1).T
-        V = np.linalg.pinv(G_0.T @ G_0, hermitian=True)
-        d = V @ G_0.T @ e_0
-        c = np.sum((e_0 - G_0 @ d) ** 2) / (measured - model.n) if measured > model.n else 1.0
-        farthest = max(farthest, float(d @ np.linalg.pinv(model.P0 + c * V, hermitian=True) @ d))
-    return math.sqrt(farthest)
+        G_0 = G[..., track].reshape(model.n, -1).T
+        farthest = max(farthest, _distance_of_start(e[..., track].ravel(), G_0, measured, model.P0))
+    return farthest
+
+
+def _distance_of_start(e, G, measured, P0):
+    """Return the distance of d, the start by least squares from e = G d + noise, from zero in standard deviations.
+
+    d has the covariance c V, and zero has P0. The residuals give the scale c, since a fit to a far start makes every S
+    too large by the same factor. `measured` is the number of innovations; the others are zero.
+    """
+    n = len(P0)
+    V = np.linalg.pinv(G.T @ G, hermitian=True)
+    d = V @ G.T @ e
+    c = np.sum((e - G @ d) ** 2) / (measured - n) if measured > n else 1.0
+    return math.sqrt(d @ np.linalg.pinv(P0 + c * V, hermitian=True) @ d)

@@ -42,7 +42,7 @@ class KalmanFilter(RecursiveFilter):
     `filter` returns the estimates, `covariances` their P, `estimates` both, `smooth` those given all of z; `step` takes
     one measurement at a time.
 
-    A subclass with a `next_step` of its own takes t or r only with an `advance` of its own (see RecursiveFilter).
+    A subclass that overrides `next_step` must override `advance`, too, to take t or r (see RecursiveFilter).
 
     Parameters
     ----------

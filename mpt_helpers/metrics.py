@@ -277,27 +277,50 @@ def suspicious(estimator: Filter, z: ArrayLike) -> dict[str, str]:
     median = float(np.nanmedian(squares)) if np.isfinite(squares).any() else 0.0
     found = {}
     if median > 0:
-        ratio, largest = median / MEDIAN_OF_A_SQUARE, np.nanmax(squares) / median
-        if not FAR_TOO_SMALL < ratio < FAR_TOO_LARGE:
-            units = "in the units of q and r (metres and seconds, not degrees, kilometres or milliseconds)?"
-            found["units"] = f"the median NIS is {ratio:.0e} times what it should be: are z and t {units}"
-        if largest > OUTLIER:
-            k, _, track = np.unravel_index(np.nanargmax(squares), squares.shape)
-            row = f"row {k} of z" if z.shape[2] == 1 else f"row {k} of track {track} of z"
-            found["far off"] = f"{row} is far off: its NIS is {largest:.0e} times the median one"
-        clipped = np.clip(np.nan_to_num(unit / math.sqrt(median)), -CLIP, CLIP)
-        correlation = float((clipped[1:] * clipped[:-1]).sum() / np.square(clipped).sum())
-        if abs(correlation) > CORRELATED:
-            size = "small" if correlation > 0 else "large"
-            why = f"q is too {size} for r (are the two exchanged?), or the model of motion is wrong"
-            found["correlated"] = f"successive innovations have a correlation of {correlation:.2f}: {why}"
-    seen = np.isfinite(z)
-    stopped = np.diff(estimator.times_of(len(z)).reshape(len(z), -1), axis=0) == 0  # (N-1, 1 or M)
+        found["units"] = _about_units(median / MEDIAN_OF_A_SQUARE)
+        found["far off"] = _about_an_outlier(squares / median)
+        found["correlated"] = _about_correlation(unit / math.sqrt(median))
+    found["same time"] = _about_equal_times(estimator.times_of(len(z)), np.isfinite(z))
+    return {kind: text for kind, text in found.items() if text}
+
+
+def _about_units(ratio):
+    """Return a warning if the median NIS is this many times that of a consistent filter, or an empty text."""
+    if FAR_TOO_SMALL < ratio < FAR_TOO_LARGE:
+        return ""
+    units = "in the units of q and r (metres and seconds, not degrees, kilometres or milliseconds)?"
+    return f"the median NIS is {ratio:.0e} times what it should be: are z and t {units}"
+
+
+def _about_an_outlier(squares):
+    """Return a warning if one of the NIS (N, m, M), in units of their median, is far larger, or an empty text."""
+    largest = np.nanmax(squares)
+    if largest <= OUTLIER:
+        return ""
+    k, _, track = np.unravel_index(np.nanargmax(squares), squares.shape)
+    row = f"row {k} of z" if squares.shape[2] == 1 else f"row {k} of track {track} of z"
+    return f"{row} is far off: its NIS is {largest:.0e} times the median one"
+
+
+def _about_correlation(innovations):
+    """Return a warning if successive innovations (N, m, M), of median square 1, are correlated, or an empty text."""
+    clipped = np.clip(np.nan_to_num(innovations), -CLIP, CLIP)
+    correlation = float((clipped[1:] * clipped[:-1]).sum() / np.square(clipped).sum())
+    if abs(correlation) <= CORRELATED:
+        return ""
+    size = "small" if correlation > 0 else "large"
+    why = f"q is too {size} for r (are the two exchanged?), or the model of motion is wrong"
+    return f"successive innovations have a correlation of {correlation:.2f}: {why}"
+
+
+def _about_equal_times(t, seen):
+    """Return a warning if rows of seen (N, m, M) measure one axis twice at one time t (N, ...), or an empty text."""
+    stopped = np.diff(t.reshape(len(t), -1), axis=0) == 0  # (N-1, 1 or M)
     again = (stopped & (seen[1:] & seen[:-1]).any(axis=1)).any(axis=1)
-    if again.any():
-        rows = f"{again.sum()} row(s) have the time of the one before, the first is row {again.argmax() + 1}"
-        found["same time"] = f"{rows}: is it one fix, twice?"
-    return found
+    if not again.any():
+        return ""
+    rows = f"{again.sum()} row(s) have the time of the one before, the first is row {again.argmax() + 1}"
+    return f"{rows}: is it one fix, twice?"
 
 
 def nees(errors: ArrayLike, P: ArrayLike) -> Array:

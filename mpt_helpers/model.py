@@ -36,7 +36,8 @@ class LinearModel(Immutable):
         z(k)   = H x(k) + v(k),     v ~ N(0, R)
 
     A model is immutable; `dataclasses.replace` makes another one. With another dt or transition it has the F and Q that
-    the transition makes. With another F or Q it has no transition. Without one, another dt needs both F and Q.
+    the transition makes. With another F or Q it has no transition. A model without a transition takes another dt only
+    together with F and Q.
 
     Parameters
     ----------
@@ -634,7 +635,7 @@ def simulate(model: LinearModel, N: int, rng: Any, tracks: int | None = None) ->
     x0 = model.x0[:, None] + square_root(model.P0) @ rng.standard_normal((model.n, M))
     x = rng.standard_normal((N, model.n, M))
     step = Step(A=model.F, B=square_root(model.Q), P=None)
-    run_shared(products_for([step] * N, M), x0, x, x)  # driven by noise, which the states replace
+    run_shared(products_for([step] * N, M), x0, x, x)  # x holds the noise of each step, then the states
     z = square_root(model.R) @ rng.standard_normal((N, model.m, M))
     z += model.H @ x
     return (x[..., 0], z[..., 0]) if tracks is None else (x, z)

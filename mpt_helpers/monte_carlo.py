@@ -64,7 +64,7 @@ def study(
     results, done = np.empty(0), 0
     with _mapper(workers) as mapper, tqdm(total=runs, unit="run", disable=None, leave=False) as bar:
         for part in mapper(partial(_run_block, experiment, seed), range(blocks)):
-            if not done:  # all the memory that is needed: where there is not so much, numpy says so now
+            if not done:  # all memory is taken at once, so that a lack of it shows at the start
                 results = np.empty((*part.shape[:-1], blocks * BLOCK), part.dtype)
             elif (part.dtype, part.shape[:-1]) != (results.dtype, results.shape[:-1]):
                 both = " and ".join(f"{(*each.shape[:-1], BLOCK)} of {each.dtype}" for each in (results, part))
@@ -77,16 +77,10 @@ def study(
     return results[..., :runs]
 
 
-def _let_the_process_keep_memory():
-    """Make glibc keep freed arrays of up to 32 MB, the size of this one, for the next block.
-
-    Otherwise it returns them to the system, which maps and zeroes them anew for each block.
-    """
-    np.empty(2**25 - 2**16, np.uint8)
-
-
 def _run_block(experiment, seed, number):
-    _let_the_process_keep_memory()
+    # After an array of 32 MB was freed, glibc keeps freed arrays of up to that size for the next block. Otherwise the
+    # system maps and zeroes them anew for each block.
+    np.empty(2**25 - 2**16, np.uint8)
     stream = np.random.SeedSequence(seed, spawn_key=(number,))  # as `spawn` makes it
     part = experiment(np.random.Generator(np.random.SFC64(stream)), BLOCK)
     if np.asarray(part).dtype != bool:

@@ -24,9 +24,9 @@ AROUND = math.log(10) * np.arange(-2, 3)
 def along_a_line(rated, origin, direction, reach=COARSE, close=LINE_TOLERANCE, nothing=SIGNIFICANT):
     """Return the lowest point origin + s direction (d,) that a search finds, coarse at first.
 
-    rated(point) returns a shift and the value of the point with this shift added to all its components. `reach` are the
-    first values of s, and the last s is accurate to `close`. Values that differ by less than `nothing` count as equal;
-    of these the nearest is taken.
+    rated(point) returns a shift and the function's value after adding the shift to all components of the point. `reach`
+    are the values of s that are tried first; the s found is accurate to `close`. Values that differ by less than
+    `nothing` count as equal, and of these the one nearest to the start is taken.
     """
     known = {}
 
@@ -85,7 +85,8 @@ def newton(function, point):
     def derivatives(at):
         key = at.tobytes()
         if key not in known:
-            _, gradient, H = (_or_zero(each) for each in differences(function, at))
+            # Next to a point without a likelihood they are not finite: zeros end the search there.
+            _, gradient, H = (np.where(np.isfinite(each), each, 0.0) for each in differences(function, at))
             known[key] = gradient, H + FLAT_CURVATURE * np.abs(H).max() * np.eye(len(H))
         return known[key]
 
@@ -98,11 +99,6 @@ def newton(function, point):
     least = FLAT_GRADIENT * np.abs(curvature(point)).max()
     found = minimize(function, point, method="trust-exact", jac=gradient, hess=curvature, options={"gtol": least})
     return found.x
-
-
-def _or_zero(derivatives):
-    """Return derivatives, zero where they are not finite, next to a point without a likelihood: a search ends there."""
-    return np.where(np.isfinite(derivatives), derivatives, 0.0)
 
 
 def differences(function, point):

@@ -317,9 +317,13 @@ class _AtRest(Filter):
             values.append(new)
             variances.append(S)
             if new == new:  # not NaN
-                K_p, K_e = (p + both) / S, (both + e) / S
-                position, lasting = position + K_p * new, lasting + K_e * new
-                p, both, e = p - K_p * (p + both), both - K_p * (both + e), e - K_e * (both + e)
+                with_p, with_e = p + both, both + e  # covariances of the innovation with both states
+                K_p, K_e = with_p / S, with_e / S
+                position += K_p * new
+                lasting += K_e * new
+                p -= K_p * with_p
+                both -= K_p * with_e
+                e -= K_e * with_e
         return values, variances
 
 

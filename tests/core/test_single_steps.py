@@ -185,6 +185,19 @@ def test_an_infinite_measurement_of_a_step_is_refused_by_name_also_beside_a_miss
             kf.step(kf.model.x0, kf.model.P0, z_k)
 
 
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_step_refuses_arrays_of_numbers_that_are_not_finite(number):
+    """Arrays of floats go another way than lists, since they come in every step."""
+    x, P = np.zeros(2), np.eye(2)
+    with pytest.raises(ValueError, match=r"x: needs a \(2,\) array of finite numbers"):
+        KF.step(np.array([number, 0.0]), P, np.zeros(1))
+    with pytest.raises(ValueError, match=r"P: needs a \(2, 2\) array of finite numbers"):
+        KF.step(x, np.diag([1.0, number]), np.zeros(1))
+    if number == np.inf:
+        with pytest.raises(ValueError, match=r"z_k: needs .* of numbers, got infinity"):
+            KF.step(x, P, np.array([number]))
+
+
 @pytest.mark.parametrize("given_besides", [{"t": [1.0, 2.0, 4.0]}, {"r": [[0.5], [1.0], [2.0]]}], ids=["t", "r"])
 def test_a_step_of_ones_own_that_would_not_see_times_or_variances_is_refused(given_besides):
     """By columns it is not told of them: each row would silently be filtered with the model's dt and R."""

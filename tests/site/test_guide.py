@@ -119,6 +119,7 @@ def test_the_numbers_in_the_words_of_the_short_guide_are_right(short):
     assert "both at once hold less, here 93 %" in SHORT
 
 
+@pytest.mark.slow  # numbers in its words; its blocks show that the ride is cleaned well
 def test_what_the_short_guide_says_of_the_ride_as_it_is(short):
     t, z = short[0]["ride"].t, short[0]["ride"].z
     own = tracks.clean(t, z)
@@ -274,6 +275,7 @@ def test_a_jump_stands_out_in_the_nis_and_the_mean_after_the_fit_does_not_see_it
     assert above[0] > 5 > 1 > above[1]  # the second and the third line of the table
 
 
+@pytest.mark.slow  # a band that the page advises against; test_bands sees what a band learns from
 def test_a_live_band_that_learns_from_a_jump_is_nearly_twice_as_wide(other):
     (code,) = (code for code in codes(OTHER) if "def go" in code)
     told = "            quiet_until = t_k + 15\n"

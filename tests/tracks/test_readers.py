@@ -1,4 +1,4 @@
-"""What is read of files and frames, and what is refused with the way to mend it: nothing is guessed."""
+"""What is read of files and frames, and what is refused by name: nothing is guessed."""
 
 import bz2
 import gzip
