@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from inspect import signature
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -317,6 +317,13 @@ class Filter(Immutable):
         given = "".join(f", {name}" for name in ("t", "r") if getattr(self, name) is not None)
         n, m = self.model.n, self.model.m
         return f"<{type(self).__name__}: {n} state{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}{given}>"
+
+    if not TYPE_CHECKING:  # a type checker would take every name for one that is there
+
+        def __getattr__(self, name: str) -> Any:
+            """Name `step` where filterpy's `predict` or `update` is asked for. This runs only where no such name is."""
+            hint = "; step(x, P, z_k) predicts and updates" if name in ("predict", "update") else ""
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=self)
 
     def _not_recursive(self, name: str = "estimator") -> TypeError:
         return TypeError(f"{name}: needs a filter with P0, covariances and step, got a {type(self).__name__}")

@@ -7,6 +7,7 @@ even when all measurements of an epoch are missing.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -124,9 +125,7 @@ class KalmanFilter(RecursiveFilter):
         dt is the length of the step in s, r (m,) are the variances; the model's where not given. Raises ValueError for
         a P that is not a covariance, and for a step whose variances exceed double precision.
         """
-        # A copy, since predict and update change it, and other threads may take a step, too; copy.copy takes longer.
-        kf = object.__new__(filterpy.kalman.KalmanFilter)
-        vars(kf).update(vars(self._filterpy))
+        kf = copy.copy(self._filterpy)  # predict and update change it, and other threads may take a step, too
         kf.P = P
         U = self._units[1]
         if dt is not None:

@@ -328,6 +328,9 @@ def track(
         checks.refuse(path, f"at least {FEWEST} fixes with a time and a position", got)
     t, segment = recording.time[rows] / 1e6, recording.segment[rows]
     t -= t.min()
+    said = [*recording.said, *_notes_on_order(t, segment)]
+    if back and len(known) > (1 + MANY) * len(rows):
+        said.append("ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?")
     if recording.metres is None:
         charts, plane, z = geodesy.charts_of(recording.lat[rows], recording.lon[rows], segment)
         east = np.unwrap(recording.lon[rows], period=360)  # without a step of 360°
@@ -336,9 +339,10 @@ def track(
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]
     relative, weighted = _precision(recording, rows)
+    said += weighted
     how = {"seconds": seconds, "limit": limit, "pause": pause}
     c = clean(t, z, relative, segment=segment, rounding=max(grids) ** 2 / 12, **how)
-    return replace(c, source=Source(path, recording, rows, left_out, charts, plane, [*recording.said, *weighted]))
+    return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
 
 
 def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
@@ -363,6 +367,16 @@ def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int
         "a time that is not after the one before": int((somewhere & timed).sum()) - len(rows),
     }
     return rows, {reason: count for reason, count in reasons.items() if count > 0}
+
+
+def _notes_on_order(t, segment):
+    """Return notes on segments that are not in order of time, or overlap, as those of two receivers do."""
+    first = np.flatnonzero(np.append(True, np.diff(segment) != 0))
+    starts, ends = np.minimum.reduceat(t, first), np.maximum.reduceat(t, first)
+    order = np.argsort(starts, kind="stable")
+    if (starts[order][1:] < ends[order][:-1]).any():
+        return ["segments overlap in time, as of two receivers: each is a recording of its own"]
+    return [] if (np.diff(order) > 0).all() else ["segments are not in order of time"]
 
 
 def _precision(recording, rows):

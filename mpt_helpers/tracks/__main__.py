@@ -74,9 +74,14 @@ def _run(options):
     picture = folder / f"{stem}.png"
     if path.suffix != ".png":  # which is refused for what it holds
         require_free([picture], options.overwrite, path)  # before the work
-    c = tracks.track(path, columns=named, seconds=options.seconds, limit=options.limit, pause=options.pause)
-    png = io.BytesIO()
-    c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
+    _show("finding faults, fitting, smoothing ...")
+    try:
+        c = tracks.track(path, columns=named, seconds=options.seconds, limit=options.limit, pause=options.pause)
+        _show("drawing ...")
+        png = io.BytesIO()
+        c.plot().savefig(png, format="png", dpi=DPI, metadata={"Software": "mpt_helpers"})
+    finally:
+        _show("")
     if c.source.recording.metres is None:
         smooth, track = folder / f"{stem}_smooth.gpx", writers.gpx_bytes(c)
     else:
@@ -90,3 +95,9 @@ def _run(options):
         return
     print(c.report())
     print(f"written: {', '.join(files)}" + (f" (replaced: {', '.join(replaced)})" if replaced else ""))
+
+
+def _show(stage):
+    """Show what is being done on a terminal, in one line."""
+    if sys.stderr.isatty():
+        print(f"\r\033[K{stage}", end="", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""Files and tables in other formats, or of several mobiles: recognised, and refused."""
+"""Files and tables in other formats, and of several mobiles: recognised, and refused with the way to convert them."""
 
 from __future__ import annotations
 
@@ -25,6 +25,23 @@ KINDS = (
     (XML + rb"(?![?!]|([\w.-]+:)?gpx)", "another kind of XML, or a web page", "export it as GPX"),
     (rb"(?s).*\0|.{,99}[\1-\x08\x0e-\x1f]", "a binary file, or a damaged one", "export it as GPX or CSV"),
 )
+SIGNS = "{'N': 1, 'S': -1, 'E': 1, 'W': -1}"
+# How cells may look, and how to make numbers or times of their COLUMN.
+CONVERSIONS = (
+    (r"\d{13,}(\.\d*)?", "pandas.to_datetime(COLUMN, unit='ms'), 'us' or 'ns'; of digits format='%Y%m%d%H%M%S'"),
+    (r"\d{5}\.\d+", "days of a spreadsheet? pandas.to_datetime(COLUMN, unit='D', origin='1899-12-30')"),
+    (
+        r"-?[\d.]+",
+        "a clock's digits? pandas.to_datetime(frame['date'] + ' ' + COLUMN, format='ISO8601'), as texts; "
+        "seconds from another start? COLUMN - COLUMN.iloc[0]",
+    ),
+    (r"[+-]?\d+([.,'\s]\d{3})*[.,]?\d*", "pandas.read_csv(FILE, decimal=',', thousands='.'), or the two exchanged"),
+    (r"[\d. NSEW]+", f"COLUMN.str.strip('NSEW ').astype(float) * COLUMN.str.extract('([NSEW])')[0].map({SIGNS})"),
+    (r".*\d *[°º'd].*", "degrees + minutes / 60 + seconds / 3600, negative south and west"),
+    (r"\d{1,2}:\d\d.*", "a date is needed too: pandas.to_datetime(frame['date'] + ' ' + COLUMN)"),
+    (r"\d{4}\D.*", "pandas.to_datetime(COLUMN)"),
+    (r"(?s).*", "numbers are decimal, without a unit; of dates pandas.to_datetime(COLUMN, dayfirst=True), or False"),
+)
 # Several mobiles: a column changes its value at least so often, has so many fixes of each value, and these lie so much
 # farther from the line between their neighbours in time than from that between their neighbours of the same value.
 FEWEST_CHANGES, FIXES_OF_EACH, FARTHER = 10, 5, 2.5
@@ -38,13 +55,20 @@ def refuse_other_kinds(path: Path, data: bytes) -> None:
             refuse(path, "a GPX or CSV file", f"{kind}: {way.replace('FILE', path.name)}")
 
 
+def conversion_of(column: str, text: str) -> str:
+    """Return a cell of a column, and the way to convert the column."""
+    way = next(way for looks, way in CONVERSIONS if re.fullmatch(looks, text.strip()))
+    return f"{text!r:.40}: {way.replace('COLUMN', f'frame[{column!r}]')}"
+
+
 def refuse_signs(name: str, others: dict[str, list[str]], column: str, degrees: Array, plus: str, minus: str) -> None:
     """Refuse degrees whose sign stands in another column, as a word (NORTH, SOUTH) or its first letter."""
     for other, cells in others.items():
         words = [cell.strip().upper() for cell in cells]
         negative = np.array([word.startswith(minus[0]) for word in words], dtype=bool)
         if set(words) <= {plus, minus, plus[0], minus[0], ""} and (degrees[negative] > 0).any():
-            refuse(name, "signed degrees", f"the sign of {column} in column {other!r}, by {minus.lower()}")
+            way = f"frame[{column!r}] *= frame[{other!r}].str.strip().str.upper().str[0].map({SIGNS})"
+            refuse(name, "signed degrees", f"the sign of {column} in column {other!r}: {way}; or drop that column")
 
 
 def refuse_several(name: str, others: dict[str, list[str]], time: Array, position: Array) -> None:
@@ -61,7 +85,17 @@ def refuse_several(name: str, others: dict[str, list[str]], time: Array, positio
             continue
         apart, own = _off_the_lines(time[rows] / 1e6, position[rows], value)
         if apart > FARTHER * own:
-            refuse(name, "one mobile", f"{len(values)}, by their column {column!r}")
+            one = f"frame[frame[{column!r}].astype(str) == {str(values[np.argmax(np.bincount(value))])!r}]"
+            refuse(name, "one mobile", f"{len(values)}, by their column {column!r}: take one: {one}")
+
+
+def take_turns(time: Array, position: Array) -> bool:
+    """Tell whether two mobiles take turns: every other fix by itself makes a much straighter path than all fixes.
+
+    Rounded times of one mobile have the same effect, but move no fix farther than the mobile goes in two steps.
+    """
+    apart, own = _off_the_lines(time, position, np.arange(len(time)) % 2)
+    return bool(apart > FARTHER * own and apart > np.median(np.linalg.norm(position[2:] - position[:-2], axis=1)))
 
 
 def _off_the_lines(time, position, value):

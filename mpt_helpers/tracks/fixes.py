@@ -13,10 +13,12 @@ from .._checks import Array
 
 FEWEST = 10  # fixes
 LEAST_TOLD = 3  # fixes after the first two of their recordings
-LONG_PAUSE = 100 * 86400.0  # s: a receiver that does not know the date yet reports 1980, or is off by 1024 weeks
 # A recording ends if no fix follows within PAUSE seconds, or PAUSE_IN_STEPS median steps if these are longer: motion
 # before such a pause says nothing about motion after it.
 PAUSE, PAUSE_IN_STEPS = 60.0, 10
+# A group of fixes has wrong times if it has fewer than ten fixes and 5 % of all, and lies more than 100 days from the
+# others: a receiver that does not know the date yet reports 1980, or is off by 1024 weeks.
+STRAY, STRAY_SHARE, FAR_IN_TIME = 10, 0.05, 100 * 86400.0
 # A position is a repeat if no axis changes by more than LAST_DIGIT of the grid of the numbers, in all rows of the
 # repeat together. Rows are written faster than fixes are made if two conditions hold. At least a tenth of positions are
 # repeated while the mobile moves at half its median speed or faster (in recorded tracks it is 0 to 2 %), and the median
@@ -96,10 +98,15 @@ def fixes_of(t: Array, z: Array, begins_segment: NDArray[np.bool_], rounding: fl
         said.append(f"{again.sum()} rows repeat a position while the mobile moves on: they are no fixes")
     rows = np.flatnonzero(fix)
     begin = _begins(t[rows], begins_segment[rows], pause)
+    stray = _strays(t[rows], begin)
+    if stray.any():
+        said.append(f"refused: {stray.sum()} fixes whose time is months or years from all others")
+        rows, begin = rows[~stray], begin[~stray]
+        begin[0] = True
     if len(rows) < FEWEST:
         checks.refuse("t", f"at least {FEWEST} fixes at different times", len(rows))
     longest = np.diff(np.sort(t[rows])).max()
-    if longest > LONG_PAUSE:
+    if longest > FAR_IN_TIME:
         said.append(f"ATTENTION: for {longest / 86400:,.0f} days there is no fix: are the dates right?")
     counts = np.bincount(np.cumsum(begin) - 1)
     if np.maximum(counts - 2, 0).sum() < LEAST_TOLD:
@@ -156,6 +163,18 @@ def _begins(t, begins_segment, pause):
         inside = steps[steps > 0]
         pause = max(PAUSE, PAUSE_IN_STEPS * float(np.median(inside))) if len(inside) else PAUSE
     return np.append(True, (steps > pause) | (steps < 0) | begins_segment[1:])
+
+
+def _strays(t, begin):
+    """Return the mask of the fixes with a wrong time: a few that are months from all others."""
+    number = np.cumsum(begin) - 1
+    few = (np.bincount(number) < min(STRAY, STRAY_SHARE * len(t)))[number]
+    if few.all() or not few.any():
+        return np.zeros(len(t), dtype=bool)
+    sound = np.sort(t[~few])
+    after = np.searchsorted(sound, t)
+    low, high = sound[np.maximum(after - 1, 0)], sound[np.minimum(after, len(sound) - 1)]
+    return few & (np.minimum(np.abs(t - low), np.abs(t - high)) > FAR_IN_TIME)
 
 
 def grid_of(values: Array, grids: tuple[float, ...] = ()) -> float:

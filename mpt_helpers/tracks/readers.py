@@ -1,13 +1,15 @@
 """Recorded tracks from GPX files, from CSV files of named columns, and from pandas frames.
 
 No format is guessed. A table has `time` (ISO 8601, Unix seconds, or seconds from 0) and `lat`, `lon` (°) or `x`, `y`
-(m); it may also have `ele`, `hdop` and `accuracy`. Other names are given as `columns`. Anything else is refused.
+(m); it may also have `ele`, `hdop` and `accuracy`. Other names are given as `columns`. Anything else is refused, with
+the line of pandas, or the program, that converts it.
 """
 
 from __future__ import annotations
 
 import csv
 import gzip
+import io
 import itertools
 import math
 import re
@@ -24,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import Array, refuse
-from .doubts import refuse_other_kinds, refuse_several, refuse_signs
+from .doubts import conversion_of, refuse_other_kinds, refuse_several, refuse_signs
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 # What expat says of a file that is cut off.
@@ -33,9 +35,10 @@ COLUMNS = ("time", "lat", "lon", "x", "y", "ele", "hdop", "accuracy")
 GPX_COLUMNS = ("time", "lat", "lon", "ele", "hdop")
 MISSING = frozenset(["", "nan", "nat", "none", "null", "na", "n/a", "<na>", "-"])
 MANY = 0.1  # share of cells: if more of a column cannot be read, all of it is in another format
-# Unix seconds lie between UNIX and LATEST, the years 1973 and 2255. Smaller numbers count as seconds from 0 if the
-# first is below FROM_ZERO: others may be days, or the digits of a clock.
-UNIX, LATEST, FROM_ZERO = 1e8, 9e9, 100.0
+# Unix seconds lie between UNIX and LATEST, the years 1973 and 2255. Smaller numbers count as seconds if the first is
+# below FROM_ZERO, unless they look like a clock's hhmmss after midnight: steps below CLOCK_STEP, and last two digits
+# that are never 60 to 99.
+UNIX, LATEST, FROM_ZERO, CLOCK_STEP = 1e8, 9e9, 100.0, 40.0
 
 
 @dataclass(frozen=True)
@@ -77,10 +80,15 @@ def _contents(path):
         refuse(path, "a file", "a folder, a pipe or a device")
     data, said = path.read_bytes(), []
     if data.startswith(b"\x1f\x8b"):
+        file, parts = gzip.GzipFile(fileobj=io.BytesIO(data)), []
         try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
+            while part := file.read1():
+                parts.append(part)
+        except EOFError:
+            said.append("ATTENTION: the compressed file is cut off: the rest is lost")
+        except (OSError, zlib.error) as error:
             refuse(path, "a file that can be decompressed", f"a damaged one ({error})")
+        data = b"".join(parts)
     if data.endswith(b"\0"):
         data = data.rstrip(b"\0")
         said.append("ATTENTION: the file ends in empty bytes: what stood there is lost")
@@ -234,10 +242,15 @@ def _times(name, column, texts, one_zone):
     known = seconds[np.isfinite(seconds)]
     dated = not len(known) or np.isfinite(times).sum() > len(known)
     if not dated:
-        are_seconds = np.median(known) >= UNIX or 0 <= known[0] < FROM_ZERO
-        times = np.round(1e6 * seconds) if are_seconds else np.full(len(texts), math.nan)
-    way = ": pandas.to_datetime makes dates of most others"
-    return _checked(name, column, texts, times, "ISO 8601, Unix seconds, or seconds from 0", way), dated
+        times = np.round(1e6 * seconds) if _are_seconds(known) else np.full(len(texts), math.nan)
+    return _checked(name, column, texts, times, "ISO 8601, Unix seconds, or seconds from 0"), dated
+
+
+def _are_seconds(times):
+    """Tell whether numbers are Unix seconds or seconds from 0, and not the digits of a clock after midnight."""
+    step = np.median(np.diff(times)) if len(times) > 1 else 0.0
+    clock = step < CLOCK_STEP and times.max() >= FROM_ZERO and (times % 100 < 60).all()
+    return np.median(times) >= UNIX or (0 <= times[0] < FROM_ZERO and not clock)
 
 
 def _numbers(texts):
@@ -252,9 +265,9 @@ def _numbers(texts):
     return values
 
 
-def _checked(name, column, texts, values, need, way=""):
+def _checked(name, column, texts, values, need):
     """Return the values of a column, or refuse it as another format: many cells, or one with a comma, are unread."""
     unread = [texts[row] for row in np.flatnonzero(np.isnan(values)) if texts[row].strip().lower() not in MISSING]
     if len(unread) > MANY * len(texts) or any("," in text for text in unread):
-        refuse(name, f"{need} in column {column!r}", f"{unread[0]!r:.40}{way}")
+        refuse(name, f"{need} in column {column!r}", conversion_of(column, unread[0]))
     return values

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..fitting import UNKNOWN
+from .doubts import take_turns
+from .fixes import FAR_IN_TIME
 from .geodesy import earth_centred
 from .line import SMOOTHED
 from .readers import UNIX, moment_of
@@ -95,6 +97,8 @@ def unusual(c: Cleaned) -> list[str]:
         recording, rows = c.source.recording, c.source.rows[fixes]
         if max(np.abs(recording.lat[rows]).max() * 2, np.abs(recording.lon[rows]).max()) < math.pi:
             found.append("ATTENTION: all fixes lie in the Atlantic near 0° N 0° E: are they in radians?")
+    if take_turns(c.t[fixes], c.z[fixes]):
+        found.append("ATTENTION: every other fix lies on a path of its own: are these two receivers, or two mobiles?")
     along, across, count = _along_and_across(c)
     if count >= FEW and along > UNEVEN * across:
         why = "the speed varies between them (short stops count as motion), or their times are wrong"
@@ -165,9 +169,9 @@ def _heading(c):
     usual = float(np.median(steps))
     alike = np.isclose(steps, usual, rtol=1e-4)  # Unix times of doubles are known to a microsecond
     every = f"{'' if np.mean(alike) > 0.99 else 'mostly '}every {usual:.4g} s"
-    parts = [f"{name}{_fixes(len(c.t))} in {_clock(np.ptp(c.t))}, {every}"]
+    parts = [f"{name}{_fixes(len(c.t))} in {_clock(np.ptp(c.t[_near_in_time(c)]))}, {every}"]
     if c.source is not None:  # a reader notices GPS seconds by their date, ten years off
-        start = c.source.recording.time[c.source.rows].min()
+        start = c.source.recording.time[c.source.rows[_near_in_time(c)]].min()
         parts += [f"from {moment_of(start):%Y-%m-%d %H:%M:%S} UTC"] if start >= UNIX * 1e6 else []
     if len(c.recordings) > 1:
         parts.append(f"in {len(c.recordings)} parts (pauses, or segments of the file)")
@@ -191,8 +195,18 @@ def _faults(c):
 
 def _moments(c, rows):
     """Return when the first few of some rows were recorded, in words."""
-    listed = ", ".join(map(_clock, c.t[rows[:MOST_LISTED]] - c.t.min()))
-    return f"{listed}{', ...' if len(rows) > MOST_LISTED else ''} after the start"
+    near = _near_in_time(c)
+    seconds = c.t[rows[near[rows]]] - c.t[near].min()
+    if not len(seconds):
+        return "at impossible times"
+    listed = ", ".join(map(_clock, seconds[:MOST_LISTED]))
+    return f"{listed}{', ...' if len(seconds) > MOST_LISTED else ''} after the start"
+
+
+def _near_in_time(c):
+    """Return the mask of the fixes whose time is not months from the line's."""
+    t = c.t[c.line.rows]
+    return (c.t > t.min() - FAR_IN_TIME) & (c.t < t.max() + FAR_IN_TIME)
 
 
 def _motion(c):

@@ -465,6 +465,15 @@ def test_what_is_printed_is_a_line():
         assert repr(each) == line
 
 
+@pytest.mark.parametrize("name", ["predict", "update"])
+def test_who_asks_for_a_name_of_filterpy_is_told_of_step(name):
+    kf = mpt.KalmanFilter(AXIS)
+    with pytest.raises(AttributeError, match=f"'KalmanFilter' object has no attribute '{name}'; step"):
+        getattr(kf, name)
+    with pytest.raises(AttributeError, match=r"no attribute 'gain'$"):
+        kf.gain  # noqa: B018
+
+
 @pytest.mark.parametrize("parent", [mpt.KalmanFilter, mpt.LainiotisFilter])
 def test_a_step_of_ones_own_is_taken_with_gaps_too(parent):
     """A subclass of a shipped filter does not go by the faster ways of its parent, which are of the parent's step."""

@@ -208,7 +208,7 @@ def test_the_other_ways_of_the_table_are_the_loop(taught):
 
 
 def test_what_is_measured_must_not_be_known_exactly_one_row_after_a_pretended_start(taught):
-    says("with r = 0 and 1e-12 m² the result can be metres off.")
+    says("with r = 0 and H Q H^T = 1e-12 m² the result can be metres off.")
     z, off = taught["recordings"]["50% missing"], {}
     for s in (1e-4, 1e-12):
         names = with_model(F, np.diag([s, 0.01]))

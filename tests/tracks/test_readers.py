@@ -105,38 +105,34 @@ COMMAS = [[str(value).replace(".", ",") for value in each] for each in (LAT, LON
         (
             "time,lat,lon",
             (compact("%H%M%S.00"), LAT, LON),
-            "seconds from 0 in column 'time', got '091500.00'",
+            "seconds from 0 in column 'time', got '091500.00': a clock's digits.*ISO8601",
         ),
-        ("time,lat,lon", (compact("%H%M%S"), LAT, LON), "got '091500'"),
-        ("time,lat,lon", (compact("%H%M%S500"), LAT, LON), "got '091500500'"),
-        ("time,lat,lon", (compact("%d%H%M%S"), LAT, LON), "got '03091500'"),
+        ("time,lat,lon", (compact("%H%M%S"), LAT, LON), "got '091500': a clock's digits"),
+        ("time,lat,lon", (compact("%H%M%S500"), LAT, LON), "got '091500500': a clock's digits"),
+        ("time,lat,lon", (compact("%d%H%M%S"), LAT, LON), "got '03091500': a clock's digits"),
         (
             "time,lat,lon",
             (compact("%Y%m%d%H%M%S"), LAT, LON),
-            "ISO 8601, Unix seconds, or seconds from 0 .*got '20220503091500'",
+            "ISO 8601, Unix seconds, or seconds from 0 .*format='%Y%m%d%H%M%S'",
         ),
         (
             "time,lat,lon",
             (compact("%y%m%d%H%M%S"), LAT, LON),
-            "ISO 8601, Unix seconds, or seconds from 0 .*got '220503091500'",
+            "ISO 8601, Unix seconds, or seconds from 0 .*got '220503091500': a clock's digits",
         ),
-        ("time,lat,lon", (compact("%H%M"), LAT, LON), "got '0915'"),
+        ("time,lat,lon", (compact("%H%M"), LAT, LON), "got '0915': a clock's digits"),
         ("time,lat,lon", (45_415.4 + np.arange(N) / 86_400, LAT, LON), "got '45415.4"),
-        ("time,lat,lon", (UNIX * 1000, LAT, LON), "got '1651569300000'"),
-        (
-            "time,lat,lon",
-            (compact("%H:%M:%S"), LAT, LON),
-            "got '09:15:00': pandas.to_datetime makes dates of most others",
-        ),
-        ("time,lat,lon", (compact("%d/%m/%Y %H:%M:%S"), LAT, LON), "got '03/05/2022 09:15:00'"),
-        ("time,lat,lon", (468_000 + np.arange(N), LAT, LON), "got '468000'"),
-        ("time,lat,lon,ele", (ISO, LAT, LON, ["520 m"] * N), "needs decimal numbers in column 'ele', got '520 m'"),
-        ("time,lat,N/S,lon,E/W", (ISO, LAT, SOUTH, LON, EAST), "the sign of lat in column 'N/S', by south"),
+        ("time,lat,lon", (UNIX * 1000, LAT, LON), r"got '1651569300000': .*unit='ms'"),
+        ("time,lat,lon", (compact("%H:%M:%S"), LAT, LON), r"got '09:15:00': a date is needed too: .*frame\['date'\]"),
+        ("time,lat,lon", (compact("%d/%m/%Y %H:%M:%S"), LAT, LON), "numbers are decimal.* of dates .*dayfirst=True"),
+        ("time,lat,lon", (468_000 + np.arange(N), LAT, LON), "got '468000': .* seconds from another start"),
+        ("time,lat,lon,ele", (ISO, LAT, LON, ["520 m"] * N), "'ele', got '520 m': numbers are decimal, without a unit"),
+        ("time,lat,N/S,lon,E/W", (ISO, LAT, SOUTH, LON, EAST), "the sign of lat in column 'N/S': .*'S': -1"),
         ("time,lat,lon,side", (ISO, LAT, LON, ["W"] * N), "the sign of lon in column 'side'"),
         (
             "time,lat,lon",
             (ISO, [f"{a}N" for a in LAT], [f"{b}E" for b in LON]),
-            "column 'lat', got '33.45.*N'",
+            "column 'lat', got '33.45.*'S': -1",
         ),
         ("time,lat,lon", (ISO, [f"33°{a}'" for a in LAT], LON), "needs decimal numbers in column 'lat'"),
         (
@@ -145,7 +141,7 @@ COMMAS = [[str(value).replace(".", ",") for value in each] for each in (LAT, LON
             "needs as many cells in each line .* got '2022.*on_bad_lines",
         ),
         ("time,lat,lon", (ISO, *COMMAS), "needs as many cells in each line .* got '2022.*are commas decimal"),
-        ("time,lat,lon", (ISO, [f'"{a}"' for a in COMMAS[0]], LON), "'lat', got '33,45"),
+        ("time,lat,lon", (ISO, [f'"{a}"' for a in COMMAS[0]], LON), "'lat', got '33,45.*decimal=','"),
         ("time;lat;lon", ([f"{a};{b};{c}" for a, b, c in zip(ISO, LAT, LON, strict=True)],), "sep=';'"),
         ("time,lat,lon", (ISO, 3327.0 + LAT % 1 * 60, 7039.0 + LON % 1), "at most 90 and 360, got 3354.* or ddmm.mmmm"),
         ("time,lat,lon", (ISO, (1e7 * LAT).astype(int), (1e7 * LON).astype(int)), "got 334.* 1e7 to a degree"),
@@ -156,7 +152,7 @@ COMMAS = [[str(value).replace(".", ",") for value in each] for each in (LAT, LON
         (
             "time,lat,lon",
             ([t[:-1].replace("T", " ") + " UTC" for t in ISO], LAT, LON),
-            "got '2022-05-03 09:15:00 UTC'",
+            r"to_datetime\(frame\['time'\]\)$",
         ),
         (
             "time,note,lat,lon",
@@ -164,7 +160,7 @@ COMMAS = [[str(value).replace(".", ",") for value in each] for each in (LAT, LON
             "quotes that close, got '2022-05-03T09:15.*quoting=3",
         ),
         ('"time\n(UTC)",lat,lon', (ISO, LAT, LON), "quotes that close, got '\"time'"),
-        ("time,x,y", (ISO, ['"1,002.7"'] + ["1.5"] * (N - 1), LON), "got '1,002.7'"),
+        ("time,x,y", (ISO, ['"1,002.7"'] + ["1.5"] * (N - 1), LON), "got '1,002.7': pandas.*thousands="),
     ],
 )
 def test_a_table_that_is_written_in_another_way_is_refused_with_the_way_to_mend_it(tmp_path, head, columns, said):
@@ -172,6 +168,43 @@ def test_a_table_that_is_written_in_another_way_is_refused_with_the_way_to_mend_
     path.write_text(text_of(head, *columns))
     with pytest.raises(ValueError, match=said):
         mpt.track(path)
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        *(compact(form) for form in ("%H%M%S", "%H%M%S.00", "%H:%M:%S", "%d/%m/%Y %H:%M:%S", "%Y-%m-%d %H:%M:%S UTC")),
+        UNIX * 1000,
+        [f"{25569 + each / 86400:.8f}" for each in UNIX],
+    ],
+)
+def test_the_line_that_a_refusal_names_makes_times_of_a_column(tmp_path, times):
+    path = tmp_path / "a.csv"
+    path.write_text(text_of("time,lat,lon", times, LAT, LON))
+    with pytest.raises(ValueError, match=r"pandas\.to_datetime") as refused:
+        mpt.track(path)
+    texts = {"time": str} if "as texts" in str(refused.value) else {}
+    frame = pd.read_csv(path, dtype=texts).assign(date="2022-05-03")
+    line = re.search(r"pandas\.to_datetime\(.*?\)(?=$|, )", str(refused.value))[0]
+    frame["time"] = eval(line, {"pandas": pd, "frame": frame})
+    time = readers.read_frame(frame).time
+    np.testing.assert_allclose(time / 1e6, UNIX, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("form", ["{1}{0}", "{0}{1}", "{0} {1}", "{1} {0}"])
+def test_the_line_that_a_refusal_names_makes_signed_degrees(tmp_path, form):
+    """Of numbers with the letter of their hemisphere, before or after them."""
+    path = tmp_path / "a.csv"
+    path.write_text(
+        text_of("time,lat,lon", ISO, [form.format(a, "S") for a in LAT], [form.format(b, "E") for b in LON])
+    )
+    frame = pd.read_csv(path)
+    for column in ("lat", "lon"):
+        with pytest.raises(ValueError, match=f"needs decimal numbers in column '{column}'") as refused:
+            mpt.track(frame)
+        frame[column] = eval(str(refused.value).partition(": frame")[2].join(["frame", ""]), {"frame": frame})
+    r = readers.read_frame(frame)
+    np.testing.assert_array_equal([r.lat, r.lon], [-LAT, LON])
 
 
 @pytest.mark.parametrize(
@@ -221,7 +254,7 @@ def test_signs_in_columns_that_agree_are_right(tmp_path):
 def test_signs_may_be_on_both_sides_of_zero(tmp_path):
     """A walk past Greenwich is east of it and then west."""
     lon = (LON - LON[150]).round(7)
-    with pytest.raises(ValueError, match="needs signed degrees, got the sign of lon in column 'E/W'"):
+    with pytest.raises(ValueError, match=r"the sign of lon in column 'E/W'.*; or drop that column"):
         read(tmp_path, text_of("time,lat,lon,E/W", ISO, LAT, abs(lon), np.where(lon < 0, "W", "E")))
 
 
@@ -257,7 +290,9 @@ def test_two_mobiles_in_one_table_are_refused_by_the_name_of_their_column(tmp_pa
     rows = np.argsort(t, kind="stable") if order == "in turn" else np.arange(2 * N)
     places = degrees(z[rows], (58.1, 6.6)) if in_degrees else z[rows].T
     text = text_of(f"{name},time,{'lat,lon' if in_degrees else 'x,y'}", who[rows], t[rows], *places)
-    with pytest.raises(ValueError, match=f"needs one mobile, got 2, by their column '{name}'"):
+    with pytest.raises(
+        ValueError, match=f"needs one mobile, got 2, by their column '{name}': take one: frame.*== '257000001'"
+    ):
         read(tmp_path, text)
 
 
@@ -353,6 +388,7 @@ def test_so_is_a_gpx_file_whatever_its_name(tmp_path, data):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
+        (packed(GPX, -900), "the compressed file is cut off"),
         (GPX[:-300].encode() + "<name>ü".encode()[:-1], "the file is cut off after 29[456] fixes"),
         (GPX[:-300].encode() + bytes(4096), "the file ends in empty bytes"),
         (
@@ -383,6 +419,15 @@ def test_a_file_that_is_cut_keeps_its_segments(tmp_path):
     assert np.unique(readers.read(tmp_path / "b.gpx").segment).tolist() == [1, 2]
 
 
+def test_a_clock_that_is_put_back_within_a_recording_is_asked_about(tmp_path):
+    (tmp_path / "a.csv").write_text(text_of("time,lat,lon", np.where(np.arange(N) < 200, UNIX, UNIX - 3600), LAT, LON))
+    c = mpt.track(tmp_path / "a.csv")
+    assert c.source.left_out == {"a time that is not after the one before": 100}
+    assert c.source.said == [
+        "ATTENTION: times run back: was the clock put back, as in autumn, or are these two recordings?"
+    ]
+
+
 def test_longitudes_may_be_counted_in_two_ways_in_one_file(tmp_path):
     """From -180° and from 0°: the steps of 360° between them are no grid of a whole degree."""
     lon = np.where(np.arange(N) % 2, (360 - LON).round(7), -LON)
@@ -395,9 +440,8 @@ def test_longitudes_may_be_counted_in_two_ways_in_one_file(tmp_path):
 def test_a_damaged_packed_file_is_refused(tmp_path):
     data = bytearray(packed(TABLE))
     data[2000:2100] = b"\xff" * 100
-    for damaged in (bytes(data), packed(TABLE, -900)):
-        with pytest.raises(ValueError, match=r"a.csv: needs a file that can be decompressed, got a damaged one"):
-            read(tmp_path, damaged)
+    with pytest.raises(ValueError, match=r"a.csv: needs a file that can be decompressed, got a damaged one"):
+        read(tmp_path, bytes(data))
 
 
 def zipped():
@@ -519,7 +563,7 @@ def test_a_track_goes_back_as_a_frame_with_its_own_labels(tmp_path):
     np.testing.assert_allclose(near["lat"], near["lat_smooth"], atol=5e-5)
     np.testing.assert_array_equal(back[["x", "y"]], c.x[:, ::2])
     np.testing.assert_allclose(back[["v_x", "v_y"]], c.x[:, 1::2], atol=1e-3)  # the chart is small
-    np.testing.assert_allclose(back["sigma"], np.sqrt(c.P[:, 0, 0]), rtol=1e-15)  # roots of numbers laid out otherwise
+    np.testing.assert_allclose(back["sigma"], np.sqrt(c.P[:, 0, 0]), rtol=1e-15)  # a root of one may round otherwise
     again = mpt.track(back)  # what was given back is a frame as any other
     assert len(again.t) == len(back)
     c.gpx(tmp_path / "frame.gpx")
@@ -541,3 +585,23 @@ def test_the_shipped_tables_are_read_by_the_names_of_their_columns(path):
     assert np.isfinite(r.lat).all()
     assert (np.diff(r.time) > 0).mean() > 0.99
     assert r.said == ()
+
+
+def test_digits_of_a_clock_from_midnight_on_are_asked_about(tmp_path):
+    """0, 10 ... 50, 100 ... are hhmmss. Steps of 50 or 100 s are seconds, and so is one of 45 s among others."""
+
+    def table(times):
+        rows = [f"{t:g},{2.0 * k},{0.5 * k}" for k, t in enumerate(times)]
+        return "\n".join(["time,x,y", *rows]) + "\n"
+
+    minutes, seconds = np.divmod(10 * np.arange(40), 60)
+    with pytest.raises(ValueError, match=r"a clock's digits\?"):
+        read(tmp_path, table(100 * minutes + seconds))
+    for times in (
+        50 * np.arange(40),
+        100 * np.arange(40),
+        10 * np.arange(40),
+        np.cumsum([0, *[5] * 30, 45, *[5] * 30]),
+    ):
+        found = read(tmp_path, table(times)).time
+        np.testing.assert_array_equal(found - found[0], 1_000_000 * times)

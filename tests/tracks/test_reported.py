@@ -209,13 +209,12 @@ def test_a_long_pause_is_two_segments(years, plain):
     assert high - low < (30 if years > 1 else 1e5)  # minutes: the pause is left out
 
 
-def test_a_few_fixes_years_away_are_a_recording_of_their_own_and_asked_about(plain):
+def test_a_few_fixes_years_away_are_faults_of_time():
     t, _, z = ride()
     t[:4] -= 19.6 * 365.25 * 86400
     c = clean(t, z)
-    assert (c.recordings, len(c.refused)) == ([0, 4], 0)
-    assert c.said == ["ATTENTION: for 7,159 days there is no fix: are the dates right?"]
-    assert (c.q, c.r) == pytest.approx((plain.q, plain.r), rel=0.05)
+    np.testing.assert_array_equal(c.refused, np.arange(4))
+    assert c.said == ["refused: 4 fixes whose time is months or years from all others"]
     low, high = c.plot().axes[1].get_xlim()
     assert high - low < 15  # minutes
 
@@ -227,7 +226,7 @@ def test_the_time_of_a_fault_at_an_end_is_told(row, when):
     assert f"refused as faults: 1 fix (0.17%), {when} after the start" in clean(t, z).report()
 
 
-def test_segments_out_of_order_keep_their_times(tmp_path):
+def test_segments_out_of_order_keep_their_times_and_say_so(tmp_path):
     t, _, z = ride(N=900)
     z[100] += 400.0
     order = np.r_[300:600, 600:900, 0:300]
@@ -235,6 +234,7 @@ def test_segments_out_of_order_keep_their_times(tmp_path):
     c = mpt.track(path)
     assert "900 fixes in 0:14:59" in c.report()
     assert "0:01:40 after the start" in c.report()
+    assert "segments are not in order of time" in c.report()
     np.testing.assert_array_equal(c.refused, [700])
     c.gpx(tmp_path / "smooth.gpx")
     assert [each.t[0] for each in mpt.tracks.gpx(tmp_path / "smooth.gpx")] == [0, 300, -300]
@@ -248,6 +248,22 @@ def test_two_receivers_in_one_file_keep_their_times(tmp_path):
     c = mpt.track(path)
     assert "1,800 fixes in 0:14:59" in c.report()
     assert "0:11:40 after the start" in c.report()
+    assert "overlap in time" in c.report()
+
+
+@pytest.mark.parametrize(("apart", "asked"), [(30.0, True), (0.0, False)])
+def test_two_receivers_in_turn_are_asked_about(apart, asked, tmp_path):
+    """Nothing else in the file tells them apart, and the line runs midway between them."""
+    t, _, z = ride()
+    z[::2, 1] += apart
+    c = mpt.track(gpx(tmp_path / "two.gpx", t, *degrees(z)))
+    assert ("every other fix lies on a path of its own" in " ".join(c.report().split())) == asked
+
+
+@pytest.mark.parametrize("step", [0.7, 1.5])
+def test_one_receiver_whose_times_are_rounded_is_not(step):
+    t, _, z = ride(dt=step, speed=30.0, noise=0.5)
+    assert not any("every other fix" in each for each in clean(np.floor(t), z).unusual)
 
 
 def test_times_that_run_back_within_a_segment_are_refused():

@@ -350,7 +350,7 @@ def test_hdop_weighs_the_fixes(tmp_path):
         (lambda text: re.sub("<time>.*?</time>", "", text), "got 0 of 300, 300 with no time that can be read"),
         (
             lambda text: re.sub("<time>.*?</time>", "<time>noon</time>", text),
-            "needs ISO 8601, Unix seconds, or seconds from 0 in column 'time', got 'noon': pandas.to_datetime makes",
+            "needs ISO 8601, Unix seconds, or seconds from 0 in column 'time', got 'noon': numbers are decimal",
         ),
         (
             lambda text: re.sub("<time>.*?</time>", "<time>2024-05-03T10:00:00Z</time>", text),
