@@ -11,7 +11,6 @@ successive steps are one matrix product, which is the same for all tracks,
 `make_shared_steps` computes the steps of a filter until it has converged.
 """
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -171,5 +170,5 @@ def tiles(M, width):
     >>> tiles(20_000, TILE)
     [slice(0, 10000, None), slice(10000, 20000, None)]
     """
-    ends = np.linspace(0, M, -(-M // width) + 1).astype(int).tolist()
-    return [slice(start, stop) for start, stop in pairwise(ends)]
+    parts = -(-M // width)
+    return [slice(i * M // parts, (i + 1) * M // parts) for i in range(parts)]

@@ -620,6 +620,29 @@ def test_a_pause_of_weeks_is_right_or_refused_by_name(pause, q):
         assert (np.abs(found.P[..., track] - P) < 1e-2 * s[:, :, None] * s[:, None]).all()
 
 
+@pytest.mark.parametrize("start", ["known", "vague"])
+@pytest.mark.parametrize("own", [False, True], ids=["times of all", "own times"])
+def test_pauses_of_days_on_many_tracks_are_right_on_each(start, own):
+    """Tracks go on together from a row, and apart where their gaps differ; one pauses before its start is over."""
+    P0 = {"known": 1.0, "vague": 1e14}[start]
+    model = mpt.constant_acceleration(1.0, 0.01, 0.1, P0=P0 * np.eye(3))
+    rng, M = np.random.default_rng(2), 4
+    dts = np.ones((40, M))
+    dts[12], dts[25] = 7e5, 5e5
+    if own:
+        dts[12, 1], dts[2, 2], dts[30, 3] = 1.0, 3e3, 3e5
+    z = rng.standard_normal((40, 1, M))
+    z[(rng.random(z.shape) < 0.2) & (np.arange(40) > 3)[:, None, None]] = np.nan
+    kf = mpt.KalmanFilter(model, t=np.cumsum(dts, axis=0))
+    found, states = kf.estimates(z), kf.filter(z)
+    for track in range(M):
+        x, P = of_steps(model, dts[:, track], z[..., track])
+        s = deviations(P)
+        assert (np.abs(found.x[..., track] - x) < 1e-2 * s).all()
+        assert (np.abs(states[..., track] - x) < 1e-2 * s).all()
+        assert (np.abs(found.P[..., track] - P) < 1e-2 * s[:, :, None] * s[:, None]).all()
+
+
 def test_a_pause_soon_after_a_pause_of_days_loses_no_position():
     """At 4e11 m, three fixes between a pause of five days and one of half a day: x was 2,500 sigma off, P was right."""
     model = mpt.constant_acceleration(1.0, 6e-4, 0.09, P0=9 * np.eye(3))
