@@ -202,6 +202,8 @@ class Filter(Immutable):
 
         Raises
         ------
+        ValueError
+            As `estimates`, and where a vague start or a long pause leaves no digits of the smoothed states.
         TypeError
             For a filter whose gain is not the Kalman gain for its P (constant gain, or a step of the user's own), a
             predictor, and a FIR filter.

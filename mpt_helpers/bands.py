@@ -35,6 +35,7 @@ from . import _checks as checks
 from ._base import Filter
 from ._checks import Array, Seconds
 from ._engine.columns import whitened
+from ._engine.run import require_digits_of
 from ._immutable import types_as_written
 from .model import LinearModel
 
@@ -324,11 +325,18 @@ def _repeats(z, before):
 
 
 def _predicted_measurement(model, x, P, seconds, R):
-    """Return mean (..., m) and covariance (..., m, m) of measurements some seconds (...) after x (..., n) and P."""
+    """Return mean (..., m) and covariance (..., m, m) of measurements some seconds (...) after x (..., n) and P.
+
+    Raises a ValueError where rounding leaves no digits of the covariance.
+    """
     F, Q = model.over(seconds)
+    sigma = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))[..., None]
+    size = (np.abs(model.H) @ np.abs(F) @ sigma)[..., 0] ** 2
     P = F @ P @ F.swapaxes(-1, -2) + Q
     x = (F @ x[..., None])[..., 0]
-    return x @ model.H.T, model.H @ P @ model.H.T + R
+    S = model.H @ P @ model.H.T + R
+    require_digits_of(np.diagonal(S, axis1=-2, axis2=-1), size)
+    return x @ model.H.T, S
 
 
 def _nis_per_number(innovations, S):

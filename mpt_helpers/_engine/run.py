@@ -99,7 +99,7 @@ def innovations(estimator, epochs):
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
     x = np.empty((N, n, M))
     P = estimates(estimator, epochs, x, covariances=True)
-    values, S, rounding = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3])), np.empty((N, m, P.shape[3]))
+    values, S, size = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3])), np.empty((N, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks.
         before = np.moveaxis(_before(x, model.x0, part), 1, 0), np.moveaxis(_before(P, estimator.P0, part), 0, 2)
@@ -108,13 +108,20 @@ def innovations(estimator, epochs):
         values[part] = epochs.z[part] - np.moveaxis(expected, 0, 1)
         S[part] = np.moveaxis(S_part, 2, 0)
         sigma = np.sqrt(np.einsum("ii...->i...", before[1]))
-        size = product(np.abs(model.H), product(np.abs(motion.matrix), sigma)) ** 2
-        rounding[part] = EPS * np.moveaxis(size, 1, 0)  # doubles round P_ij by ε σ_i σ_j
+        size[part] = np.moveaxis(product(np.abs(model.H), product(np.abs(motion.matrix), sigma)) ** 2, 1, 0)
     S += epochs.noise(model.R)
-    if (rounding > MOST_ROUNDING_OF_S * np.einsum("kii...->ki...", S)).any():
-        need = "a start that leaves digits of the innovations' covariances beside states that were never measured"
-        checks.refuse("P0", f"{need} (filter and estimates take a larger one)", "one that leaves none")
+    require_digits_of(np.einsum("kii...->ki...", S), size)
     return values, S
+
+
+def require_digits_of(variances, size):
+    """Raise a ValueError where rounding is a large part of the variances of predicted measurements.
+
+    size is (|H| |F| σ)², of the same shape: doubles round P_ij by ε σ_i σ_j, and so H F P Fᵀ Hᵀ by up to ε times this.
+    """
+    if (EPS * size > MOST_ROUNDING_OF_S * variances).any():
+        need = "a start that leaves digits of the predicted measurements beside states that were never measured"
+        checks.refuse("P0", f"{need} (filter and estimates take a larger one)", "one that leaves none")
 
 
 def _before(array, start, part):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 
 import numpy as np
 import pytest
@@ -573,3 +574,25 @@ def test_a_mask_of_a_masked_array_is_refused():
 def test_forecast_errors_are_shown_by_their_shapes():
     a = an_ahead(np.zeros((40, 2)))
     assert repr(a) == f"ForecastErrors(40 predictions of 2 axes, 1 s ahead; {a.left_out} fixes left out)"
+
+
+def test_a_band_beside_a_state_that_nothing_measures_is_right_or_refused():
+    """Only the sum of two states is measured, so each stays as vague as P0; the variance of the sum is exact here."""
+    q, seconds, z = 0.01, 3.0, np.random.default_rng(0).normal(0, 1, (40, 1))
+
+    def checked(p):
+        model = mpt.LinearModel(H=[[1, 1]], R=[[1]], P0=p * np.eye(2), dt=1.0, transition=partial(_two_walks, q))
+        return ahead(mpt.KalmanFilter(model), z, seconds)
+
+    sum_of_both = mpt.LinearModel(F=[[1]], H=[[1]], Q=[[2 * q]], R=[[1]], P0=[[2e8]])
+    P = mpt.KalmanFilter(sum_of_both).covariances(z)[:, 0, 0]
+    a = checked(1e8)
+    np.testing.assert_allclose(a.sigma[:, 0] ** 2, P[a.row] + 2 * q * (a.due - a.made) + 1, rtol=1e-6)
+    for p in (1e15, 1e18):
+        with pytest.raises(ValueError, match="P0: needs a start that leaves digits of the predicted measurements"):
+            checked(p)
+
+
+def _two_walks(q, dt):
+    dt = np.asarray(dt, float)[..., None, None]
+    return np.eye(2) + 0 * dt, q * dt * np.eye(2)

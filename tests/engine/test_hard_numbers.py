@@ -732,7 +732,7 @@ def test_a_state_that_nothing_measures_may_be_vague(P0, q):
             assert (np.abs(of_sums) < 1e-2).all()
     *_, S = precise.kalman(model.F, model.H, model.Q, model.R, model.x0, model.P0, z)
     if P0 > 1e13:
-        with pytest.raises(ValueError, match="P0: needs a start that leaves digits of the innovations' covariances"):
+        with pytest.raises(ValueError, match="P0: needs a start that leaves digits of the predicted measurements"):
             mpt.metrics.log_likelihood(kf, z)
     else:
         np.testing.assert_allclose(mpt.metrics.innovations(kf, z).S, S.astype(float), rtol=1e-3)
