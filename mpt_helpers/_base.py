@@ -31,7 +31,7 @@ from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, LinearMap, Motion, whitened
-from ._engine.pieces import LARGEST_S, VAGUE_S, directions_seen
+from ._engine.diffuse import DIFFUSE_S, LARGEST_S, directions_seen
 from ._engine.run import MOST_ROUNDING_OF_S
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
@@ -203,7 +203,7 @@ class Filter(Immutable):
         Raises
         ------
         ValueError
-            As `estimates`, and where a vague start or a long pause leaves no digits of the smoothed states.
+            As `estimates`, and where a diffuse start or a long pause leaves no digits of the smoothed states.
         TypeError
             For a filter whose gain is not the Kalman gain for its P (constant gain, or a step of the user's own), a
             predictor, and a FIR filter.
@@ -429,13 +429,8 @@ class RecursiveFilter(Filter):
             x[columns] = A @ x[columns] + B @ z[columns]
         return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
 
-    @cached_property
-    def directions(self) -> Array:
-        """The directions of a state that the sensors see within n steps (`directions_seen`)."""
-        return self.directions_by(self.model.R)
-
     def directions_by(self, R: Array) -> Array:
-        """Return the `directions` by measurements with noise of covariance R."""
+        """Return the `directions_seen` by measurements with noise of covariance R."""
         return directions_seen(self.model.F, self.model.Q, self.model.H, R)
 
     def coefficients(self, N: int) -> Step:
@@ -455,7 +450,15 @@ class RecursiveFilter(Filter):
         P : ndarray (N, n, n)
             P(k/k) after each step.
 
+        Raises
+        ------
+        ValueError
+            For a filter with times or variances: each of its epochs has a `next_step` of its own.
+
         """
+        if self.t is not None or self.r is not None:
+            name, got = ("r", "variances") if self.t is None else ("t", "times")
+            checks.refuse(name, "to be left out, as coefficients are those of equal steps and of the model's R", got)
         each = steps.steps_without_gaps(self.next_step, self.P0, self.model.m, checks.count("N", N))
         return Step(*map(np.array, zip(*each, strict=True)))
 
@@ -523,9 +526,9 @@ def _owner(cls, name):
     return next(each for each in cls.__mro__ if name in vars(each))
 
 
-def may_be_vague(P, H):
-    """Tell, by a bound that takes little time, whether H P Hᵀ may have a variance above VAGUE_S."""
-    return not np.vdot(H, H) * sum(P.diagonal().tolist()) < VAGUE_S
+def may_be_diffuse(P, H):
+    """Tell, by a bound that takes little time, whether H P Hᵀ may have a variance above DIFFUSE_S."""
+    return not np.vdot(H, H) * sum(P.diagonal().tolist()) < DIFFUSE_S
 
 
 def require_digits(T_1, T_2, P, after, H, S, dt=None):
@@ -535,12 +538,12 @@ def require_digits(T_1, T_2, P, after, H, S, dt=None):
     the variances of measurements with unit noise, and H P Hᵀ (p, p) is one term of theirs. Doubles round P_ij by
     ε σ_i σ_j, and so these terms by up to ε (|T_1| |T_2| σ)² and ε (|H| σ)². The error names dt where it is given.
     """
-    if not may_be_vague(P, H) and math.isfinite(np.vdot(after, after)):
+    if not may_be_diffuse(P, H) and math.isfinite(np.vdot(after, after)):
         return
     sigma = np.sqrt(np.abs(P.diagonal()))
     largest_S = (np.abs(H) @ sigma) ** 2
     finite = np.isfinite(after).all()
-    if largest_S.max() < VAGUE_S and finite:
+    if largest_S.max() < DIFFUSE_S and finite:
         return
     eps = np.finfo(float).eps
     largest_P = (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2

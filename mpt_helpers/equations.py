@@ -28,8 +28,6 @@ def several_steps(F, Q, steps):
     (array([[1.]]), array([[5.]]))
     """
     F_N, Q_N = np.eye(len(F)), np.zeros_like(Q)
-    if steps == 1:
-        return F, Q
     while steps:
         if steps % 2:
             F_N, Q_N = F @ F_N, F @ Q_N @ F.T + Q
@@ -129,7 +127,7 @@ def start_gain(P, C):
 
     O is the information that the measurements of one epoch, or of several, contain about the state at their start. G is
     the Kalman gain for equivalent measurements Cᵀ x of that state with unit noise. It gives [I + P O]⁻¹ P in Joseph's
-    form, which stays accurate where P is large; the explicit inverse loses digits after long gaps and with a vague P.
+    form, which stays accurate where P is large; the explicit inverse loses digits after long gaps and with a diffuse P.
 
     >>> start_gain(P=np.eye(1), C=np.array([[2.0]]))
     array([[0.4]])

@@ -22,8 +22,7 @@ from . import _checks as checks
 from ._base import RecursiveFilter, require_digits
 from ._checks import Array
 from ._engine.columns import Epochs, KalmanColumns
-from ._engine.pieces import directions_seen
-from ._engine.shared import Step
+from ._engine.diffuse import directions_seen
 from .equations import masked, unit_measurements
 from .model import LinearModel, half_step_gap
 
@@ -107,16 +106,6 @@ class KalmanFilter(RecursiveFilter):
             checks.refuse(name, need, "one whose F and Q are for one length only")
         return self.model.transition
 
-    def coefficients(self, N: int) -> Step:
-        """Return the coefficients of steps 1 to N, as in RecursiveFilter.
-
-        Raises ValueError for a filter with times or variances: each of its epochs has a `next_step` of its own.
-        """
-        if self.t is not None or self.r is not None:
-            name, got = ("r", "variances") if self.t is None else ("t", "times")
-            checks.refuse(name, "to be left out, as coefficients are those of equal steps and of the model's R", got)
-        return super().coefficients(N)
-
     def next_step(
         self, P: Array, seen: np.ndarray, dt: float | None = None, r: Array | None = None
     ) -> tuple[Array, Array, Array]:
@@ -138,7 +127,7 @@ class KalmanFilter(RecursiveFilter):
         kf.update(np.zeros(len(U)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
-        keep = self._identity - kf.K @ kf.H
+        keep = np.eye(self.model.n) - kf.K @ kf.H
         require_digits(keep, kf.F, P, kf.P, kf.H @ kf.F, kf.S.diagonal(), dt)
         return keep @ kf.F, kf.K @ U, kf.P
 
@@ -195,10 +184,6 @@ class KalmanFilter(RecursiveFilter):
             both = KalmanColumns(self.motion, H, uncorrelated, P0)
             return both, both
         return KalmanColumns(self.motion, H, R, P0), KalmanColumns(self.motion, H, R, P0, noises_are_states=True)
-
-    @cached_property
-    def _identity(self):
-        return np.eye(self.model.n)
 
     @cached_property
     def _units(self):

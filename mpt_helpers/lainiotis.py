@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ._base import RecursiveFilter, may_be_vague, require_digits
+from ._base import RecursiveFilter, may_be_diffuse, require_digits
 from ._checks import Array
 from .equations import lainiotis_matrices, lainiotis_step, masked, start_gain
 
@@ -48,7 +48,7 @@ class LainiotisFilter(RecursiveFilter):
         constants = self._constants(seen)
         A, B, P_next = lainiotis_step(P, constants)
         C = constants.C
-        if may_be_vague(P, C.T):
+        if may_be_diffuse(P, C.T):
             keep = np.eye(len(P)) - start_gain(P, C) @ C.T
             require_digits(constants.Fn, keep, P, P_next, C.T, (C.T @ P @ C).diagonal() + 1)
         return A, B, P_next
@@ -60,10 +60,10 @@ class LainiotisFilter(RecursiveFilter):
     def _constants(self, seen):
         """Return the LainiotisMatrices of rows with these measurements, computed once."""
         there = tuple(seen.tolist())
-        if there not in self._made:
-            self._made[there] = lainiotis_matrices(self.model, *masked(self.model.H, self.model.R, seen))
-        return self._made[there]
+        if there not in self._matrices_of:
+            self._matrices_of[there] = lainiotis_matrices(self.model, *masked(self.model.H, self.model.R, seen))
+        return self._matrices_of[there]
 
     @cached_property
-    def _made(self):
+    def _matrices_of(self):
         return {}

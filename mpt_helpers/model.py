@@ -96,7 +96,7 @@ class LinearModel(Immutable):
     transition: Transition | None
     # F, Q, the dt that they are for, and the transition. `replace` hands them on: an F that is still the same object
     # has not been given anew.
-    _made: tuple[Array, Array, float | None, Transition | None] = field(repr=False, compare=False)
+    _origin: tuple[Array, Array, float | None, Transition | None] = field(repr=False, compare=False)
 
     def __init__(
         self,
@@ -109,11 +109,11 @@ class LinearModel(Immutable):
         P0: ArrayLike | None = None,
         dt: Seconds | None = None,
         transition: Transition | None = None,
-        _made: tuple[Array | None, Array | None, float | None, Transition | None] = (None, None, None, None),
+        _origin: tuple[Array | None, Array | None, float | None, Transition | None] = (None, None, None, None),
     ):
         if dt is not None:
             dt = checks.duration("dt", dt)
-        F, Q, transition = _one_step(F, Q, dt, transition, _made)
+        F, Q, transition = _one_step(F, Q, dt, transition, _origin)
         n, m = checks.rows("F", F), checks.rows("H", H)
         given = {
             "F": checks.array("F", F, (n, n)),
@@ -123,8 +123,8 @@ class LinearModel(Immutable):
             "x0": checks.array("x0", np.zeros(n) if x0 is None else x0, (n,)),
             "P0": checks.covariance("P0", np.zeros((n, n)) if P0 is None else P0, n),
         }
-        made = given["F"], given["Q"], _made[2] if dt is None else dt, transition
-        for name, value in (given | {"dt": dt, "transition": transition, "_made": made}).items():
+        made = given["F"], given["Q"], _origin[2] if dt is None else dt, transition
+        for name, value in (given | {"dt": dt, "transition": transition, "_origin": made}).items():
             object.__setattr__(self, name, value)
 
     def over(self, dt: ArrayLike) -> tuple[Array, Array]:
@@ -194,8 +194,8 @@ class LinearModel(Immutable):
         return len(self.H)
 
 
-# `_made` is for `dataclasses.replace` alone: help and editors do not show it.
-_shown = [each for each in signature(LinearModel).parameters.values() if each.name != "_made"]
+# `_origin` is for `dataclasses.replace` alone: help and editors do not show it.
+_shown = [each for each in signature(LinearModel).parameters.values() if each.name != "_origin"]
 LinearModel.__signature__ = Signature(_shown)  # type: ignore[attr-defined]
 
 

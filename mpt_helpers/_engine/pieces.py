@@ -18,9 +18,7 @@ from itertools import repeat
 
 import numpy as np
 
-from .. import _checks as checks
-from ..equations import square_root, start_gain, unit_measurements
-from .columns import product
+from ..equations import start_gain
 
 # Up to this many tracks, a numpy call costs more in overhead than in arithmetic.
 FEW_TRACKS = 64
@@ -34,16 +32,8 @@ STATE_ROUNDING = 16 * np.finfo(float).eps
 # The most runs of step 3. Where the pieces do not match, each runs again from the end of the preceding one; if they do
 # not match after the last run, the track is filtered uncut.
 MOST_PASSES = 3
-# S is the variance of a predicted measurement due to P, in units of its noise. Above VAGUE_S, an update row by row
-# leaves about three digits in P. The root of S, by which a vague start is solved, has twice as many digits: above
-# LARGEST_S, its rounding causes an error of some percent of R in P. Below CLEAR_S, updates row by row keep nine digits.
-VAGUE_S = 1e12
-CLEAR_S = 1e6
-LARGEST_S = 1e30
 # Eigenvalues of a correlation matrix are taken to be at least this: below its square, 1e-14, differences are rounding.
 NARROWEST = 1e-7
-# A track with vague pauses is filtered in parts of so many rows, since all rows after a pause are filtered again.
-ROWS_BETWEEN_PAUSES = 1_000
 
 
 def run_rows(advance, rows, x0, P0, x, P):
@@ -165,12 +155,12 @@ def starts(advance, pieces, x0, P0):
     """
     n, c, W = x0.shape
     innovations = []
-    for after in _from_exact_zero(advance, pieces, n):
+    for after in from_exact_zero(advance, pieces, n):
         innovations.append(after[2])
     x, P, _ = after
     C = P.shape[-1] // W
     x, P, e = (uncut(each[None], C, W) for each in (x, P, np.concatenate(innovations)))  # a row for each piece
-    L, y = _compressed(-e[:, :, c:], e[:, :, :c])
+    L, y = compressed(-e[:, :, c:], e[:, :, :c])
     rows = np.concatenate([x[:, :, :c], y], axis=1), x[:, :, c:], P, L
     x, P = np.empty((C + 1, n, c, W)), np.empty((C + 1, n, n, W))
     x[0], P[0] = x0, P0
@@ -178,7 +168,7 @@ def starts(advance, pieces, x0, P0):
     return cut(x, K=1)[0], cut(P, K=1)[0]
 
 
-def _from_exact_zero(advance, rows, n):
+def from_exact_zero(advance, rows, n):
     """Run rows of c tracks from an exactly known zero; yield x (n, c + n, W), P and the innovations of each row.
 
     n more tracks run alongside. Their measurements are zero and they start from the unit vectors: they end at the T of
@@ -214,160 +204,7 @@ def over_a_piece(row, x, P):
     return tuple(each.transpose(1, 2, 0) for each in (x, P, innovations))
 
 
-def directions_seen(F, Q, H, R):
-    """Return |G| (rows, n): G x is what the sensors see of x within n steps, in units of their noise and that of Q.
-
-    An observable state shows within n steps.
-    """
-    G, seen = unit_measurements(H, H @ Q @ H.T + R)[0], []
-    for _ in F:
-        G = G @ F
-        seen.append(np.abs(G))
-    return np.concatenate(seen)
-
-
-def largest_S(directions, variances):
-    """Return the largest S to which states of these variances (..., n) may add up, (...)."""
-    return ((np.sqrt(np.abs(variances)) @ directions.T) ** 2).max(axis=-1)
-
-
-def run_rows_of_any_start(advance, rows, x0, P0, x, P, directions):
-    """Filter all rows as `run_rows`, also from a vague P0, and after pauses that make P as vague.
-
-    `advance` is that of an optimal filter, and directions are the `directions_seen` of its sensors. Returns whether the
-    covariances stayed within double precision.
-    """
-    first_x, first_P = x0[None], P0[None]  # x and P before each of the rows 0 to k
-    if _vague(directions, P0.diagonal()).any():
-        next_x, next_P, done = _from_a_vague_start(advance, rows, x0, P0, directions, "P0")
-        if (done == len(next_x)).all():  # else some columns had a pause too soon: below, all are filtered again
-            first_x, first_P = np.concatenate([first_x, next_x]), np.concatenate([first_P, next_P])
-    k = len(first_x) - 1
-    x[:k] = first_x[1:]
-    if P is not None:
-        P[:k] = first_P[1:]
-    rest = of_each(rows, lambda array: array[k:])
-    largest = run_rows(advance, rest, first_x[k], first_P[k], x[k:], None if P is None else P[k:])
-    again = np.flatnonzero(_vague(directions, largest))  # perhaps only where nothing is measured: P of each row tells
-    if not len(again):
-        return True
-    own = of_each(rows, lambda array: array[..., again])
-    own_x, own_P = (np.empty((len(x) + 1, *first.shape[1:-1], len(again))) for first in (first_x, first_P))
-    own_x[: k + 1], own_P[: k + 1] = first_x[..., again], first_P[..., again]
-    held = _run_rows_with_pauses(advance, own, k, own_x, own_P, directions)
-    x[..., again] = own_x[1:]
-    if P is not None:
-        P[..., again] = own_P[1:]
-    return held
-
-
-def _vague(directions, variances):
-    """Tell which states of these variances (..., n) make a measurement more than VAGUE_S times as uncertain as R."""
-    return ~(largest_S(directions, variances) < VAGUE_S)  # true of NaN
-
-
-def _run_rows_with_pauses(advance, rows, k, x, P, directions):
-    """Filter the rows from k on, and start anew at each row that leaves P vague: a pause is a start.
-
-    x (N + 1, n, c, W) and P (N + 1, n, n, W) are those before each row, known up to row k. Columns that go on from the
-    same row do so together. Returns whether the covariances stayed within double precision.
-    """
-    N, vague = len(rows[0]), _vague(directions, P[k].diagonal())
-    at = np.full(len(vague), k)  # the next row of each column
-    while (k := at.min()) < N:
-        columns = np.flatnonzero(at == k)
-        anew = vague[columns].any()
-        if anew:
-            columns = columns[vague[columns]]
-        end = N if anew else k + ROWS_BETWEEN_PAUSES - k % ROWS_BETWEEN_PAUSES
-        here = of_each(rows, lambda array, part=slice(k, end), columns=columns: array[part][..., columns])
-        x_k, P_k = x[k][..., columns], P[k][..., columns]
-        if anew:
-            if not np.isfinite(P_k).all():  # an overflow, not a pause
-                return False
-            name = "P0" if k == 0 else "z" if rows[2] is None else "t"
-            x_here, P_here, done = _from_a_vague_start(advance, here, x_k, P_k, directions, name)
-            vague[columns] = False
-        else:
-            x_here, P_here = (np.empty((len(here[0]), *each.shape)) for each in (x_k, P_k))
-            largest = run_rows(advance, here, x_k, P_k, x_here, P_here)
-            left_vague = here[1].any(axis=1) & _vague(directions, P_here.diagonal(axis1=1, axis2=2))
-            vague[columns] = left_vague.any(axis=0)
-            if not np.isfinite(largest[~vague[columns]]).all():
-                return False
-            done = np.where(vague[columns], left_vague.argmax(axis=0), len(x_here))
-        after = slice(k + 1, k + 1 + len(x_here))
-        x[after][..., columns], P[after][..., columns] = x_here, P_here
-        at[columns] += done
-    return True
-
-
-def _from_a_vague_start(advance, rows, x0, P0, directions, name):
-    """Filter the first rows from a vague P0. Returns x and P after each, and the number of rows of each column (W,).
-
-    Row by row, the first updates would lose as many digits as P0 / R has, and without process noise never regain them.
-    So the rows 0 to k are treated as one piece, extended by one row at a time, and row k is its end. A column continues
-    until S is clear of vague (CLEAR_S), or until it is not vague and each sensor has measured 2 n times, or until
-    nothing more is measured. It ends before a row that makes P vague again even from an exact start, as a pause does.
-
-    name is the argument that makes P0 vague, for errors. After a pause, name "t", row 0 is predicted first: its
-    covariance F P Fᵀ + Q is A Aᵀ with A = [F P^½, Q^½], a root that keeps the digits of both terms.
-    """
-    z, seen, F, Q, r = rows
-    A = square_root(np.moveaxis(P0, 2, 0))
-    if name == "t":
-        x0 = product(F[0], x0)
-        A = np.concatenate([np.moveaxis(F[0], 2, 0) @ A, square_root(np.moveaxis(Q[0], 2, 0))], axis=2)
-        F, Q = F.copy(), Q.copy()
-        F[0], Q[0] = np.eye(len(x0))[..., None], 0.0  # row 0 follows on the prediction after no time
-    n, c, W = x0.shape
-    counts = np.cumsum(seen, axis=0)
-    last = (counts == counts[-1]).all(axis=1)
-    often = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=1)
-    L, y, x, P = np.zeros((0, n, W)), np.zeros((0, c, W)), [], []
-    paused, enough, done = np.zeros(W, bool), np.zeros(W, bool), np.zeros(W, int)
-    for k, (x_piece, P_piece, e) in enumerate(_from_exact_zero(advance, (z, seen, F, Q, r), n)):
-        if k > 0:
-            paused |= _vague(directions, P_piece.diagonal())
-        if (paused | enough).all():
-            break
-        if seen[k].any():
-            L, y = _compressed(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
-        x_k, P_k = _after_a_piece(x_piece[:, :c], y, x_piece[:, c:], P_piece, L, x0, A, name)
-        x.append(x_k)
-        P.append(P_k)
-        done += ~paused
-        S = largest_S(directions, P_k.diagonal())
-        enough |= last[k] | (S < CLEAR_S) | (often[k] & (S < VAGUE_S))
-    return np.array(x), np.array(P), done
-
-
-def _after_a_piece(x_piece, y, T, P_piece, L, x0, A, name):
-    """Return x and P after a piece of `starts`, from x0 with the covariance A Aᵀ, whose digits outnumber a double's.
-
-    In units of A, the start has unit covariance, and y measures it by L A = V diag(s) Uᵀ: each of its components along
-    U by itself, with noise of variance 1 / s². That leaves a variance of 1 / (1 + s²). The largest s² is P0 / R, so s
-    has only half of its digits.
-    """
-    x_piece, y, T, P_piece, L, x0 = (np.moveaxis(each, 2, 0) for each in (x_piece, y, T, P_piece, L, x0))
-    S = np.square(L @ A).sum(axis=(1, 2)).max()
-    if not S < LARGEST_S:
-        what = "a start that makes" if name == "P0" else "pauses that make"
-        need = f"{what} the first measurements less than {LARGEST_S:g} times as uncertain as their noise does"
-        checks.refuse(name, need, f"{S:.2g} times")
-    V, s, U_t = np.linalg.svd(L @ A)
-    p = s.shape[1]
-    variances = np.ones(U_t.shape[:2])
-    variances[:, :p] = 1 / (1 + s**2)
-    TAU = T @ A @ U_t.swapaxes(-1, -2)
-    innovations = V.swapaxes(-1, -2) @ (y - L @ x0)
-    x = x_piece + T @ x0 + TAU[..., :p] @ (innovations * (s / (1 + s**2))[..., None])
-    P = P_piece + (TAU * variances[:, None]) @ TAU.swapaxes(-1, -2)
-    P = (P + P.swapaxes(-1, -2)) / 2
-    return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2)
-
-
-def _compressed(L, y):
+def compressed(L, y):
     """Reduce the measurement y = L x + noise of unit variance to p <= n rows that carry the same information.
 
     L (..., n, W) and y (..., c, W) have one row per innovation. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays

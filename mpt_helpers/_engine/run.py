@@ -10,7 +10,8 @@ import numpy as np
 
 from .. import _checks as checks
 from .columns import product
-from .pieces import FEW_TRACKS, VAGUE_S, largest_S, run_rows, run_rows_of_any_start
+from .diffuse import DIFFUSE_S, largest_S, run_rows_of_any_start
+from .pieces import FEW_TRACKS, run_rows
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
 EPS = np.finfo(float).eps
@@ -27,7 +28,7 @@ def estimates(estimator, epochs, x, covariances):
     """
     N, _, M = x.shape
     directions = directions_of(estimator, epochs) if estimator.optimal else None
-    if estimator.optimal and largest_S(directions, estimator.P0.diagonal()) > VAGUE_S:
+    if estimator.optimal and largest_S(directions, estimator.P0.diagonal()) > DIFFUSE_S:
         return _on_columns(estimator, epochs, x, covariances, directions)
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
     # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
@@ -53,7 +54,7 @@ def estimates(estimator, epochs, x, covariances):
 def directions_of(estimator, epochs):
     """Return the `directions_seen` of a filter; of variances r, the smallest of each sensor counts."""
     if epochs.r is None:
-        return estimator.directions
+        return estimator.directions_by(estimator.model.R)
     smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
     R = np.where(np.isfinite(smallest), smallest, np.diag(estimator.model.R))
     return estimator.directions_by(np.diag(R))

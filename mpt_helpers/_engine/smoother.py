@@ -13,7 +13,8 @@ from scipy.linalg import eig
 
 from .. import _checks as checks
 from .columns import product, transposed
-from .pieces import largest_S, run_rows
+from .diffuse import largest_S
+from .pieces import run_rows
 from .run import directions_of, estimates, require_held
 from .shared import epochs_at_a_time
 
@@ -21,7 +22,7 @@ from .shared import epochs_at_a_time
 # UNDRIVEN times its variance after the first measurement.
 DAMPED = 1 - 1e-6
 UNDRIVEN = 1e-12
-# The largest S (see `pieces`) of a sensor that has just measured: the smoothed states near a vague start, or after a
+# The largest S (see `diffuse`) of a sensor that has just measured: the smoothed states near a diffuse start, or after a
 # long pause, are the small rest of a large P, and rounding leaves one or two digits in it.
 MOST_TO_SMOOTH = 1e15
 
@@ -111,7 +112,7 @@ def _warn_of_undriven_modes(motion, P):
 def _require_digits(directions, missing, P, timed):
     """Raise a ValueError where a sensor has just measured, and within n steps will see an S above MOST_TO_SMOOTH.
 
-    A sensor that has not measured does no harm: nothing that it sees is known well beside what is vague.
+    A sensor that has not measured does no harm: nothing that it sees is known well beside what is diffuse.
     """
     m, n, variances = missing.shape[1], P.shape[1], P.diagonal(axis1=1, axis2=2)
     if largest_S(directions, variances.max(axis=0)).max() <= MOST_TO_SMOOTH:

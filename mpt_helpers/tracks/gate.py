@@ -179,7 +179,7 @@ class _RowFilter:
         self.x, self.P = model.F @ model.x0, predicted_covariance(model, model.P0)  # of a start, before its fix
         self.starts = {}
         least = np.diagonal(self.R, 0, 1, 2)[self.seen].min(initial=math.inf)
-        self.vague = (model.H @ self.P @ model.H.T).max() > TOO_LARGE * least
+        self.diffuse = (model.H @ self.P @ model.H.T).max() > TOO_LARGE * least
 
     def after(self, state, k):
         """Return the state after row k without and with its measurement, the NIS, and S."""
@@ -211,11 +211,11 @@ class _RowFilter:
     def before_a_fault(self, stop, limit):
         """Return the fixes before the first fault, up to row `stop`, and the state after them; also the next row.
 
-        With a P0 so vague that P would lose its digits row by row, the engine takes these rows; otherwise none.
+        With a P0 so diffuse that P would lose its digits row by row, the engine takes these rows; otherwise none.
         """
         model, z = self.kf.model, np.where(self.seen, self.z, np.nan)
         count, state = 0, _state(model.x0, model.P0)
-        if self.vague:
+        if self.diffuse:
             z[stop:] = np.nan
             faults = np.flatnonzero(metrics.nis(self.kf, z) > limit)
             count = int(faults[0]) if len(faults) else stop
