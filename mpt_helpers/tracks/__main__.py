@@ -66,6 +66,8 @@ def _parser():
 
 def _run(options):
     path, folder = options.file, options.out or options.file.parent
+    if path.absolute().parts[1:2] in (("dev",), ("proc",)):
+        raise ValueError(f"{path}: needs a file with a name of its own: save the recording to one first")
     if not folder.is_dir():
         raise ValueError(f"{folder}: needs a folder that exists, to write to")
     named = {what: getattr(options, f"column_{what}") for what in COLUMNS}

@@ -221,6 +221,7 @@ def test_a_pipe_a_device_or_nothing_is_refused_at_once(tmp_path, capsys):
         mpt.track(tmp_path / "pipe.gpx")
     for path, words in {
         tmp_path / "pipe.gpx": "needs a file, got",
+        "/dev/stdin": "needs a file with a name of its own",
         tmp_path / "none.gpx": "No such file",
     }.items():
         code, _, err = said(capsys, path)
