@@ -127,7 +127,7 @@ class KalmanFilter(RecursiveFilter):
         kf.update(np.zeros(len(U)))  # neither gain nor covariance depends on x or z
         if min(kf.S.diagonal().tolist()) <= 0:  # of any covariance it is one or more, but for rounding
             checks.refuse("P", "a covariance", "one that gives a measurement a variance that is not positive")
-        keep = np.eye(self.model.n) - kf.K @ kf.H
+        keep = self._identity - kf.K @ kf.H
         require_digits(keep, kf.F, P, kf.P, kf.H @ kf.F, kf.S.diagonal(), dt)
         return keep @ kf.F, kf.K @ U, kf.P
 
@@ -184,6 +184,10 @@ class KalmanFilter(RecursiveFilter):
             both = KalmanColumns(self.motion, H, uncorrelated, P0)
             return both, both
         return KalmanColumns(self.motion, H, R, P0), KalmanColumns(self.motion, H, R, P0, noises_are_states=True)
+
+    @cached_property
+    def _identity(self):
+        return np.eye(self.model.n)
 
     @cached_property
     def _units(self):

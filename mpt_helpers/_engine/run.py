@@ -54,7 +54,7 @@ def estimates(estimator, epochs, x, covariances):
 def directions_of(estimator, epochs):
     """Return the `directions_seen` of a filter; of variances r, the smallest of each sensor counts."""
     if epochs.r is None:
-        return estimator.directions_by(estimator.model.R)
+        return estimator.directions
     smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
     R = np.where(np.isfinite(smallest), smallest, np.diag(estimator.model.R))
     return estimator.directions_by(np.diag(R))
