@@ -475,7 +475,7 @@ def test_an_old_position_takes_a_negative_h_in_the_mean_only():
     np.testing.assert_allclose(L, np.eye(2), atol=1e-9)
     states = np.sqrt(settled(old)[2][0, 0])
     real = np.sqrt(made[0, 0])
-    says(f"for positions three seconds old it claims {states:.2f} m, and its real error is {real:.2f} m.")
+    says(f"for positions three seconds old (h = -3) it claims {states:.2f} m, and its real error is {real:.2f} m.")
     F, _, Q = motion(1.0, 0.01)
     P = settled(NOW)[2]
     for _ in range(age):
