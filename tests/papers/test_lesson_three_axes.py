@@ -137,7 +137,7 @@ def test_axes_that_are_linked():
         assert (round(ten_times_poorer.max()), round(ten_times_better.max())) == unlike
     says("Read the line of 0.5: splitting costs 2 %.")
     says("at one half its height is known to 8.7 m instead of 10.5.")
-    says("along the diagonal (1, 1, 1) they state 0.23 m, where 0.32 m is true.)")
+    says("with errors linked by one half they state 0.23 m along the diagonal (1, 1, 1), where 0.32 m is true.)")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
     says("with changes at 0.9 where 0.3 is true the big filter states 4.4 m after the silence, and 10.9 m is true.")
     linked = lesson.correlated(3, 0.9)
