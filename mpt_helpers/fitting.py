@@ -402,4 +402,5 @@ def _distance_of_start(e, G, measured, P0):
     V = np.linalg.pinv(G.T @ G, hermitian=True)
     d = V @ G.T @ e
     c = np.sum((e - G @ d) ** 2) / (measured - n) if measured > n else 1.0
-    return math.sqrt(d @ np.linalg.pinv(P0 + c * V, hermitian=True) @ d)
+    squared = d @ np.linalg.pinv(P0 + c * V, hermitian=True) @ d
+    return math.sqrt(max(squared, 0.0))  # rounding could make it negative
