@@ -100,21 +100,16 @@ def draw_lost_axis(last=30):
     return fig
 
 
-def started(P0, of=AXIS):
-    """Return a model, AXIS if no other, with a start of covariance P0 (2, 2)."""
-    return replace(of, P0=P0)
-
-
-def sigma_of_both(P0, steps, of=AXIS):
+def sigma_of_both(P0, steps):
     """Return sigma of the position (steps,) with the gain that varies, and with the settled gain from the first step.
 
     >>> best, constant = sigma_of_both(np.zeros((2, 2)), 60)
     >>> print(f"{best[0]:.3f} {constant[0]:.3f} {best[-1]:.3f} {constant[-1]:.3f}")
     0.049 0.174 0.234 0.234
     """
-    model = started(P0, of)
+    model = replace(AXIS, P0=P0)
     best = KalmanFilter(model).covariances(steps)
-    constant = metrics.error_moments(SteadyStateFilter.from_kalman(of), model, steps).covariance
+    constant = metrics.error_moments(SteadyStateFilter.from_kalman(AXIS), model, steps).covariance
     return np.sqrt(best[:, 0, 0]), np.sqrt(constant[:, 0, 0])
 
 

@@ -24,17 +24,8 @@ import reproduction
 PACKAGE = Path(mpt.__file__).parent
 # Each module of the core may import those that stand before it, and of the package nothing else.
 CORE = ["_checks", "_immutable", "equations", "_engine.shared"]
-CORE += [
-    "_engine.columns",
-    "_engine.pieces",
-    "_engine.diffuse",
-    "_engine.run",
-    "_engine.smoother",
-    "model",
-    "riccati",
-    "_base",
-    "kalman",
-]
+CORE += ["_engine.columns", "_engine.pieces", "_engine.diffuse", "_engine.run", "_engine.smoother"]
+CORE += ["model", "riccati", "_base", "kalman"]
 CORE += ["lainiotis", "steady", "predictor", "combined", "bands", "metrics", "search", "fitting", "monte_carlo"]
 # The engine knows arrays and equations only.
 OF_THE_ENGINE = {"_checks", "equations"}
