@@ -69,7 +69,7 @@ def test_the_road_is_that_of_the_picture(taught):
 
 def test_a_driver_who_does_both(taught):
     """The share of brakes let go after three seconds from which the velocity filter has the smaller mean square."""
-    says("the velocity filter is better only if he lets go in three of four, or more.")
+    says("A driver who does both must let go in three of four brakes before the velocity filter wins.")
     noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
     stop, let_go = (
         np.square([rms(taught["misses"](*each, 2, lasting, noise)) for each in (VELOCITY, ACCELERATION)])
@@ -140,7 +140,9 @@ def test_which_filter_wins(off, taught):
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than five")
-    says("that the car is slow by then. The other is a gentle brake that has lasted nine seconds.")
+    rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["brakes"]).splitlines()[1:]]
+    says("At 2 m/s² and more the car is nearly standing by then")
+    says("At 1 m/s² it is the ninth second of a gentle brake that turns the table.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -148,7 +150,8 @@ def test_which_filter_wins(off, taught):
             if off(*VELOCITY, brake, lasting) > off(*ACCELERATION, brake, lasting)
         ]
         assert wins == list(range(from_when, 20 // brake))
-        assert from_when == 9 or 20 - brake * from_when <= 4  # m/s
+        assert brake == 1 or 20 - brake * from_when <= 4  # m/s
+        assert rows[brake - 1][-1] == f"up to {from_when - 1} s"
     gain = {each: off(*VELOCITY, each, np.inf) / off(*ACCELERATION, each, np.inf) for each in (1, 2, 3, 4, 6, 8)}
     assert min(gain.values()) > 1
     assert min(gain[1], gain[2], gain[3]) > 1.25  # twenty, ten and seven seconds
@@ -239,15 +242,11 @@ def test_with_a_worse_sensor_the_acceleration_gains_less():
 
 
 def test_the_winners_are_those_until_ten_seconds_after_the_brake():
-    says("Counted until ten seconds after the end of the brake, that case is a tie, and no other winner changes.)")
-    rows = [re.split(r"  +", line.strip())[1:] for line in shown(CELLS["brakes"]).splitlines()[1:]]
+    says("Counted until ten seconds after its end, the nine seconds are a tie.)")
     functions, _, _ = source(CELLS["table"]).partition("\nbrakes = ")
-    for brake, cells in zip((1, 2, 3, 4), rows, strict=True):
-        for lasting, cell in zip((3, 5, 6, 7, 8, 9, np.inf), cells, strict=True):
-            if cell == "–":
-                assert 20 / brake <= lasting
-                continue
-            last = int(np.ceil(min(lasting, 20 / brake))) + 10
+    for brake, border in ((1, 8), (2, 7), (3, 5), (4, 4)):
+        for lasting in range(1, 20 // brake):
+            last = lasting + 10
             names = made()
             exec(functions, names)
             names["t"] = np.arange(-60.0, last + 1)
@@ -255,9 +254,10 @@ def test_the_winners_are_those_until_ten_seconds_after_the_brake():
                 rms(names["misses"](*each, brake, lasting, np.zeros((61 + last, 1))))
                 for each in (VELOCITY, ACCELERATION)
             )
-            assert cell.startswith("v " if velocity < acceleration else "a "), (brake, lasting)
             if (brake, lasting) == (1, 9):
                 assert acceleration / velocity == pytest.approx(1, abs=0.02)
+            else:
+                assert (velocity < acceleration) == (lasting <= border), (brake, lasting)
 
 
 def test_how_fast_the_acceleration_is_learnt(taught):
@@ -274,15 +274,13 @@ def test_how_fast_the_acceleration_is_learnt(taught):
 def test_a_recorded_drive_is_judged_by_later_measurements(taught):
     """As by the true positions, within the sensor's error."""
     names = {**taught}
-    exec(source(CELLS["recorded"]).partition("\n\n\nt_recorded")[0], names)
+    exec(source(CELLS["recorded"]).partition("\n\n\npedal")[0], names)
     t = np.arange(-60.0, 16)
     noise = np.random.default_rng(3).normal(0, np.sqrt(lesson.R), len(t))
     for each in (VELOCITY, ACCELERATION):
         found = names["misses_of"](taught["road"](t, 2.0) + noise, *each)[60:]
         true = taught["misses"](*each, 2.0, np.inf, noise[:71, None])[:, 0]
         assert np.abs(found - true).max() < 4 * np.sqrt(2 * lesson.R)  # less its first measurement's error
-    said = [float(each) for each in re.findall(r": ([\d.]+) m", shown(CELLS["recorded"]))]
-    assert said == pytest.approx([26, 16], abs=1)  # as the first table has it of 200 drives
 
 
 def test_a_q_is_found_for_an_error_on_the_calm_road(taught):
@@ -293,19 +291,20 @@ def test_a_q_is_found_for_an_error_on_the_calm_road(taught):
 def test_at_four_a_stop_is_nearly_a_tie(taught):
     says("The harder the brake and the worse the sensor, the less they differ")
     says("A stop by 4 m/s² gives 29 m in place of 33.")
-    table = [re.split(r"  +", line.strip()) for line in shown(CELLS["brakes"]).splitlines()]
-    assert [row[-1] for row in table[1:]] == ["a 1.79", "a 1.59", "a 1.26", "a 1.13"]
     stops = shown(CELLS["table"]).splitlines()
     assert [re.split(r"  +", row.strip())[2] for row in stops[2:4]] == ["33 m", "29 m"]
 
 
 def test_a_recording_with_other_steps_is_judged_at_its_own_seconds():
-    """The cell of the page with two measurements a second, against the errors from true positions."""
-    names = made()
-    exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", "dt, R = 0.5, 0.1"), names)
-    exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
-    exec(source(CELLS["recorded"]), names)
-    for each in (VELOCITY, ACCELERATION):
-        found = rms(names["misses_of"](names["recorded"], *each)[names["predicted_at"] > -0.25])
-        noise = np.zeros((len(names["t"]), 1))
-        assert found == pytest.approx(rms(names["misses"](*each, 2, np.inf, noise)), abs=1.5)
+    """With two measurements a second the drive has the same road, and predictions are compared as far ahead."""
+    drives = []
+    for dt in (1.0, 0.5):
+        names = made()
+        exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", f"dt, R = {dt}, 1e-12"), names)
+        exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
+        exec(source(CELLS["brakes"]).partition("\n\n\ndef")[0], names)
+        exec(source(CELLS["recorded"]), names)
+        drives.append(names)
+    np.testing.assert_allclose(drives[1]["recorded"][1::2], drives[0]["recorded"], atol=1e-4)
+    still = drives[1]["recorded"][:60]  # at constant speed both see nothing but the start
+    assert np.abs(drives[1]["misses_of"](still, 2, 1)[20:]).max() < 1e-3
