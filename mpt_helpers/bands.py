@@ -351,7 +351,7 @@ def _model_with_transition(estimator):
     if estimator.model.transition is None:
         need = "a model with a transition, such as constant_velocity"
         checks.refuse("estimator", need, "one whose F and Q are for one length only")
-    if estimator.parts and any(leaf.t is not None or leaf.r is not None for leaf in estimator.leaves):
+    if estimator.subfilters and any(each.t is not None or each.r is not None for each in estimator.elementary_filters):
         need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
         checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")
     return estimator.model

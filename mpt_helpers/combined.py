@@ -73,7 +73,7 @@ class JoinFilter(Filter):
         return (self.first.P0 + self.second.P0) / 2
 
     @property
-    def parts(self) -> Sequence[Filter]:
+    def subfilters(self) -> Sequence[Filter]:
         """Both filters."""
         return self.first, self.second
 
@@ -90,7 +90,7 @@ class JoinFilter(Filter):
         same_x = np.abs(x_1 - x_2) <= checks.SOLVED * (np.abs(x_1) + sigma)
         same_P = np.abs(P_1 - P_2) <= checks.SOLVED * sigma * sigma[:, None]
         if not (self.optimal or (same_x.all() and same_P.all())):
-            kinds = " and ".join(type(each).__name__ for each in self.parts)
+            kinds = " and ".join(type(each).__name__ for each in self.subfilters)
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
@@ -162,7 +162,7 @@ class Separate(Filter):
         return block_diag(*(each.P0 for each in self.filters))
 
     @property
-    def parts(self) -> Sequence[Filter]:
+    def subfilters(self) -> Sequence[Filter]:
         """The filters."""
         return self.filters
 
@@ -233,9 +233,9 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    of_first, of_second = first.leaves, second.leaves
+    of_first, of_second = first.elementary_filters, second.elementary_filters
     t = of_first[0].t
-    if not all(same(t, leaf.t) for leaf in (*of_first, *of_second)):
+    if not all(same(t, each.t) for each in (*of_first, *of_second)):
         checks.refuse("second", "a filter of the same times as the first", "one of others")
     # The filters in a Separate see some columns of z each: their variances are comparable only one by one.
     if len(of_first) == len(of_second) and not all(same(a.r, b.r) for a, b in zip(of_first, of_second, strict=True)):

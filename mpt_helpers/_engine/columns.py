@@ -89,7 +89,7 @@ class Epochs:
         return z, seen, F, Q, r
 
 
-def corrected(x, P, z, seen, variance, i):
+def scalar_update(x, P, z, seen, variance, i):
     """Correct x (n, c, W) and P (n, n, W) in place by z (c, W), a measurement of component i of the state.
 
     seen (W,) marks the columns that have this measurement; its variance v is a number or (W,). This is the textbook
@@ -148,7 +148,7 @@ class KalmanColumns:
         innovations = np.zeros((len(z), *x.shape[1:]))
         for change, j, i in self._changes:
             x, P = change(x, P) if change else (x, P)
-            x, P, innovations[j] = corrected(x, P, z[j], seen[j], variances[j], i)
+            x, P, innovations[j] = scalar_update(x, P, z[j], seen[j], variances[j], i)
         x, P = self._back(x, P) if self._back else (x, P)
         x, P = x[:n], P[:n, :n]
         if known.any():  # a state known exactly stays known: rounding could make its variance slightly negative

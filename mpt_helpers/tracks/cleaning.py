@@ -5,7 +5,7 @@ but without q and r faults cannot be told from noise. So three steps are repeate
 at most four times:
 
 1. `gate`, fix by fix, at first with a guess of q and r that tolerates a tenth of faults;
-2. a look from both sides, which refuses fixes that are far from the smoothed line of all others;
+2. the smoother, which refuses fixes that are far from the smoothed line of all others;
 3. maximum-likelihood q and r of the remaining fixes.
 
 Then the band is tested on the second half of the track, with q and r fitted to the first half.
@@ -29,19 +29,19 @@ from ..kalman import KalmanFilter
 from . import gate, geodesy, plot, report, writers
 from .files import write_together
 from .fixes import FEWEST, checked_track, fixes_of, grid_of
-from .line import (
+from .noise_fit import (
     HOUR_BETWEEN,
     Line,
     Noise,
     Scale,
-    as_far_as_known,
+    assume_r_if_unidentifiable,
+    concatenate_segments,
     filter_of,
     first_guess,
     fitted,
-    from_an_unknown_start,
     log_errors,
-    on_one_line,
     scale_of,
+    vague_axis_filter,
 )
 from .readers import Recording
 
@@ -50,16 +50,16 @@ if TYPE_CHECKING:
 
 LEVEL = 0.95
 NORMAL = 1.96  # standard deviations that hold 95 % of a normal distribution
-# The look from both sides refuses a fix whose squared distance exceeds this limit and those of both neighbours. A limit
-# of 30 refuses up to 0.2 % of the fixes of clean tracks; a limit of 200 refuses no fewer than 60.
-FROM_BOTH_SIDES, LOOKS = 60.0, 3
+# The smoother refuses a fix whose squared distance exceeds this limit and those of both neighbours. A limit of 30
+# refuses up to 0.2 % of the fixes of clean tracks; a limit of 200 refuses no fewer than 60.
+SMOOTHER_LIMIT, SMOOTHER_PASSES = 60.0, 3
 # With a fix every 4 s or less often, the limit is lower where the motion is smooth, down to LEAST_LIMIT. It is
 # proportional to the median squared distance of the 21 fixes around; with two axes and the right model this is 1.39. It
 # catches twice as many outliers of 20 to 40 m. Denser tracks do not need it, and would lose fixes a few metres off.
 SPARSE, NEIGHBOURS, MEDIAN, LEAST_LIMIT = 4.0, 21, 1.39, 30.0
 # A smaller fraction of r is the rounding error of r - P.
 SMALLEST_DIFFERENCE = 1e-8
-TURNS = 4  # of the gate, the look from both sides and the fit
+TURNS = 4  # of the gate, the smoother and the fit
 # The horizon of the band is one at which at least this fraction of the fixes is followed by another fix.
 CHECKED = 1 / 3
 
@@ -352,13 +352,13 @@ def clean(
     noise, segments = first_guess(clock, own, scale, fixes.begin), None
 
     def line_of(segments):
-        return on_one_line(t, z, relative, fixes.same_as, segments, noise, scale)
+        return concatenate_segments(t, z, relative, fixes.same_as, segments, noise, scale)
 
     for _ in range(TURNS):
         before, segments = segments, np.full(len(t), -1)
         kf = filter_of(noise, scale, clock, weights, z.shape[1])
         segments[fixes.rows] = gate.segments_of(kf, own, np.flatnonzero(fixes.begin), limit, 3)
-        segments = seen_from_both_sides(line_of(segments), noise, scale, segments)
+        segments = without_smoother_outliers(line_of(segments), noise, scale, segments)
         if before is not None and np.array_equal(segments, before):
             break
         line = line_of(segments)
@@ -367,7 +367,7 @@ def clean(
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
         noise = fitted(line, noise, scale, near=before is not None)
     line = line_of(segments)
-    noise = as_far_as_known(line, noise, scale)
+    noise = assume_r_if_unidentifiable(line, noise, scale)
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]
@@ -393,21 +393,21 @@ def clean(
     )
 
 
-def seen_from_both_sides(line: Line, noise: Noise, scale: Scale, segment: NDArray[np.intp]) -> NDArray[np.intp]:
+def without_smoother_outliers(line: Line, noise: Noise, scale: Scale, segment: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the segments without the fixes that are far from the smoothed line of all others.
 
     The squared distance of a fix from the line smoothed without it, in units of its variance, is (z - x)² / (r - P),
     with x and P of the line smoothed with it. A fault makes its neighbours look bad too, so of neighbouring fixes only
-    the worst is refused before the next look.
+    the worst is refused in each pass.
     """
     segment = segment.copy()
-    for _ in range(LOOKS):
+    for _ in range(SMOOTHER_PASSES):
         x, P = _smoothed(line, noise, scale)
         r = noise.r if line.relative is None else noise.r * line.relative
         distances = (line.z - x) ** 2 / np.maximum(r - P, SMALLEST_DIFFERENCE * r)
         fixes = np.flatnonzero(np.isfinite(line.z).any(axis=1))
         off = np.nansum(distances[fixes], axis=1)
-        limits = _limits(off) if scale.step >= SPARSE else FROM_BOTH_SIDES
+        limits = _limits(off) if scale.step >= SPARSE else SMOOTHER_LIMIT
         before, after = np.append(0, off[:-1]), np.append(off[1:], 0)
         faults = fixes[(off > limits) & (off >= before) & (off >= after)]
         if not len(faults):
@@ -424,12 +424,12 @@ def seen_from_both_sides(line: Line, noise: Noise, scale: Scale, segment: NDArra
 def _limits(off):
     """Return the limit for each fix (N,), from the squared distances (N,) of the fixes around it."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS)
-    return np.clip(FROM_BOTH_SIDES * np.median(around, axis=1) / MEDIAN, LEAST_LIMIT, FROM_BOTH_SIDES)
+    return np.clip(SMOOTHER_LIMIT * np.median(around, axis=1) / MEDIAN, LEAST_LIMIT, SMOOTHER_LIMIT)
 
 
 def _smoothed(line, noise, scale):
     """Return the smoothed positions of a line and their variances, (K, m)."""
-    s = from_an_unknown_start(line, noise.q, noise.r, scale).smooth(line.z[:, None])
+    s = vague_axis_filter(line, noise.q, noise.r, scale).smooth(line.z[:, None])
     return s.x[:, 0], s.P[:, 0, 0]
 
 

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..fitting import UNKNOWN
-from .doubts import take_turns
 from .fixes import FAR_IN_TIME
 from .geodesy import earth_centred
-from .line import SMOOTHED
+from .noise_fit import SMOOTHED
 from .readers import UNIX, moment_of
+from .unsupported import take_turns
 from .writers import degrees_of, velocities_of
 
 Cleaned = Any  # the class of `cleaning`, which imports this module
