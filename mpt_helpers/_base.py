@@ -33,7 +33,7 @@ from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, LinearMap, Motion, whitened
 from ._engine.diffuse import DIFFUSE_S, LARGEST_S, observability_rows
-from ._engine.run import MOST_ROUNDING_OF_S
+from ._engine.run import MOST_ROUNDING_OF_S, is_rounded_away
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable, types_as_written
@@ -501,7 +501,8 @@ class RecursiveFilter(Filter):
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
         """Write the estimates to x and return the covariances if wanted, as in Filter."""
-        return engine.estimates(self, self.epochs_of(z), x, covariances)
+        epochs = self.epochs_of(z)
+        return engine.estimates(self, epochs, x, covariances, engine.observability_of(self, epochs))
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
         """Return the innovations and their covariances, as in Filter; refused where P is not predicted by the model."""
@@ -551,10 +552,9 @@ def require_digits(T_1, T_2, P, after, H, S, dt=None):
     finite = np.isfinite(after).all()
     if largest_S.max() < DIFFUSE_S and finite:
         return
-    eps = np.finfo(float).eps
     largest_P = (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
-    P_is_right = (eps * largest_P <= MOST_ROUNDING * after.diagonal()).all()
-    S_is_right = (eps * largest_S <= MOST_ROUNDING_OF_S * S).all()
+    P_is_right = not is_rounded_away(largest_P, after.diagonal(), MOST_ROUNDING)
+    S_is_right = not is_rounded_away(largest_S, S, MOST_ROUNDING_OF_S)
     if S.max() < LARGEST_S and finite and P_is_right and S_is_right:
         return
     if dt is not None:

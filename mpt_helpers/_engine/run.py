@@ -21,13 +21,12 @@ MOST_ROUNDING_OF_S = 0.01
 MOST_NUMBERS = 4_000_000
 
 
-def estimates(estimator, epochs, x, covariances):
+def estimates(estimator, epochs, x, covariances, observability):
     """Write x(k/k) of all epochs to x (N, n, M), and return P(k/k) (N, n, n, M), or None if it is not wanted.
 
-    P is (N, n, n, 1) where all tracks share it.
+    P is (N, n, n, 1) where all tracks share it. `observability_of` the filter is needed only if it is optimal.
     """
     N, _, M = x.shape
-    observability = observability_of(estimator, epochs) if estimator.optimal else None
     if estimator.optimal and largest_S(observability, estimator.P0.diagonal()) > DIFFUSE_S:
         return _on_columns(estimator, epochs, x, covariances, observability)
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
@@ -52,7 +51,9 @@ def estimates(estimator, epochs, x, covariances):
 
 
 def observability_of(estimator, epochs):
-    """Return the `observability_rows` of a filter; of variances r, the smallest of each sensor counts."""
+    """Return the `observability_rows` with the smallest of variances r of each sensor, or None if not optimal."""
+    if not estimator.optimal:
+        return None
     if epochs.r is None:
         return estimator.observability
     smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
@@ -99,7 +100,7 @@ def innovations(estimator, epochs):
     """
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
     x = np.empty((N, n, M))
-    P = estimates(estimator, epochs, x, covariances=True)
+    P = estimates(estimator, epochs, x, True, observability_of(estimator, epochs))
     values, S, size = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3])), np.empty((N, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks.
@@ -115,12 +116,17 @@ def innovations(estimator, epochs):
     return values, S
 
 
+def is_rounded_away(size, variances, most):
+    """Tell whether the rounding of terms of this size, ε size, exceeds the fraction `most` of some of the variances."""
+    return (EPS * size > most * variances).any()
+
+
 def require_digits_of(variances, size):
     """Raise a ValueError where rounding is a large part of the variances of predicted measurements.
 
     size is (|H| |F| σ)², of the same shape: doubles round P_ij by ε σ_i σ_j, and so H F P Fᵀ Hᵀ by up to ε times this.
     """
-    if (EPS * size > MOST_ROUNDING_OF_S * variances).any():
+    if is_rounded_away(size, variances, MOST_ROUNDING_OF_S):
         need = "a start that leaves digits of the predicted measurements beside states that were never measured"
         checks.refuse("P0", f"{need} (filter and estimates take a larger one)", "one that leaves none")
 

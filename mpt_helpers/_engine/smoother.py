@@ -31,11 +31,12 @@ def smoothed(estimator, epochs):
     """Return x(k/N) (N, n, M) and P(k/N) (N, n, n, M), or (N, n, n, 1) where all tracks share it."""
     N, _, M = epochs.z.shape
     x = np.empty((N, estimator.model.n, M))
-    P = estimates(estimator, epochs, x, covariances=True)
+    observability = observability_of(estimator, epochs)
+    P = estimates(estimator, epochs, x, True, observability)
     if N == 1:
         return x, P
     _warn_of_undriven_modes(epochs.motion, P[0])
-    _require_digits(observability_of(estimator, epochs), epochs.missing[:-1], P[:-1], epochs.dt is not None)
+    _require_digits(observability, epochs.missing[:-1], P[:-1], epochs.dt is not None)
     d, C, D = np.empty_like(x[:-1]), np.empty_like(P[:-1]), np.empty_like(P[:-1])
     for part in epochs_at_a_time(N - 1, P[0].size):
         motion = epochs.motions(slice(part.start + 1, part.stop + 1))
