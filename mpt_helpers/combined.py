@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from . import _checks as checks
 from ._base import Estimates, Filter
 from ._checks import Array, Seconds
+from ._engine.columns import block_diagonal
 from ._immutable import same
 from .kalman import KalmanFilter
 from .lainiotis import LainiotisFilter
@@ -217,13 +218,7 @@ class Separate(Filter):
 
 def _block_diagonal(parts):
     """Return covariances (N, d_i, d_i, M or 1) as one (N, d, d, M or 1), block diagonal."""
-    d = sum(C.shape[1] for C in parts)
-    whole, start = np.zeros((len(parts[0]), d, d, max(C.shape[3] for C in parts))), 0
-    for C in parts:
-        here = slice(start, start + C.shape[1])
-        whole[:, here, here] = C
-        start = here.stop
-    return whole
+    return np.moveaxis(block_diagonal(np.moveaxis(C, 0, 2) for C in parts), 2, 0)
 
 
 def _require_equally_far_ahead(name, first, other):

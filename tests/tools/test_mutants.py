@@ -80,7 +80,7 @@ def starts_at_zero(advance, rows, x0, P0, boundary_states=pieces.boundary_states
 
 
 def steps_back_without_noise(motion, x, P, steps_back=smoother._steps_back):
-    return steps_back(columns.Motion(motion.matrix, 0 * motion.Q), x, P)
+    return steps_back(type(motion)(motion.matrix, 0 * motion.Q), x, P)
 
 
 def step_from_zero(P, constants, lainiotis_step=equations.lainiotis_step):
