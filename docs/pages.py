@@ -423,7 +423,8 @@ CHAPTERS = {
 
 # By these, filters, metrics and bands call one another. They have one line, and the page of a class leaves them out.
 INNER = {"advance", "as_tracks", "epochs_of", "estimates_of", "innovations_of", "next_steps", "run", "times_of"}
-INNER |= {"directions", "directions_by", "leaves", "measurement", "motion", "parts", "shared_steps"}
+INNER |= {"elementary_filters", "measurement", "motion", "observability", "observability_with", "shared_steps"}
+INNER |= {"subfilters"}
 
 
 def interface():

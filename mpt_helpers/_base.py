@@ -6,7 +6,8 @@ Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, b
 - `run(z, x, covariances)`: writes the estimates to x, and returns the covariances if they are wanted;
 - `innovations_of(z)`: the innovations and their covariances;
 - `epochs_of(z)`: z with the time steps and variances of its epochs; `times_of(N)`: the times of the epochs in s;
-- `parts`: the filters that a filter combines; `leaves`: the same, down to those that combine no others.
+- `subfilters`: the filters that a filter combines; `elementary_filters`: those among them, and among theirs, that
+  combine no others.
 
 Their covariances are (N, n, n, M), or (N, n, n, 1) where all tracks share them.
 
@@ -31,8 +32,8 @@ from ._checks import Array, Seconds
 from ._engine import run as engine
 from ._engine import shared as steps
 from ._engine.columns import Epochs, LinearMap, Motion, whitened
-from ._engine.diffuse import DIFFUSE_S, LARGEST_S, directions_seen
-from ._engine.run import MOST_ROUNDING_OF_S
+from ._engine.diffuse import DIFFUSE_S, LARGEST_S, observability_rows
+from ._engine.run import MOST_ROUNDING_OF_S, is_rounded_away
 from ._engine.shared import Step
 from ._engine.smoother import smoothed
 from ._immutable import Immutable, types_as_written
@@ -85,19 +86,19 @@ class Filter(Immutable):
     r: Array | None = None
 
     @property
-    def parts(self) -> Sequence[Filter]:
+    def subfilters(self) -> Sequence[Filter]:
         """The filters that this one combines; empty except for joint and separate filters and predictors."""
         return ()
 
     @property
     def optimal(self) -> bool:
-        """Whether the gain, in every part, is the Kalman gain for P, so that P is the covariance of the error."""
-        return bool(self.parts) and all(each.optimal for each in self.parts)
+        """Whether the gain, in every subfilter, is the Kalman gain for P, so that P is the covariance of the error."""
+        return bool(self.subfilters) and all(each.optimal for each in self.subfilters)
 
     @property
     def steps_ahead(self) -> int:
         """The number of steps from the last measurement used to the state that is estimated."""
-        return self.parts[0].steps_ahead if self.parts else 0
+        return self.subfilters[0].steps_ahead if self.subfilters else 0
 
     @property
     def P0(self) -> Array:
@@ -261,16 +262,16 @@ class Filter(Immutable):
         raise self._not_recursive("step")
 
     @property
-    def leaves(self) -> list[Filter]:
-        """The filters at the bottom of the tree of `parts`; the filter itself where it has none."""
-        return [leaf for part in self.parts for leaf in part.leaves] or [self]
+    def elementary_filters(self) -> list[Filter]:
+        """The filters at the bottom of the tree of `subfilters`; the filter itself where it has none."""
+        return [each for part in self.subfilters for each in part.elementary_filters] or [self]
 
     def times_of(self, N: int) -> Array:
         """Return the times of N epochs in s: t, (N,) or (N, M), or the steps of the model's dt from 0, (N,).
 
-        t is that of the filter, or of the first of its parts that has one. A model without a dt has steps of 1 s.
+        t is that of the filter, or of the first of its subfilters that has one. A model without a dt has steps of 1 s.
         """
-        given = [leaf.t for leaf in self.leaves if leaf.t is not None]
+        given = [each.t for each in self.elementary_filters if each.t is not None]
         if given:
             return given[0]
         return (1.0 if self.model.dt is None else self.model.dt) * np.arange(N)
@@ -430,13 +431,13 @@ class RecursiveFilter(Filter):
         return np.moveaxis(x, 0, 2), np.moveaxis(P, 0, 2), innovations
 
     @cached_property
-    def directions(self) -> Array:
-        """The `directions_seen` by the model's measurements, cached: they take a third of a short track's time."""
-        return self.directions_by(self.model.R)
+    def observability(self) -> Array:
+        """The `observability_rows` of the model, cached: they take a third of a short track's time."""
+        return self.observability_with(self.model.R)
 
-    def directions_by(self, R: Array) -> Array:
-        """Return the `directions_seen` by measurements with noise of covariance R."""
-        return directions_seen(self.model.F, self.model.Q, self.model.H, R)
+    def observability_with(self, R: Array) -> Array:
+        """Return the `observability_rows` with measurement noise of covariance R."""
+        return observability_rows(self.model.F, self.model.Q, self.model.H, R)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.
@@ -500,7 +501,8 @@ class RecursiveFilter(Filter):
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
         """Write the estimates to x and return the covariances if wanted, as in Filter."""
-        return engine.estimates(self, self.epochs_of(z), x, covariances)
+        epochs = self.epochs_of(z)
+        return engine.estimates(self, epochs, x, covariances, engine.observability_of(self, epochs))
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
         """Return the innovations and their covariances, as in Filter; refused where P is not predicted by the model."""
@@ -550,10 +552,9 @@ def require_digits(T_1, T_2, P, after, H, S, dt=None):
     finite = np.isfinite(after).all()
     if largest_S.max() < DIFFUSE_S and finite:
         return
-    eps = np.finfo(float).eps
     largest_P = (np.abs(T_1) @ np.abs(T_2) @ sigma) ** 2
-    P_is_right = (eps * largest_P <= MOST_ROUNDING * after.diagonal()).all()
-    S_is_right = (eps * largest_S <= MOST_ROUNDING_OF_S * S).all()
+    P_is_right = not is_rounded_away(largest_P, after.diagonal(), MOST_ROUNDING)
+    S_is_right = not is_rounded_away(largest_S, S, MOST_ROUNDING_OF_S)
     if S.max() < LARGEST_S and finite and P_is_right and S_is_right:
         return
     if dt is not None:

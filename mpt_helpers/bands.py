@@ -37,7 +37,7 @@ from ._checks import Array, Seconds
 from ._engine.columns import whitened
 from ._engine.run import require_digits_of
 from ._immutable import types_as_written
-from .model import LinearModel
+from .model import LinearModel, require_transition
 
 __all__ = [
     "Coverage",
@@ -348,10 +348,8 @@ def _nis_per_number(innovations, S):
 def _model_with_transition(estimator):
     """Return the model of a filter whose predictions some seconds ahead are known."""
     checks.instance("estimator", estimator, Filter)
-    if estimator.model.transition is None:
-        need = "a model with a transition, such as constant_velocity"
-        checks.refuse("estimator", need, "one whose F and Q are for one length only")
-    if estimator.parts and any(leaf.t is not None or leaf.r is not None for leaf in estimator.leaves):
+    require_transition("estimator", estimator.model)
+    if estimator.subfilters and any(each.t is not None or each.r is not None for each in estimator.elementary_filters):
         need = "a filter whose times and variances are its own, as a KalmanFilter of the stacked model"
         checks.refuse("estimator", need, f"a {type(estimator).__name__} of filters that have them")
     return estimator.model

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from . import _checks as checks
 from ._base import Estimates, Filter
 from ._checks import Array, Seconds
+from ._engine.columns import block_diagonal
 from ._immutable import same
 from .kalman import KalmanFilter
 from .lainiotis import LainiotisFilter
@@ -73,7 +74,7 @@ class JoinFilter(Filter):
         return (self.first.P0 + self.second.P0) / 2
 
     @property
-    def parts(self) -> Sequence[Filter]:
+    def subfilters(self) -> Sequence[Filter]:
         """Both filters."""
         return self.first, self.second
 
@@ -90,7 +91,7 @@ class JoinFilter(Filter):
         same_x = np.abs(x_1 - x_2) <= checks.SOLVED * (np.abs(x_1) + sigma)
         same_P = np.abs(P_1 - P_2) <= checks.SOLVED * sigma * sigma[:, None]
         if not (self.optimal or (same_x.all() and same_P.all())):
-            kinds = " and ".join(type(each).__name__ for each in self.parts)
+            kinds = " and ".join(type(each).__name__ for each in self.subfilters)
             raise TypeError(f"step: needs two filters of the same gain, as each keeps a state of its own, got {kinds}")
         return (x_1 + x_2) / 2, (P_1 + P_2) / 2
 
@@ -162,7 +163,7 @@ class Separate(Filter):
         return block_diag(*(each.P0 for each in self.filters))
 
     @property
-    def parts(self) -> Sequence[Filter]:
+    def subfilters(self) -> Sequence[Filter]:
         """The filters."""
         return self.filters
 
@@ -217,13 +218,7 @@ class Separate(Filter):
 
 def _block_diagonal(parts):
     """Return covariances (N, d_i, d_i, M or 1) as one (N, d, d, M or 1), block diagonal."""
-    d = sum(C.shape[1] for C in parts)
-    whole, start = np.zeros((len(parts[0]), d, d, max(C.shape[3] for C in parts))), 0
-    for C in parts:
-        here = slice(start, start + C.shape[1])
-        whole[:, here, here] = C
-        start = here.stop
-    return whole
+    return np.moveaxis(block_diagonal(np.moveaxis(C, 0, 2) for C in parts), 2, 0)
 
 
 def _require_equally_far_ahead(name, first, other):
@@ -233,9 +228,9 @@ def _require_equally_far_ahead(name, first, other):
 
 
 def _require_equal_conditions(first, second):
-    of_first, of_second = first.leaves, second.leaves
+    of_first, of_second = first.elementary_filters, second.elementary_filters
     t = of_first[0].t
-    if not all(same(t, leaf.t) for leaf in (*of_first, *of_second)):
+    if not all(same(t, each.t) for each in (*of_first, *of_second)):
         checks.refuse("second", "a filter of the same times as the first", "one of others")
     # The filters in a Separate see some columns of z each: their variances are comparable only one by one.
     if len(of_first) == len(of_second) and not all(same(a.r, b.r) for a, b in zip(of_first, of_second, strict=True)):

@@ -22,9 +22,9 @@ from . import _checks as checks
 from ._base import RecursiveFilter, require_digits
 from ._checks import Array
 from ._engine.columns import Epochs, KalmanColumns
-from ._engine.diffuse import directions_seen
+from ._engine.diffuse import observability_rows
 from .equations import masked, unit_measurements
-from .model import LinearModel, half_step_gap
+from .model import LinearModel, half_step_gap, require_transition
 
 # The filter warns of an inaccurate transition where a step and two half steps differ by more than this fraction.
 MOST_HALF_STEP_GAP = 1e-3
@@ -95,16 +95,9 @@ class KalmanFilter(RecursiveFilter):
     def __init__(self, model: LinearModel, t: ArrayLike | Sequence[datetime] | None = None, r: ArrayLike | None = None):
         super().__init__(model)
         if t is not None:
-            self._transition_for("t")
+            require_transition("t", model)
         object.__setattr__(self, "t", None if t is None else checks.times("t", t))
         object.__setattr__(self, "r", None if r is None else checks.variances("r", r, model.m))
-
-    def _transition_for(self, name):
-        """Return the model's transition, which the argument of this name needs."""
-        if self.model.transition is None:
-            need = "a model with a transition, such as constant_velocity"
-            checks.refuse(name, need, "one whose F and Q are for one length only")
-        return self.model.transition
 
     def next_step(
         self, P: Array, seen: np.ndarray, dt: float | None = None, r: Array | None = None
@@ -118,7 +111,7 @@ class KalmanFilter(RecursiveFilter):
         kf.P = P
         U = self._units[1]
         if dt is not None:
-            kf.F, kf.Q = self._transition_for("dt")(dt)
+            kf.F, kf.Q = require_transition("dt", self.model)(dt)
         if r is not None or not seen.all():
             R = self.model.R if r is None else np.diag(np.where(seen, r, 1))
             H_1, U = unit_measurements(*masked(self.model.H, R, seen))
@@ -160,12 +153,12 @@ class KalmanFilter(RecursiveFilter):
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
 
-    def directions_by(self, R: Array) -> Array:
-        """Return the directions as in RecursiveFilter, with times for steps of median and of largest length."""
+    def observability_with(self, R: Array) -> Array:
+        """Return the `observability_rows`; with times, those of steps of median and of largest length."""
         if self._steps is None:
-            return super().directions_by(R)
+            return super().observability_with(R)
         steps = [self.model.over(dt) for dt in (np.median(self._steps), self._steps.max())]
-        return np.concatenate([directions_seen(F, Q, self.model.H, R) for F, Q in steps])
+        return np.concatenate([observability_rows(F, Q, self.model.H, R) for F, Q in steps])
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""

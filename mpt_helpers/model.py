@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 
 from . import _checks as checks
 from ._checks import Array, Seconds
+from ._engine.columns import block_diagonal
 from ._engine.shared import Step, products_for, run_shared
 from ._immutable import Immutable
 from .equations import square_root
@@ -153,9 +154,7 @@ class LinearModel(Immutable):
                [0., 1.]])
 
         """
-        if self.transition is None:
-            checks.refuse("model", "a transition, for steps of any length", "an F and a Q of one length only")
-        return _F_and_Q(self.transition, checks.lengths("dt", dt))
+        return _F_and_Q(require_transition("dt", self), checks.lengths("dt", dt))
 
     def with_noise_times(self, factor: float) -> LinearModel:
         """Return the model with its process noise scaled: Q times a factor, over steps of any length.
@@ -197,6 +196,14 @@ class LinearModel(Immutable):
 # `_origin` is for `dataclasses.replace` alone: help and editors do not show it.
 _shown = [each for each in signature(LinearModel).parameters.values() if each.name != "_origin"]
 LinearModel.__signature__ = Signature(_shown)  # type: ignore[attr-defined]
+
+
+def require_transition(name: str, model: LinearModel) -> Transition:
+    """Return the transition of a model, or raise a ValueError that names the argument for which it is needed."""
+    if model.transition is None:
+        need = "a model with a transition, such as constant_velocity"
+        checks.refuse(name, need, "one whose F and Q are for one length only")
+    return model.transition
 
 
 def _one_step(F, Q, dt, transition, before):
@@ -312,7 +319,7 @@ class SideBySide:
     def __call__(self, dt: ArrayLike) -> tuple[Array, Array]:
         """Return F and Q of steps of dt seconds."""
         F, Q = zip(*(_F_and_Q(transition, dt) for transition in self.transitions), strict=True)
-        return _on_diagonal(F), _on_diagonal(Q)
+        return _block_diagonal(F), _block_diagonal(Q)
 
 
 @dataclass(frozen=True)
@@ -329,15 +336,9 @@ class Scaled:
         return F, self.factor * np.asarray(Q)
 
 
-def _on_diagonal(parts):
-    """Return matrices (..., n, n) with parts (..., n_i, n_i) on their diagonal; `block_diag` takes no axes before."""
-    sizes = [part.shape[-1] for part in parts]
-    whole = _steps_first(np.zeros((sum(sizes), sum(sizes), *parts[0].shape[:-2])))
-    start = 0
-    for part, size in zip(parts, sizes, strict=True):
-        whole[..., start : start + size, start : start + size] = part
-        start += size
-    return whole
+def _block_diagonal(stacks):
+    """Return stacks of matrices (..., n_i, n_i) as one stack of block diagonal matrices (..., n, n)."""
+    return _steps_first(block_diagonal(np.moveaxis(each, (-2, -1), (0, 1)) for each in stacks))
 
 
 def gsm_axis(dt: Seconds, q: float, r: float, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> LinearModel:

@@ -55,7 +55,7 @@ class Predictor(Filter):
         return self.estimator.model
 
     @property
-    def parts(self) -> Sequence[Filter]:
+    def subfilters(self) -> Sequence[Filter]:
         """The filter whose states are predicted."""
         return (self.estimator,)
 

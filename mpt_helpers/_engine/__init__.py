@@ -7,9 +7,10 @@ This is the way of z through `KalmanFilter.filter`:
              _on_columns     all others run side by side, as columns of arrays
     columns  Epochs.rows     row k: z, which of it is there, and F, Q and r where they are its own
     pieces   run_rows        one row after the other; a long track is cut into pieces, which run side by side
-    diffuse  run_rows_of_any_start    the same; where P is diffuse, at the start or after a pause, several rows as one
+    diffuse  run_rows_with_diffuse_starts
+                             the same; where P is diffuse, at the start or after a pause, several rows as one
     kalman   advance         one row: predict x and P, then correct them by each measurement that is there
-    columns  corrected       one measurement: S, gain, x and P
+    columns  scalar_update   one measurement: S, gain, x and P
 
 `step` is `next_step`, and filterpy's. `innovations` (`run`) and `smooth` (`smoother`) begin with `estimates`, too.
 """

@@ -64,11 +64,11 @@ class Epochs:
         return Epochs(self.z[..., tracks], self.motion, dt, r, self.over)
 
     def motions(self, part: slice) -> Motion:
-        """Return the Motion up to each epoch of a slice: the model's, or one with F and Q (n, n, K, M or 1)."""
+        """Return the model's Motion, or the Motions up to each epoch of a slice, with F and Q (n, n, K, M or 1)."""
         if self.dt is None:
             return self.motion
         F, Q = self.over(self.dt[part])
-        return Motion(np.moveaxis(F, (-2, -1), (0, 1)), np.moveaxis(Q, (-2, -1), (0, 1)))
+        return Motions(np.moveaxis(F, (-2, -1), (0, 1)), np.moveaxis(Q, (-2, -1), (0, 1)))
 
     def noise(self, R: np.ndarray) -> np.ndarray:
         """Return the noise covariances (N, m, m, M or 1), or the model's R as (m, m, 1)."""
@@ -89,7 +89,7 @@ class Epochs:
         return z, seen, F, Q, r
 
 
-def corrected(x, P, z, seen, variance, i):
+def scalar_update(x, P, z, seen, variance, i):
     """Correct x (n, c, W) and P (n, n, W) in place by z (c, W), a measurement of component i of the state.
 
     seen (W,) marks the columns that have this measurement; its variance v is a number or (W,). This is the textbook
@@ -137,7 +137,7 @@ class KalmanColumns:
     def advance(self, row, x, P):
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations from x(k/k) and P(k/k)."""
         z, seen, F, Q, r = row
-        n, motion = len(x), self._motion if F is None else Motion(F, Q)
+        n, motion = len(x), self._motion if F is None else Motions(F, Q)
         x, P = motion(x, P)
         known = P.diagonal().T == 0  # (n, W)
         if self._noise is not None:
@@ -148,7 +148,7 @@ class KalmanColumns:
         innovations = np.zeros((len(z), *x.shape[1:]))
         for change, j, i in self._changes:
             x, P = change(x, P) if change else (x, P)
-            x, P, innovations[j] = corrected(x, P, z[j], seen[j], variances[j], i)
+            x, P, innovations[j] = scalar_update(x, P, z[j], seen[j], variances[j], i)
         x, P = self._back(x, P) if self._back else (x, P)
         x, P = x[:n], P[:n, :n]
         if known.any():  # a state known exactly stays known: rounding could make its variance slightly negative
@@ -198,16 +198,15 @@ def _unless_identity(T):
 
 
 class LinearMap:
-    """x -> T x and P -> T P Tᵀ, with one matrix T (m, n) for all columns, or one T (n, n, ...) for each."""
+    """x -> T x and P -> T P Tᵀ, with one matrix T (m, n) for all columns."""
 
     def __init__(self, T: np.ndarray):
         self.matrix = T
-        if T.ndim == 2:
-            # One product gives T P Tᵀ for all columns: vec(T P Tᵀ) = (T ⊗ T) vec(P). The rows for (a, b) and (b, a) are
-            # made equal, so that the result is symmetric to the last bit.
-            m, n = T.shape
-            kron = np.kron(T, T).reshape(m, m, n * n)
-            self._of_vec = ((kron + kron.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
+        # One product gives T P Tᵀ for all columns: vec(T P Tᵀ) = (T ⊗ T) vec(P). The rows for (a, b) and (b, a) are
+        # made equal, so that the result is symmetric to the last bit.
+        m, n = T.shape
+        kron = np.kron(T, T).reshape(m, m, n * n)
+        self._of_vec = ((kron + kron.swapaxes(0, 1)) / 2).reshape(m * m, n * n)
 
     def __call__(self, x: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return T x and T P Tᵀ."""
@@ -215,21 +214,16 @@ class LinearMap:
 
     def of_state(self, x: np.ndarray) -> np.ndarray:
         """Return T x for states x (n, ...), or T P for matrices P (n, n, ...)."""
-        if self.matrix.ndim > 2:
-            return product(self.matrix, x)
         return (self.matrix @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
 
     def of_covariance(self, P: np.ndarray) -> np.ndarray:
         """Return T P Tᵀ for symmetric P (n, n, ...)."""
-        if self.matrix.ndim > 2:
-            P = product(self.matrix, transposed(product(self.matrix, P)))
-            return (P + transposed(P)) / 2
         m = len(self.matrix)
         return (self._of_vec @ P.reshape(len(P) ** 2, -1)).reshape(m, m, *P.shape[2:])
 
 
 class Motion(LinearMap):
-    """The prediction x -> F x, P -> F P Fᵀ + Q, with F and Q (n, n) for all columns or (n, n, ...) for each."""
+    """The prediction x -> F x, P -> F P Fᵀ + Q, with one F and Q (n, n) for all columns."""
 
     def __init__(self, F: np.ndarray, Q: np.ndarray):
         super().__init__(F)
@@ -243,12 +237,44 @@ class Motion(LinearMap):
 
     def noise_of(self, P: np.ndarray) -> np.ndarray:
         """Return Q, with as many axes as P."""
-        return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - self.Q.ndim))
+        return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - 2))
+
+
+class Motions(Motion):
+    """The prediction with an F and a Q of each column, (n, n, ...)."""
+
+    def __init__(self, F: np.ndarray, Q: np.ndarray):
+        self.matrix, self.Q = F, Q
+
+    def of_state(self, x: np.ndarray) -> np.ndarray:
+        """Return F x for states x (n, ...), or F P for matrices P (n, n, ...)."""
+        return product(self.matrix, x)
+
+    def of_covariance(self, P: np.ndarray) -> np.ndarray:
+        """Return F P Fᵀ + Q for symmetric P (n, n, ...)."""
+        P = product(self.matrix, transposed(product(self.matrix, P)))
+        return (P + transposed(P)) / 2 + self.noise_of(P)
+
+    def noise_of(self, P: np.ndarray) -> np.ndarray:
+        """Return Q."""
+        return self.Q
 
 
 def product(A, B):
     """Return the products A B (a, ...) of matrices A (a, b, M) and vectors B (b, M), or matrices B (b, c, M)."""
     return np.einsum("ij...,j...->i...", A, B)
+
+
+def block_diagonal(parts):
+    """Return matrices (n_i, n_i, ...), whose further axes broadcast, as one block diagonal matrix (n, n, ...)."""
+    parts = list(parts)
+    n = sum(len(part) for part in parts)
+    whole, start = np.zeros((n, n, *np.broadcast_shapes(*(part.shape[2:] for part in parts)))), 0
+    for part in parts:
+        here = slice(start, start + len(part))
+        whole[here, here] = part
+        start = here.stop
+    return whole
 
 
 def transposed(A):

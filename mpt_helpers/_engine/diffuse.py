@@ -10,7 +10,7 @@ import numpy as np
 from .. import _checks as checks
 from ..equations import square_root, unit_measurements
 from .columns import product
-from .pieces import compressed, from_exact_zero, of_each, run_rows
+from .pieces import compress_measurement, map_arrays, run_from_zero, run_rows
 
 # S is the variance of a predicted measurement due to P, in units of its noise. Above DIFFUSE_S, an update row by row
 # leaves about three digits in P. The root of S, by which a diffuse start is solved, has twice as many digits: above
@@ -22,10 +22,10 @@ LARGEST_S = 1e30
 ROWS_BETWEEN_PAUSES = 1_000
 
 
-def directions_seen(F, Q, H, R):
-    """Return |G| (rows, n): G x is what the sensors see of x within n steps, in units of their noise and that of Q.
+def observability_rows(F, Q, H, R):
+    """Return the magnitudes of the rows H F, H F² ... H Fⁿ of the observability matrix, (rows, n), normalized.
 
-    An observable state shows within n steps.
+    They are in units of the noise of the measurements and of Q. An observable state shows within n steps.
     """
     G, seen = unit_measurements(H, H @ Q @ H.T + R)[0], []
     for _ in F:
@@ -34,54 +34,54 @@ def directions_seen(F, Q, H, R):
     return np.concatenate(seen)
 
 
-def largest_S(directions, variances):
+def largest_S(observability, variances):
     """Return the largest S to which states of these variances (..., n) may add up, (...)."""
-    return ((np.sqrt(np.abs(variances)) @ directions.T) ** 2).max(axis=-1)
+    return ((np.sqrt(np.abs(variances)) @ observability.T) ** 2).max(axis=-1)
 
 
-def run_rows_of_any_start(advance, rows, x0, P0, x, P, directions):
+def run_rows_with_diffuse_starts(advance, rows, x0, P0, x, P, observability):
     """Filter all rows as `run_rows`, also from a diffuse P0, and after pauses that make P as diffuse.
 
-    `advance` is that of an optimal filter, and directions are the `directions_seen` of its sensors. Returns whether the
-    covariances stayed within double precision.
+    `advance` is that of an optimal filter, and observability its `observability_rows`. Returns whether the covariances
+    stayed within double precision.
     """
     first_x, first_P = x0[None], P0[None]  # x and P before each of the rows 0 to k
-    if _is_diffuse(directions, P0.diagonal()).any():
-        next_x, next_P, done = _from_a_diffuse_start(advance, rows, x0, P0, directions, "P0")
+    if _is_diffuse(observability, P0.diagonal()).any():
+        next_x, next_P, done = _diffuse_initialization(advance, rows, x0, P0, observability, "P0")
         if (done == len(next_x)).all():  # else some columns had a pause too soon: below, all are filtered again
             first_x, first_P = np.concatenate([first_x, next_x]), np.concatenate([first_P, next_P])
     k = len(first_x) - 1
     x[:k] = first_x[1:]
     if P is not None:
         P[:k] = first_P[1:]
-    rest = of_each(rows, lambda array: array[k:])
+    rest = map_arrays(rows, lambda array: array[k:])
     largest = run_rows(advance, rest, first_x[k], first_P[k], x[k:], None if P is None else P[k:])
     # Perhaps only where nothing is measured: P of each row tells.
-    again = np.flatnonzero(_is_diffuse(directions, largest))
+    again = np.flatnonzero(_is_diffuse(observability, largest))
     if not len(again):
         return True
-    own = of_each(rows, lambda array: array[..., again])
+    own = map_arrays(rows, lambda array: array[..., again])
     own_x, own_P = (np.empty((len(x) + 1, *first.shape[1:-1], len(again))) for first in (first_x, first_P))
     own_x[: k + 1], own_P[: k + 1] = first_x[..., again], first_P[..., again]
-    held = _run_rows_with_pauses(advance, own, k, own_x, own_P, directions)
+    held = _run_rows_with_pauses(advance, own, k, own_x, own_P, observability)
     x[..., again] = own_x[1:]
     if P is not None:
         P[..., again] = own_P[1:]
     return held
 
 
-def _is_diffuse(directions, variances):
+def _is_diffuse(observability, variances):
     """Tell which states of these variances (..., n) make a measurement more than DIFFUSE_S times as uncertain as R."""
-    return ~(largest_S(directions, variances) < DIFFUSE_S)  # true of NaN
+    return ~(largest_S(observability, variances) < DIFFUSE_S)  # true of NaN
 
 
-def _run_rows_with_pauses(advance, rows, k, x, P, directions):
+def _run_rows_with_pauses(advance, rows, k, x, P, observability):
     """Filter the rows from k on, and start anew at each row that leaves P diffuse: a pause is a start.
 
     x (N + 1, n, c, W) and P (N + 1, n, n, W) are those before each row, known up to row k. Columns that go on from the
     same row do so together. Returns whether the covariances stayed within double precision.
     """
-    N, diffuse = len(rows[0]), _is_diffuse(directions, P[k].diagonal())
+    N, diffuse = len(rows[0]), _is_diffuse(observability, P[k].diagonal())
     at = np.full(len(diffuse), k)  # the next row of each column
     while (k := at.min()) < N:
         columns = np.flatnonzero(at == k)
@@ -89,18 +89,18 @@ def _run_rows_with_pauses(advance, rows, k, x, P, directions):
         if anew:
             columns = columns[diffuse[columns]]
         end = N if anew else k + ROWS_BETWEEN_PAUSES - k % ROWS_BETWEEN_PAUSES
-        here = of_each(rows, lambda array, part=slice(k, end), columns=columns: array[part][..., columns])
+        here = map_arrays(rows, lambda array, part=slice(k, end), columns=columns: array[part][..., columns])
         x_k, P_k = x[k][..., columns], P[k][..., columns]
         if anew:
             if not np.isfinite(P_k).all():  # an overflow, not a pause
                 return False
             name = "P0" if k == 0 else "z" if rows[2] is None else "t"
-            x_here, P_here, done = _from_a_diffuse_start(advance, here, x_k, P_k, directions, name)
+            x_here, P_here, done = _diffuse_initialization(advance, here, x_k, P_k, observability, name)
             diffuse[columns] = False
         else:
             x_here, P_here = (np.empty((len(here[0]), *each.shape)) for each in (x_k, P_k))
             largest = run_rows(advance, here, x_k, P_k, x_here, P_here)
-            left_diffuse = here[1].any(axis=1) & _is_diffuse(directions, P_here.diagonal(axis1=1, axis2=2))
+            left_diffuse = here[1].any(axis=1) & _is_diffuse(observability, P_here.diagonal(axis1=1, axis2=2))
             diffuse[columns] = left_diffuse.any(axis=0)
             if not np.isfinite(largest[~diffuse[columns]]).all():
                 return False
@@ -111,7 +111,7 @@ def _run_rows_with_pauses(advance, rows, k, x, P, directions):
     return True
 
 
-def _from_a_diffuse_start(advance, rows, x0, P0, directions, name):
+def _diffuse_initialization(advance, rows, x0, P0, observability, name):
     """Filter the first rows from a diffuse P0. Returns x and P after each, and the number of rows of each column (W,).
 
     Row by row, the first updates would lose as many digits as P0 / R has, and without process noise never regain them.
@@ -135,24 +135,24 @@ def _from_a_diffuse_start(advance, rows, x0, P0, directions, name):
     often = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=1)
     L, y, x, P = np.zeros((0, n, W)), np.zeros((0, c, W)), [], []
     paused, enough, done = np.zeros(W, bool), np.zeros(W, bool), np.zeros(W, int)
-    for k, (x_piece, P_piece, e) in enumerate(from_exact_zero(advance, (z, seen, F, Q, r), n)):
+    for k, (x_piece, P_piece, e) in enumerate(run_from_zero(advance, (z, seen, F, Q, r), n)):
         if k > 0:
-            paused |= _is_diffuse(directions, P_piece.diagonal())
+            paused |= _is_diffuse(observability, P_piece.diagonal())
         if (paused | enough).all():
             break
         if seen[k].any():
-            L, y = compressed(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
-        x_k, P_k = _after_a_piece(x_piece[:, :c], y, x_piece[:, c:], P_piece, L, x0, A, name)
+            L, y = compress_measurement(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
+        x_k, P_k = _end_of_piece(x_piece[:, :c], y, x_piece[:, c:], P_piece, L, x0, A, name)
         x.append(x_k)
         P.append(P_k)
         done += ~paused
-        S = largest_S(directions, P_k.diagonal())
+        S = largest_S(observability, P_k.diagonal())
         enough |= last[k] | (S < CLEAR_S) | (often[k] & (S < DIFFUSE_S))
     return np.array(x), np.array(P), done
 
 
-def _after_a_piece(x_piece, y, T, P_piece, L, x0, A, name):
-    """Return x and P after a piece of `starts`, from x0 with the covariance A Aᵀ, whose digits outnumber a double's.
+def _end_of_piece(x_piece, y, T, P_piece, L, x0, A, name):
+    """Return x and P at the end of a piece, from x0 with the covariance A Aᵀ, whose digits outnumber a double's.
 
     In units of A, the start has unit covariance, and y measures it by L A = V diag(s) Uᵀ: each of its components along
     U by itself, with noise of variance 1 / s². That leaves a variance of 1 / (1 + s²). The largest s² is P0 / R, so s

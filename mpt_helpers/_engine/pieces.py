@@ -73,9 +73,9 @@ def _in_sequence(advance, rows, x_k, P_k, x, P):
 def _in_pieces(advance, rows, K, x0, P0, x, P):
     """Filter the rows in pieces of K. Returns as `run_rows`; None also where the pieces do not match."""
     N, n, _, W = x.shape
-    pieces = of_each(rows, lambda array: cut(array, K))
+    pieces = map_arrays(rows, lambda array: cut(array, K))
     try:
-        x_start, P_start = (each[..., :-W] for each in starts(advance, pieces, x0, P0))
+        x_start, P_start = (each[..., :-W] for each in boundary_states(advance, pieces, x0, P0))
     except np.linalg.LinAlgError:  # the gaps within a piece left no digit of its start
         return None
     x_pieces = np.empty((K, *x_start.shape))
@@ -85,7 +85,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
         # Each piece starts where the preceding one ends, the first at x0 and P0.
         x_next = np.concatenate([x0, x_pieces[-1, ..., :-W]], axis=-1)
         P_next = np.concatenate([P0, P_last[..., :-W]], axis=-1)
-        if np.isfinite(largest).all() and agree(x_start, P_start, x_next, P_next):
+        if np.isfinite(largest).all() and boundaries_match(x_start, P_start, x_next, P_next):
             x[...] = uncut(x_pieces, N, W)
             if P is not None:
                 P[...] = uncut(P_pieces, N, W)
@@ -94,7 +94,7 @@ def _in_pieces(advance, rows, K, x0, P0, x, P):
     return None
 
 
-def of_each(rows, function):
+def map_arrays(rows, function):
     """Return the rows with a function applied to each of their arrays."""
     return tuple(None if array is None else function(array) for array in rows)
 
@@ -140,7 +140,7 @@ def uncut(array, N, W):
     return pieces.reshape(C * len(array), *pieces.shape[2:])[:N]
 
 
-def starts(advance, pieces, x0, P0):
+def boundary_states(advance, pieces, x0, P0):
     """Return the starts of all pieces and the end of the last: x (n, c, (C + 1) W) and P (n, n, (C + 1) W).
 
     The first piece starts from x0 (n, c, W) and P0 (n, n, W).
@@ -155,24 +155,24 @@ def starts(advance, pieces, x0, P0):
     """
     n, c, W = x0.shape
     innovations = []
-    for after in from_exact_zero(advance, pieces, n):
+    for after in run_from_zero(advance, pieces, n):
         innovations.append(after[2])
     x, P, _ = after
     C = P.shape[-1] // W
     x, P, e = (uncut(each[None], C, W) for each in (x, P, np.concatenate(innovations)))  # a row for each piece
-    L, y = compressed(-e[:, :, c:], e[:, :, :c])
+    L, y = compress_measurement(-e[:, :, c:], e[:, :, :c])
     rows = np.concatenate([x[:, :, :c], y], axis=1), x[:, :, c:], P, L
     x, P = np.empty((C + 1, n, c, W)), np.empty((C + 1, n, n, W))
     x[0], P[0] = x0, P0
-    run_rows(over_a_piece, rows, x0, P0, x[1:], P[1:])
+    run_rows(advance_piece, rows, x0, P0, x[1:], P[1:])
     return cut(x, K=1)[0], cut(P, K=1)[0]
 
 
-def from_exact_zero(advance, rows, n):
+def run_from_zero(advance, rows, n):
     """Run rows of c tracks from an exactly known zero; yield x (n, c + n, W), P and the innovations of each row.
 
     n more tracks run alongside. Their measurements are zero and they start from the unit vectors: they end at the T of
-    `starts`, and have its -L as innovations.
+    `boundary_states`, and have its -L as innovations.
     """
     _, m, c, W = rows[0].shape
     x, P, z = np.zeros((n, c + n, W)), np.zeros((n, n, W)), np.zeros((m, c + n, W))
@@ -183,12 +183,12 @@ def from_exact_zero(advance, rows, n):
         yield x, P, e
 
 
-def over_a_piece(row, x, P):
+def advance_piece(row, x, P):
     """Return x, P and the innovations after one piece: the `advance` of a track whose rows are pieces.
 
     It is one Lainiotis step, with F_n = T, P_n = P_piece and O_n = Lᵀ L. A row is z = [x_piece; y], T, P_piece and L of
-    `starts`. The start is corrected by the measurement y = L x + noise of unit variance, and propagated by T; P is that
-    of `lainiotis_step` in fewer products.
+    `boundary_states`. The start is corrected by the measurement y = L x + noise of unit variance, and propagated by T;
+    P is that of `lainiotis_step` in fewer products.
     """
     n = len(x)
     z, T, P_piece, L, x, P = (each.transpose(2, 0, 1) for each in (*row, x, P))  # stacks of matrices
@@ -204,7 +204,7 @@ def over_a_piece(row, x, P):
     return tuple(each.transpose(1, 2, 0) for each in (x, P, innovations))
 
 
-def compressed(L, y):
+def compress_measurement(L, y):
     """Reduce the measurement y = L x + noise of unit variance to p <= n rows that carry the same information.
 
     L (..., n, W) and y (..., c, W) have one row per innovation. With L = Q R, Qᵀ y = R x + Qᵀ noise: the noise stays
@@ -217,7 +217,7 @@ def compressed(L, y):
     return tuple(np.moveaxis(each[..., ::-1, :], 0, -1) for each in (R, Q.swapaxes(-1, -2) @ y))
 
 
-def agree(x, P, x_next, P_next):
+def boundaries_match(x, P, x_next, P_next):
     """Tell whether pieces start, at x (n, c, W) and P (n, n, W), where the preceding ones end, at x_next and P_next.
 
     They are compared along the principal axes of P_next, in units of sigma: after a gap, a sum of states can be known

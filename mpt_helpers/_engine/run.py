@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _checks as checks
 from .columns import product
-from .diffuse import DIFFUSE_S, largest_S, run_rows_of_any_start
+from .diffuse import DIFFUSE_S, largest_S, run_rows_with_diffuse_starts
 from .pieces import FEW_TRACKS, run_rows
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
@@ -21,22 +21,21 @@ MOST_ROUNDING_OF_S = 0.01
 MOST_NUMBERS = 4_000_000
 
 
-def estimates(estimator, epochs, x, covariances):
+def estimates(estimator, epochs, x, covariances, observability):
     """Write x(k/k) of all epochs to x (N, n, M), and return P(k/k) (N, n, n, M), or None if it is not wanted.
 
-    P is (N, n, n, 1) where all tracks share it.
+    P is (N, n, n, 1) where all tracks share it. `observability_of` the filter is needed only if it is optimal.
     """
     N, _, M = x.shape
-    directions = directions_of(estimator, epochs) if estimator.optimal else None
-    if estimator.optimal and largest_S(directions, estimator.P0.diagonal()) > DIFFUSE_S:
-        return _on_columns(estimator, epochs, x, covariances, directions)
+    if estimator.optimal and largest_S(observability, estimator.P0.diagonal()) > DIFFUSE_S:
+        return _on_columns(estimator, epochs, x, covariances, observability)
     # Searching many tracks for gaps takes time. Where no covariance is wanted, all are filtered as if they had none: a
     # NaN in z propagates to the last state, and the tracks whose last state is NaN are filtered again, as columns.
     unsearched = M > FEW_TRACKS and not covariances
     alike = epochs.dt is None and epochs.r is None and (unsearched or not epochs.missing.any())
     shared = estimator.shared_steps(N, M) if alike else None
     if shared is None:
-        return _on_columns(estimator, epochs, x, covariances, directions)
+        return _on_columns(estimator, epochs, x, covariances, observability)
     steps, products = shared
     run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:
@@ -46,21 +45,23 @@ def estimates(estimator, epochs, x, covariances):
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.any():
         of_gaps = np.empty((*x.shape[:2], gaps.sum()))
-        _on_columns(estimator, epochs.of(gaps), of_gaps, False, directions)
+        _on_columns(estimator, epochs.of(gaps), of_gaps, False, observability)
         x[..., gaps] = of_gaps
     return None
 
 
-def directions_of(estimator, epochs):
-    """Return the `directions_seen` of a filter; of variances r, the smallest of each sensor counts."""
+def observability_of(estimator, epochs):
+    """Return the `observability_rows` with the smallest of variances r of each sensor, or None if not optimal."""
+    if not estimator.optimal:
+        return None
     if epochs.r is None:
-        return estimator.directions
+        return estimator.observability
     smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
     R = np.where(np.isfinite(smallest), smallest, np.diag(estimator.model.R))
-    return estimator.directions_by(np.diag(R))
+    return estimator.observability_with(np.diag(R))
 
 
-def _on_columns(estimator, epochs, x, covariances, directions):
+def _on_columns(estimator, epochs, x, covariances, observability):
     """Compute the `estimates` of tracks as columns, tile by tile."""
     (N, n, M), W = x.shape, epochs.width
     P = np.empty((N, n, n, W)) if covariances else None
@@ -77,7 +78,7 @@ def _on_columns(estimator, epochs, x, covariances, directions):
         x_part = x[..., part].reshape(N, n, c, width)
         P_part = P[..., part] if covariances and W > 1 else P
         if estimator.optimal:
-            held = run_rows_of_any_start(estimator.advance, rows, x0, P0, x_part, P_part, directions)
+            held = run_rows_with_diffuse_starts(estimator.advance, rows, x0, P0, x_part, P_part, observability)
         else:
             held = np.isfinite(run_rows(estimator.advance, rows, x0, P0, x_part, P_part)).all()
         require_held(held)
@@ -99,7 +100,7 @@ def innovations(estimator, epochs):
     """
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
     x = np.empty((N, n, M))
-    P = estimates(estimator, epochs, x, covariances=True)
+    P = estimates(estimator, epochs, x, True, observability_of(estimator, epochs))
     values, S, size = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3])), np.empty((N, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks.
@@ -115,12 +116,17 @@ def innovations(estimator, epochs):
     return values, S
 
 
+def is_rounded_away(size, variances, most):
+    """Tell whether the rounding of terms of this size, ε size, exceeds the fraction `most` of some of the variances."""
+    return (EPS * size > most * variances).any()
+
+
 def require_digits_of(variances, size):
     """Raise a ValueError where rounding is a large part of the variances of predicted measurements.
 
     size is (|H| |F| σ)², of the same shape: doubles round P_ij by ε σ_i σ_j, and so H F P Fᵀ Hᵀ by up to ε times this.
     """
-    if (EPS * size > MOST_ROUNDING_OF_S * variances).any():
+    if is_rounded_away(size, variances, MOST_ROUNDING_OF_S):
         need = "a start that leaves digits of the predicted measurements beside states that were never measured"
         checks.refuse("P0", f"{need} (filter and estimates take a larger one)", "one that leaves none")
 

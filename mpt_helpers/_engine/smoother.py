@@ -15,7 +15,7 @@ from .. import _checks as checks
 from .columns import product, transposed
 from .diffuse import largest_S
 from .pieces import run_rows
-from .run import directions_of, estimates, require_held
+from .run import estimates, observability_of, require_held
 from .shared import epochs_at_a_time
 
 # A mode is damped if its eigenvalue is below DAMPED, and undriven if the variance that Q adds to it per step is below
@@ -31,11 +31,12 @@ def smoothed(estimator, epochs):
     """Return x(k/N) (N, n, M) and P(k/N) (N, n, n, M), or (N, n, n, 1) where all tracks share it."""
     N, _, M = epochs.z.shape
     x = np.empty((N, estimator.model.n, M))
-    P = estimates(estimator, epochs, x, covariances=True)
+    observability = observability_of(estimator, epochs)
+    P = estimates(estimator, epochs, x, True, observability)
     if N == 1:
         return x, P
     _warn_of_undriven_modes(epochs.motion, P[0])
-    _require_digits(directions_of(estimator, epochs), epochs.missing[:-1], P[:-1], epochs.dt is not None)
+    _require_digits(observability, epochs.missing[:-1], P[:-1], epochs.dt is not None)
     d, C, D = np.empty_like(x[:-1]), np.empty_like(P[:-1]), np.empty_like(P[:-1])
     for part in epochs_at_a_time(N - 1, P[0].size):
         motion = epochs.motions(slice(part.start + 1, part.stop + 1))
@@ -109,19 +110,19 @@ def _warn_of_undriven_modes(motion, P):
         checks.warn(text)
 
 
-def _require_digits(directions, missing, P, timed):
+def _require_digits(observability, missing, P, timed):
     """Raise a ValueError where a sensor has just measured, and within n steps will see an S above MOST_TO_SMOOTH.
 
     A sensor that has not measured does no harm: nothing that it sees is known well beside what is diffuse.
     """
     m, n, variances = missing.shape[1], P.shape[1], P.diagonal(axis1=1, axis2=2)
-    if largest_S(directions, variances.max(axis=0)).max() <= MOST_TO_SMOOTH:
+    if largest_S(observability, variances.max(axis=0)).max() <= MOST_TO_SMOOTH:
         return
     p = min(m, n)  # more sensors than states are joined
     seen = ~missing[..., : P.shape[3]]
     for j in range(p):
         measured = seen[:, j] if p == m else seen.any(axis=1)
-        S = np.where(measured, largest_S(directions[j::p], variances), 0)
+        S = np.where(measured, largest_S(observability[j::p], variances), 0)
         if S.max() > MOST_TO_SMOOTH:
             k, column = np.argwhere(S > MOST_TO_SMOOTH)[0]
             name, what, advice = "P0", "a start that leaves", "a smaller P0 says as little"

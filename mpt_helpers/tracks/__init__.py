@@ -21,9 +21,10 @@ from numpy.typing import ArrayLike
 from .. import _checks as checks
 from .._checks import Array, Seconds
 from . import geodesy, report
-from .cleaning import Cleaned, Source, clean
+from .cleaning import clean
 from .fixes import FEWEST, grid_of
 from .readers import MANY, Recording, moment_of, read, read_frame
+from .result import Cleaned, Source
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
 

@@ -5,7 +5,7 @@ but without q and r faults cannot be told from noise. So three steps are repeate
 at most four times:
 
 1. `gate`, fix by fix, at first with a guess of q and r that tolerates a tenth of faults;
-2. a look from both sides, which refuses fixes that are far from the smoothed line of all others;
+2. the smoother, which refuses fixes that are far from the smoothed line of all others;
 3. maximum-likelihood q and r of the remaining fixes.
 
 Then the band is tested on the second half of the track, with q and r fitted to the first half.
@@ -14,270 +14,45 @@ Then the band is tested on the second half of the track, with q and r fitted to 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks as checks
 from .. import bands
-from .._checks import Array, Seconds
-from ..kalman import KalmanFilter
-from . import gate, geodesy, plot, report, writers
-from .files import write_together
+from .._checks import Seconds
+from . import gate
 from .fixes import FEWEST, checked_track, fixes_of, grid_of
-from .line import (
+from .noise_fit import (
     HOUR_BETWEEN,
     Line,
     Noise,
     Scale,
-    as_far_as_known,
+    assume_r_if_unidentifiable,
+    concatenate_segments,
     filter_of,
     first_guess,
     fitted,
-    from_an_unknown_start,
     log_errors,
-    on_one_line,
     scale_of,
+    vague_axis_filter,
 )
-from .readers import Recording
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from .result import Band, Cleaned
 
 LEVEL = 0.95
 NORMAL = 1.96  # standard deviations that hold 95 % of a normal distribution
-# The look from both sides refuses a fix whose squared distance exceeds this limit and those of both neighbours. A limit
-# of 30 refuses up to 0.2 % of the fixes of clean tracks; a limit of 200 refuses no fewer than 60.
-FROM_BOTH_SIDES, LOOKS = 60.0, 3
+# The smoother refuses a fix whose squared distance exceeds this limit and those of both neighbours. A limit of 30
+# refuses up to 0.2 % of the fixes of clean tracks; a limit of 200 refuses no fewer than 60.
+SMOOTHER_LIMIT, SMOOTHER_PASSES = 60.0, 3
 # With a fix every 4 s or less often, the limit is lower where the motion is smooth, down to LEAST_LIMIT. It is
 # proportional to the median squared distance of the 21 fixes around; with two axes and the right model this is 1.39. It
 # catches twice as many outliers of 20 to 40 m. Denser tracks do not need it, and would lose fixes a few metres off.
 SPARSE, NEIGHBOURS, MEDIAN, LEAST_LIMIT = 4.0, 21, 1.39, 30.0
 # A smaller fraction of r is the rounding error of r - P.
 SMALLEST_DIFFERENCE = 1e-8
-TURNS = 4  # of the gate, the look from both sides and the fit
+TURNS = 4  # of the gate, the smoother and the fit
 # The horizon of the band is one at which at least this fraction of the fixes is followed by another fix.
 CHECKED = 1 / 3
-
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """The prediction band, and how well it holds on the half of a track that q and r were not fitted to.
-
-    Attributes
-    ----------
-    seconds : float
-        The horizon.
-    half_width : float
-        The median half-width in m of the band, which follows the errors checked so far.
-    asked, held, own : float
-        The nominal coverage of the band, its actual coverage, and that of the filter's own band.
-    checked, independent : int
-        The number of predictions that were checked, and of those that do not overlap in time.
-    ahead : ForecastErrors
-        The K forecast errors of the whole track.
-    widths : ndarray (K, m)
-        The half-width of the band at each of them.
-    unseen : ndarray of bool (K,)
-        Whether each lies in the second half.
-
-    """
-
-    seconds: float
-    half_width: float
-    asked: float
-    held: float
-    own: float
-    checked: int
-    independent: int
-    ahead: bands.ForecastErrors = field(repr=False)
-    widths: Array = field(repr=False)
-    unseen: NDArray[np.bool_] = field(repr=False)
-
-
-@dataclass(frozen=True, eq=False)
-class Source:
-    """The file that a track comes from.
-
-    rows (N,): the row of each fix in the recording; left_out: the number of rows left out, by reason
-    charts: the charts of the track (`geodesy`); plane (N,): the chart of each fix; none, and zeros, for metres
-    said: notes on how the file was read
-    """
-
-    path: Path | str
-    recording: Recording
-    rows: NDArray[np.intp]
-    left_out: dict[str, int]
-    charts: list[geodesy.Chart]
-    plane: NDArray[np.intp]
-    said: list[str]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Cleaned:
-    """A recorded track without its faults; printed, it is its report.
-
-    `==` tests identity; to compare two results, compare their arrays.
-
-    Attributes
-    ----------
-    t : ndarray (N,)
-        Times in s.
-    z : ndarray (N, m)
-        Positions in m as recorded, NaN where there is none.
-    segments : ndarray of int (N,)
-        The segment of each fix, 0, 1, ..., and -1 where it is refused or there is none.
-    x, P : ndarray (N, 2 m), (N, 2 m, 2 m)
-        Smoothed position and velocity of each axis, [east, v_east, north, v_north], and their covariance; NaN where a
-        row lies in no segment.
-    q, r : float
-        Process noise (m²/s³) and measurement variance of a fix (m²), the same for all axes.
-    log_errors : dict
-        Standard errors of their logarithms. That of r is infinite where r is not an estimate but the rounding of the
-        numbers, or assumed: on a sparse track, or a circling one, the motion hides the noise of the fixes.
-    rounding : bool
-        Whether r is the rounding of the numbers: the recorder has smoothed the positions, which hides their noise.
-    band : Band or None
-        None for a track too short to judge one on.
-    filter : KalmanFilter
-        The filter of all segments in sequence, for the measurements `line.z`.
-    line : Line
-        The rows of all segments in sequence, an hour or more apart.
-    recordings : list
-        The rows where a recording begins: at the start, after each pause, and at each new segment of the file.
-    repeats : ndarray of bool (N,)
-        The rows that are not fixes of their own: repeated positions, and all but the newest of several at one time.
-    said : list
-        Notes on the times and on repeated rows.
-    source : Source or None
-        The file that the track comes from.
-
-    """
-
-    t: Array
-    z: Array
-    segments: NDArray[np.intp]
-    x: Array
-    P: Array
-    q: float
-    r: float
-    log_errors: dict[str, float]
-    rounding: bool
-    band: Band | None
-    filter: KalmanFilter
-    line: Line
-    recordings: list[int]
-    repeats: NDArray[np.bool_]
-    said: list[str]
-    source: Source | None = None
-
-    def __repr__(self) -> str:
-        return self.report()
-
-    @property
-    def mask(self) -> NDArray[np.bool_]:
-        """Whether each row is a fix that is kept, (N,)."""
-        return self.segments >= 0
-
-    @property
-    def refused(self) -> NDArray[np.intp]:
-        """The rows of the refused fixes."""
-        return np.flatnonzero(~self.mask & np.isfinite(self.z).any(axis=1) & ~self.repeats)
-
-    @property
-    def stretches(self) -> int:
-        """The number of segments."""
-        return int(self.segments.max()) + 1
-
-    @property
-    def unusual(self) -> list[str]:
-        """Questions that the track raises: it may be in other units, or have too few digits."""
-        return report.unusual(self)
-
-    def report(self) -> str:
-        """Return what was done to the track, and what was found, in words.
-
-        Returns
-        -------
-        str
-            Several lines of text.
-
-        """
-        return report.text(self)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the numbers of the report.
-
-        Returns
-        -------
-        dict
-            The numbers by name, ready for JSON.
-
-        """
-        return report.summary(self)
-
-    def plot(self) -> Figure:
-        """Draw the track: a map with the refused fixes, and the speed with its band.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure.
-
-        """
-        return plot.figure(self)
-
-    def gpx(self, path: str | PathLike[str], overwrite: bool = False) -> None:
-        """Write the smoothed track as a GPX file.
-
-        Times, heights, segments and everything else in the source file are kept. A refused fix within a segment is
-        moved to the smoothed line, and one between segments is left out. After a jump a new segment begins, so that
-        maps draw no line across it.
-
-        Parameters
-        ----------
-        path : path
-            The file to write; it must not be the source.
-        overwrite : bool
-            Whether an existing file is replaced.
-
-        Raises
-        ------
-        ValueError
-            For a track in metres.
-        FileExistsError
-            If the file exists and `overwrite` is False.
-
-        """
-        write_together({Path(path): writers.gpx_bytes(self)}, overwrite, self.source.path)
-
-    def to_frame(self) -> Any:
-        """Return the track as a pandas frame, with one row for each fix that was used.
-
-        Returns
-        -------
-        pandas.DataFrame
-            `time`, the smoothed `lat`, `lon` (of a track in degrees), `x`, `y` (m) and velocities `v_x`, `v_y` (m/s)
-            (`x0`, `x1`, ... of more than three axes),
-            `sigma` and `sigma_v`, the standard deviations of these (the largest of the axes), `kept`, and the number of
-            the segment; NaN and -1 outside of segments. Of a track in degrees the velocities are those east and north
-            on the Earth, while `x`, `y` lie on a chart of the segment, which is true near its middle only. The rows
-            have the labels of the frame that the track is from.
-
-        """
-        return writers.frame_of(self)
-
-    @property
-    def starts(self) -> NDArray[np.intp]:
-        """The first rows of the segments that begin after a jump rather than a pause."""
-        kept = np.flatnonzero(self.mask)
-        firsts = kept[np.unique(self.segments[kept], return_index=True)[1]]
-        recording = np.searchsorted(self.recordings, firsts, side="right")
-        return firsts[1:][np.diff(recording) == 0]
 
 
 def clean(
@@ -352,13 +127,13 @@ def clean(
     noise, segments = first_guess(clock, own, scale, fixes.begin), None
 
     def line_of(segments):
-        return on_one_line(t, z, relative, fixes.same_as, segments, noise, scale)
+        return concatenate_segments(t, z, relative, fixes.same_as, segments, noise, scale)
 
     for _ in range(TURNS):
         before, segments = segments, np.full(len(t), -1)
         kf = filter_of(noise, scale, clock, weights, z.shape[1])
         segments[fixes.rows] = gate.segments_of(kf, own, np.flatnonzero(fixes.begin), limit, 3)
-        segments = seen_from_both_sides(line_of(segments), noise, scale, segments)
+        segments = without_smoother_outliers(line_of(segments), noise, scale, segments)
         if before is not None and np.array_equal(segments, before):
             break
         line = line_of(segments)
@@ -367,7 +142,7 @@ def clean(
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
         noise = fitted(line, noise, scale, near=before is not None)
     line = line_of(segments)
-    noise = as_far_as_known(line, noise, scale)
+    noise = assume_r_if_unidentifiable(line, noise, scale)
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
     s = kf.smooth(line.z)
     n = 2 * z.shape[1]
@@ -393,21 +168,21 @@ def clean(
     )
 
 
-def seen_from_both_sides(line: Line, noise: Noise, scale: Scale, segment: NDArray[np.intp]) -> NDArray[np.intp]:
+def without_smoother_outliers(line: Line, noise: Noise, scale: Scale, segment: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the segments without the fixes that are far from the smoothed line of all others.
 
     The squared distance of a fix from the line smoothed without it, in units of its variance, is (z - x)² / (r - P),
     with x and P of the line smoothed with it. A fault makes its neighbours look bad too, so of neighbouring fixes only
-    the worst is refused before the next look.
+    the worst is refused in each pass.
     """
     segment = segment.copy()
-    for _ in range(LOOKS):
+    for _ in range(SMOOTHER_PASSES):
         x, P = _smoothed(line, noise, scale)
         r = noise.r if line.relative is None else noise.r * line.relative
         distances = (line.z - x) ** 2 / np.maximum(r - P, SMALLEST_DIFFERENCE * r)
         fixes = np.flatnonzero(np.isfinite(line.z).any(axis=1))
         off = np.nansum(distances[fixes], axis=1)
-        limits = _limits(off) if scale.step >= SPARSE else FROM_BOTH_SIDES
+        limits = _limits(off) if scale.step >= SPARSE else SMOOTHER_LIMIT
         before, after = np.append(0, off[:-1]), np.append(off[1:], 0)
         faults = fixes[(off > limits) & (off >= before) & (off >= after)]
         if not len(faults):
@@ -424,12 +199,12 @@ def seen_from_both_sides(line: Line, noise: Noise, scale: Scale, segment: NDArra
 def _limits(off):
     """Return the limit for each fix (N,), from the squared distances (N,) of the fixes around it."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS)
-    return np.clip(FROM_BOTH_SIDES * np.median(around, axis=1) / MEDIAN, LEAST_LIMIT, FROM_BOTH_SIDES)
+    return np.clip(SMOOTHER_LIMIT * np.median(around, axis=1) / MEDIAN, LEAST_LIMIT, SMOOTHER_LIMIT)
 
 
 def _smoothed(line, noise, scale):
     """Return the smoothed positions of a line and their variances, (K, m)."""
-    s = from_an_unknown_start(line, noise.q, noise.r, scale).smooth(line.z[:, None])
+    s = vague_axis_filter(line, noise.q, noise.r, scale).smooth(line.z[:, None])
     return s.x[:, 0], s.P[:, 0, 0]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from .writers import degrees_of, segment_of_rows, velocities_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Cleaned = Any  # the class of `cleaning`, which imports this module
+    from .result import Cleaned
+
 LONG = 3 * 3600.0  # s: longer tracks are drawn over hours
 MOSTLY_PAUSES = 20.0  # a recording so many times longer than its rides is drawn without its pauses
 # Panels one below the other, 5.2 inches wide, so that text of 11 pt is legible on a phone 358 pixels wide.

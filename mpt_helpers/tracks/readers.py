@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import Array, refuse
-from .doubts import conversion_of, refuse_other_kinds, refuse_several, refuse_signs
+from .unsupported import conversion_of, refuse_other_kinds, refuse_several, refuse_signs
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 # What expat says of a file that is cut off.

@@ -9,20 +9,22 @@ import math
 from datetime import timedelta
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..fitting import UNKNOWN
-from .doubts import take_turns
 from .fixes import FAR_IN_TIME
 from .geodesy import earth_centred
-from .line import SMOOTHED
+from .noise_fit import SMOOTHED
 from .readers import UNIX, moment_of
+from .unsupported import take_turns
 from .writers import degrees_of, velocities_of
 
-Cleaned = Any  # the class of `cleaning`, which imports this module
+if TYPE_CHECKING:
+    from .result import Cleaned
+
 MOVING = 0.5  # m/s, slower than a walk
 DOUBTFUL = 0.05  # share of rows: if the speed of more cannot be told from MOVING, the time in motion is unknown
 REST, REST_STEP = 60.0, 2.0  # s: a rest lasts at least a minute, and is searched on a grid

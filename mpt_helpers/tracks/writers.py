@@ -6,14 +6,16 @@ import io
 import itertools
 import math
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .geodesy import axes_at, earth_centred
 from .readers import moment_of
 
-Cleaned = Any  # the class of `cleaning`, which imports this module
+if TYPE_CHECKING:
+    from .result import Cleaned
+
 # A fix of a GPX file: its start tag, and the rest. Comments and CDATA come first, since they hold no fix; a value may
 # contain a >.
 FIX = re.compile(
@@ -129,7 +131,7 @@ def frame_of(c: Cleaned) -> Any:
         if recording.dated:
             time = pandas.to_datetime(recording.time[c.source.rows].astype(np.int64), unit="us", utc=True)
         index = c.source.rows if recording.index is None else recording.index[c.source.rows]
-    columns = {"time": time}
+    columns: dict[str, Any] = {"time": time}
     if recording is not None and recording.metres is None:
         columns["lat"], columns["lon"] = degrees_of(c, c.x[:, :4:2])
     axes = "xyz"[: c.z.shape[1]] if c.z.shape[1] <= 3 else [f"x{k}" for k in range(c.z.shape[1])]

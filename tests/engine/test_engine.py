@@ -431,7 +431,7 @@ REFUSED_TIMES = {
     "step without r": (lambda: timed(r=[[1, 1]]).step(ZERO, ONE, [0, 0]), "r: needs"),
     "step, r below zero": (lambda: timed().step(ZERO, ONE, [0, 0], r=[1, -1]), r"r: needs a .*positive variance"),
     "step, r of other axes": (lambda: timed().step(ZERO, ONE, [0, 0], r=[1]), r"r: needs .* got shape \(1,\)"),
-    "over": (lambda: AXIS.over(1.5), "model: needs a transition"),
+    "over": (lambda: AXIS.over(1.5), "dt: needs a model with a transition"),
     "fit, rows": (lambda: mpt.fit(lambda q: plane(), np.zeros((20, 3)), q=1.0), r"z: needs an \(N, 2\)"),
     "coefficients, t": (lambda: timed(t=T).coefficients(4), "t: needs to be left out, .* got times"),
     "coefficients, r": (lambda: timed(r=[[1, 1]]).coefficients(1), "r: needs to be left out, .* got variances"),

@@ -579,7 +579,7 @@ def of_steps(model, dts, z, smooth=False):
     if smooth:
         for k in reversed(range(len(found) - 1)):
             (F, P_p), (x, P), (x_next, P_next) = predicted[k + 1], found[k], found[k + 1]
-            C = P @ F.T @ precise._inverse(P_p)
+            C = P @ F.T @ precise.inverse(P_p)
             found[k] = x + C @ (x_next - F @ x), P + C @ (P_next - P_p) @ C.T
     return (np.array(each).astype(float) for each in zip(*found, strict=True))
 

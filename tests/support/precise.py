@@ -19,7 +19,7 @@ def exact(array):
     return numbers
 
 
-def _inverse(M):
+def inverse(M):
     """The inverse by elimination, the largest pivot of each column first."""
     n = len(M)
     both = np.concatenate([M, exact(np.eye(n))], axis=1)
@@ -40,7 +40,7 @@ def _size(M):
 def update(P_p, F, H, R):
     """The coefficients A, B, the covariance P after a measurement, and S of the measurement, from the predicted P_p."""
     S = H @ P_p @ H.T + R
-    B = P_p @ H.T @ _inverse(S)
+    B = P_p @ H.T @ inverse(S)
     P = P_p - B @ H @ P_p
     return F - B @ H @ F, B, (P + P.T) / 2, S
 
@@ -70,7 +70,7 @@ def smoothed(F, H, Q, R, x0, P0, z):
     x, _, _, P, P_p, _ = kalman(F, H, Q, R, x0, P0, z)
     F = exact(F)
     for k in reversed(range(len(x) - 1)):
-        C = P[k] @ F.T @ _inverse(P_p[k + 1])
+        C = P[k] @ F.T @ inverse(P_p[k + 1])
         x[k] += C @ (x[k + 1] - F @ x[k])
         P[k] += C @ (P[k + 1] - P_p[k + 1]) @ C.T
     return x, P
@@ -79,9 +79,9 @@ def smoothed(F, H, Q, R, x0, P0, z):
 def steady(F, H, Q, R):
     """The limit of A, B, P, P_p and S: the REKF by doubling, and what it leaves in the equation is checked."""
     F, H, Q, R = map(exact, (F, H, Q, R))
-    A, G, P_p, identity = F.T, H.T @ _inverse(R) @ H, Q, exact(np.eye(len(F)))
+    A, G, P_p, identity = F.T, H.T @ inverse(R) @ H, Q, exact(np.eye(len(F)))
     for _ in range(200):
-        W = _inverse(identity + G @ P_p)
+        W = inverse(identity + G @ P_p)
         step = A.T @ P_p @ W @ A
         A, G, P_p = A @ W @ A, G + A @ W @ G @ A.T, P_p + (step + step.T) / 2
         if _size(step) <= Decimal(10) ** -50 * _size(P_p):

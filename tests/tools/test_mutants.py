@@ -51,8 +51,8 @@ def all_is_well():
     return near(lf.filter(Z), kf.filter(Z)) and all(near(each.P, settled) for each in both)
 
 
-def with_gain_where_missing(x, P, z, seen, variance, i, corrected=columns.corrected):
-    return corrected(x, P, z, np.ones_like(seen), variance, i)
+def with_gain_where_missing(x, P, z, seen, variance, i, scalar_update=columns.scalar_update):
+    return scalar_update(x, P, z, np.ones_like(seen), variance, i)
 
 
 def turned(self, x, of_state=columns.LinearMap.of_state):
@@ -74,13 +74,13 @@ def unit_inputs(B):
     return inputs[:n], inputs[n:].reshape(L, m, -1)
 
 
-def starts_at_zero(advance, rows, x0, P0, starts=pieces.starts):
-    x, P = starts(advance, rows, x0, P0)
+def starts_at_zero(advance, rows, x0, P0, boundary_states=pieces.boundary_states):
+    x, P = boundary_states(advance, rows, x0, P0)
     return np.zeros_like(x), P
 
 
 def steps_back_without_noise(motion, x, P, steps_back=smoother._steps_back):
-    return steps_back(columns.Motion(motion.matrix, 0 * motion.Q), x, P)
+    return steps_back(type(motion)(motion.matrix, 0 * motion.Q), x, P)
 
 
 def step_from_zero(P, constants, lainiotis_step=equations.lainiotis_step):
@@ -92,14 +92,14 @@ def twice_the_noise(H, R, unit_measurements=equations.unit_measurements):
 
 
 MUTANTS = {
-    "a missing measurement has a gain": (columns, "corrected", with_gain_where_missing),
+    "a missing measurement has a gain": (columns, "scalar_update", with_gain_where_missing),
     "columns without process noise": (columns.Motion, "noise_of", lambda self, P: 0.0),
     "F transposed on columns": (columns.Motion, "of_state", turned),
     "several steps in one product, with A halved": (shared, "product_of_steps", half_a_step),
     "a filter has converged at once": (shared, "_has_not_moved", lambda before, after: True),
     "tracks of other gaps share a column": (columns.Epochs, "width", 1),
-    "a piece starts as the one before it": (pieces, "over_a_piece", lambda row, x, P: (x, P, x[:0])),
-    "all pieces start at zero": (pieces, "starts", starts_at_zero),
+    "a piece starts as the one before it": (pieces, "advance_piece", lambda row, x, P: (x, P, x[:0])),
+    "all pieces start at zero": (pieces, "boundary_states", starts_at_zero),
     "the way back without process noise": (smoother, "_steps_back", steps_back_without_noise),
     "innovations against the state after": (run, "_before", lambda array, start, part: array[part]),
     "Joseph's form without K R K'": (steady, "corrected_covariance", without_the_noise_of_z),
@@ -116,6 +116,6 @@ def test_all_is_well():
 def test_what_is_broken_is_seen(monkeypatch, place, name, wrong):
     monkeypatch.setattr(place, name, wrong)
     if place is pieces:  # that pieces do not fit together would be seen, and the track would not be cut
-        monkeypatch.setattr(pieces, "agree", lambda *ends: True)
+        monkeypatch.setattr(pieces, "boundaries_match", lambda *ends: True)
     with suppress(ValueError):  # which is a way to see it, too
         assert not all_is_well()

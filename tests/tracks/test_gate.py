@@ -364,7 +364,7 @@ def test_on_sparse_tracks_half_of_the_outliers_of_20_to_40_metres_are_caught_and
 
 @pytest.mark.parametrize("count", [1, 2, 9, 40])
 def test_limits_follow_the_fixes_around(count):
-    assert (cleaning._limits(np.full(count, 100.0)) == cleaning.FROM_BOTH_SIDES).all()
+    assert (cleaning._limits(np.full(count, 100.0)) == cleaning.SMOOTHER_LIMIT).all()
     assert (cleaning._limits(np.full(count, 0.1)) == cleaning.LEAST_LIMIT).all()
     np.testing.assert_allclose(cleaning._limits(np.full(count, 1.0)), 60 / 1.39)
 

@@ -576,7 +576,7 @@ def test_q_and_r_and_their_errors_are_those_of_fit():
 
 
 def line_of(t, z, segment, noise, scale, relative=None):
-    return cleaning.on_one_line(t, z, relative, np.arange(len(t)), segment, noise, scale)
+    return cleaning.concatenate_segments(t, z, relative, np.arange(len(t)), segment, noise, scale)
 
 
 def fitted_by_turns(seed):

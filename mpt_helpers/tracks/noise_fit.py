@@ -1,4 +1,4 @@
-"""The segments of a track put in sequence as one track for a filter, and the q and r of that filter."""
+"""The q and r of a recorded track, fitted to its segments in sequence, which a filter treats as one track."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class Line(NamedTuple):
         return bool((width < math.sqrt(scale.rounding)).all())
 
 
-def on_one_line(
+def concatenate_segments(
     t: Array,
     z: Array,
     relative: Array | None,
@@ -191,7 +191,7 @@ def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes
     return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else noise.r * relative)
 
 
-def from_an_unknown_start(line: Line, q: float, r: float, scale: Scale) -> KalmanFilter:
+def vague_axis_filter(line: Line, q: float, r: float, scale: Scale) -> KalmanFilter:
     """Return the filter of one axis, with an initial sigma of a hundred usual steps and ten usual speeds.
 
     It filters each axis of z (K, 1, m) as a track.
@@ -209,7 +209,7 @@ def _axis(q, r, scale, relative, sigma, sigma_of_speed):
 
 def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:
     """Return -log L as a function of log q and log r, for the fixes of a line given the first two of each segment."""
-    make = lambda q, r: from_an_unknown_start(line, q, r, scale)  # noqa: E731
+    make = lambda q, r: vague_axis_filter(line, q, r, scale)  # noqa: E731
     return fitting.NegativeLogLikelihood(make, ["q", "r"], line.z[:, None], ~line.first)
 
 
@@ -245,7 +245,7 @@ def _q_given(likelihood, q, r, most):
     return q
 
 
-def as_far_as_known(line: Line, noise: Noise, scale: Scale) -> Noise:
+def assume_r_if_unidentifiable(line: Line, noise: Noise, scale: Scale) -> Noise:
     """Return the Noise with an r that is assumed if the motion hides the noise of the fixes, else the same Noise.
 
     With a fix in half a minute, or on a circling mobile, the fit takes turns between two fixes for noise, and r becomes
@@ -254,13 +254,13 @@ def as_far_as_known(line: Line, noise: Noise, scale: Scale) -> Noise:
     """
     likelihood = likelihood_of(line, scale)
     r = max(min(upper_limit(line, scale), USUAL**2), scale.rounding)
-    if (r < SMOOTHED**2 or r <= noise.r) if noise.rounding else _is_explained(line, noise, scale, likelihood):
+    if (r < SMOOTHED**2 or r <= noise.r) if noise.rounding else _is_identifiable(line, noise, scale, likelihood):
         return noise
     q = _q_given(likelihood, noise.q, r, math.exp(RATIOS[1]) * scale.step**3)
     return Noise(q, r, rounding=False, assumed=True)
 
 
-def _is_explained(line, noise, scale, likelihood):
+def _is_identifiable(line, noise, scale, likelihood):
     """Tell whether q and r explain the fixes: innovations are uncorrelated, and those of sparse fixes tell r."""
     sparse = noise.r < SPARSE * noise.q * scale.step**3
     at = np.log([noise.q, noise.r])
@@ -295,7 +295,7 @@ def upper_limit(line: Line, scale: Scale) -> float:
 def log_errors(line: Line, noise: Noise, scale: Scale) -> dict[str, float]:
     """Return the standard errors of log q and log r, as `fit` does, infinite for an r that is not an estimate."""
     known = np.arange(1 if noise.rounding or noise.assumed else 2)
-    blocks = fitting.blocks_of(from_an_unknown_start(line, *noise[:2], scale), line.z[:, :1])
+    blocks = fitting.blocks_of(vague_axis_filter(line, *noise[:2], scale), line.z[:, :1])
     blocks = blocks._replace(of_rows=np.repeat(blocks.of_rows, line.z.shape[1], axis=1))  # one for all axes of a fix
     errors = fitting.log_errors(likelihood_of(line, scale), np.log([noise.q, noise.r]), known, blocks)
     return dict(zip("qr", errors.tolist(), strict=True))
