@@ -57,11 +57,8 @@ def test_the_counts_are_those_of_the_verdicts():
 
 def test_where_the_failures_are():
     failures = [each for each in shipped_verdicts() if each.verdict in FAIL]
-    of_2014 = [each for each in failures if each.paper == "2014_gsm_2d"]
-    causes = [each.cause for each in of_2014 if each.cause.startswith("table4-")]
-    assert (
-        f"{len(of_2014)} of the failures are in the paper of 2014, and {len(causes)} of these come from four" in README
-    )
+    causes = [each.cause for each in failures if each.paper == "2014_gsm_2d" and each.id.startswith("table4.")]
+    assert f"{len(causes)} of the failures are speedups in Table 4 of 2014, and come from four wrong" in README
     assert len(set(causes)) == 4
 
 
