@@ -69,7 +69,7 @@ def test_the_road_is_that_of_the_picture(taught):
 
 def test_a_driver_who_does_both(taught):
     """The share of brakes let go after three seconds from which the velocity filter has the smaller mean square."""
-    says("A driver who does both must let go in three of four brakes before the velocity filter wins.")
+    says("A driver who makes both brakes of the table must let go in three of four before the velocity filter wins.")
     noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
     stop, let_go = (
         np.square([rms(taught["misses"](*each, 2, lasting, noise)) for each in (VELOCITY, ACCELERATION)])
@@ -82,11 +82,11 @@ def test_a_driver_who_does_both(taught):
 def test_the_first_screen(taught):
     says("| velocity filter | 26 m | 10 m |")
     says("| acceleration filter | 16 m | 16 m |")
-    says("on a calm road, where nothing pushes the car, the predictions of both are off by 2 m.")
+    says("Both are equally calm: where nothing pushes the car, their predictions are off by 2 m.")
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["table"]).splitlines()]
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
-    says("The last row is best at both stops, and its error on a calm road is 4 m.")
+    says("in the last row, is better at both stops. Its price is twice the error on a calm road.")
     assert rows[4] == ["acceleration, q = 0.1", "13 m", "23 m", "15 m", "3.9 m"]
     says("in five seconds 25 m at 2 m/s², and 50 m at 4.")
     for brake, taken in ((2.0, 25), (4.0, 50)):
@@ -114,13 +114,12 @@ def test_why_the_velocity_is_late():
     for q in (0.01, 1.0):
         gains[q] = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(1.0, q, 0.1)).B[:, 0]
     says("the gain of the velocity is 0.212 per second")
-    says("the filter needs a surprise of 2/0.212 = 9.4 m each time")
-    says("in a steady brake, its prediction for the next second is 9.4 m too far")
+    says("the filter needs a surprise of 2/0.212 = 9.4 m in every second")
     says("With q = 1 the gain is 0.905, and 2/0.905 = 2.2 m suffice.")
     assert [round(gains[q][1], 3) for q in gains] == [0.212, 0.905]
     assert [round(2 / gains[q][1], 1) for q in gains] == [9.4, 2.2]
-    says("Of the 30 m by which the solid blue line is off from second 1 to 5, 25 are of this kind, and 5 m come from")
-    says("a speed that is about half a second old, and so for five seconds 1 m/s too high.")
+    says("That is most of the 30 m by which the solid blue line is off from second 1 to 5. The other 5 m come from")
+    says("its speed, which is 1 m/s too high for five seconds.")
     K_s, K_v = gains[1.0]
     position = (1 - K_s) * 2 / K_v  # what is left of the surprise
     speed = 2 / K_v - position - 1  # the surprise is position, speed, and half a brake of 2 m/s²
@@ -132,8 +131,8 @@ def test_why_the_velocity_is_late():
 
 
 def test_which_filter_wins(off, taught):
-    says("At 2 m/s² the border lies between seven and eight seconds of braking.")
-    says("The errors are typical ones, and scatter by less than a metre from one set of 200 drives to the next.")
+    says("The border lies between seven and eight seconds of braking.")
+    says("The errors scatter by less than a metre from one set of 200 drives to the next.")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))  # other drives than the lesson's
     table = {(2, 0.01): [42, 50, 15], VELOCITY: [26, 33, 10], ACCELERATION: [16, 29, 16], (3, 0.1): [13, 23, 15]}
     for each, expected in table.items():
@@ -141,8 +140,7 @@ def test_which_filter_wins(off, taught):
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than five")
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["brakes"]).splitlines()[1:]]
-    says("At 2 m/s² and more the car is nearly standing by then")
-    says("At 1 m/s² it is the ninth second of a gentle brake that turns the table.")
+    says("If the driver lets go, the velocity filter wins for the first four to eight seconds.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -150,7 +148,6 @@ def test_which_filter_wins(off, taught):
             if off(*VELOCITY, brake, lasting) > off(*ACCELERATION, brake, lasting)
         ]
         assert wins == list(range(from_when, 20 // brake))
-        assert brake == 1 or 20 - brake * from_when <= 4  # m/s
         assert rows[brake - 1][-1] == f"up to {from_when - 1} s"
     gain = {each: off(*VELOCITY, each, np.inf) / off(*ACCELERATION, each, np.inf) for each in (1, 2, 3, 4, 6, 8)}
     assert min(gain.values()) > 1
@@ -160,7 +157,7 @@ def test_which_filter_wins(off, taught):
 
 def test_a_driver_who_has_just_speeded_up(taught):
     """From 10 to 20 m/s in the five seconds before the touch."""
-    says("for five seconds, the acceleration filter loses the stop, too: 34 m against 26.")
+    says("after five seconds at 2 m/s² it is 26 m off, the other 34.")
 
     def position(t):
         faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
@@ -173,7 +170,7 @@ def test_a_driver_who_has_just_speeded_up(taught):
         predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
         errors[n] = predicted - (position(np.arange(5.0, 16)) - z[0])
     assert [round(rms(each)) for each in errors.values()] == [26, 34]
-    says("To win, it needs three to four seconds of steady drive before the touch.")
+    says("After three to four seconds of steady drive the acceleration filter wins again.")
     t = np.arange(-60.0, 11) + 4
     earlier = np.clip(-t, 0, 5) ** 2 + 10 * np.maximum(-t - 5, 0)  # metres further back, four seconds before
     for brake in (1, 2, 3, 4):
@@ -207,7 +204,7 @@ def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
 
 def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
     """Both filters tuned to 2 m on the calm road."""
-    says("With ten measurements a second, and both filters tuned to 2 m again, the border falls to six seconds,")
+    says("With ten measurements a second the border of our example falls to six seconds.")
     names = made()
     exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", "dt, R = 0.1, 0.1"), names)
     exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
@@ -216,9 +213,6 @@ def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
     quiet = np.zeros((len(names["t"]), 1))
     for lasting, wins in ((5, 0), (6, 0), (7, 1), (8, 1)):
         assert np.argmin([rms(names["misses"](*each, 2, lasting, quiet)) for each in both]) == wins
-    says("and the stop by 4 m/s² becomes a clear win.")
-    velocity, acceleration = (rms(names["misses"](*each, 4, np.inf, quiet)) for each in both)
-    assert velocity > 1.3 * acceleration
 
 
 def test_with_a_worse_sensor_the_acceleration_gains_less():
@@ -242,7 +236,7 @@ def test_with_a_worse_sensor_the_acceleration_gains_less():
 
 
 def test_the_winners_are_those_until_ten_seconds_after_the_brake():
-    says("Counted until ten seconds after its end, the nine seconds are a tie.)")
+    says("But counted until ten seconds after its end, the column is the same; nine seconds at 1 m/s² are then a tie.)")
     functions, _, _ = source(CELLS["table"]).partition("\nbrakes = ")
     for brake, border in ((1, 8), (2, 7), (3, 5), (4, 4)):
         for lasting in range(1, 20 // brake):
@@ -288,11 +282,29 @@ def test_a_q_is_found_for_an_error_on_the_calm_road(taught):
     assert taught["calm"](3, eval(code, taught)) == pytest.approx(2, rel=0.05)
 
 
-def test_at_four_a_stop_is_nearly_a_tie(taught):
-    says("The harder the brake and the worse the sensor, the less they differ")
-    says("A stop by 4 m/s² gives 29 m in place of 33.")
-    stops = shown(CELLS["table"]).splitlines()
-    assert [re.split(r"  +", row.strip())[2] for row in stops[2:4]] == ["33 m", "29 m"]
+def test_the_border_of_other_roads_and_horizons():
+    says("the border stays between five and nine seconds of braking, wherever the car does not stand before; at stops")
+    says("the acceleration filter wins, or loses by 2 % at most.")
+    names = made()
+    for names["speed"], names["horizon"], aim in (
+        *((speed, 5, aim) for speed in (10, 20, 30) for aim in (0.7, 1, 2)),
+        *((20, 2, aim) for aim in (0.7, 1)),
+        *((20, 10, aim) for aim in (0.7, 1, 2, 4)),
+    ):
+        both = [
+            (n, 10 ** brentq(lambda power, n=n, aim=aim: names["calm"](n, 10**power) - aim, -6, 4, xtol=0.01))
+            for n in (2, 3)
+        ]
+        for brake in (1, 2, 3, 4):
+
+            def error(each, lasting, brake=brake):
+                return rms(names["misses"](*each, brake, lasting, QUIET))
+
+            standing = int(np.ceil(names["speed"] / brake))
+            wins = [lasting for lasting in range(1, standing) if error(both[0], lasting) < error(both[1], lasting)]
+            assert wins == list(range(1, wins[-1] + 1))
+            assert 5 <= wins[-1] <= 9 or standing - 2 <= wins[-1]
+            assert error(both[1], np.inf) < 1.02 * error(both[0], np.inf)
 
 
 def test_a_recording_with_other_steps_is_judged_at_its_own_seconds():

@@ -81,18 +81,10 @@ def test_sharing_needs_that_each_axis_is_measured_and_the_split_does_not(taught)
 
 
 def test_the_headline_numbers(settled):
-    P, K = settled
+    P, _ = settled
     says("knows it to 10.5 m after thirty seconds of silence.")
     says(f"A phone that knew its height to 0.23 m (the root of {P[0, 0]:.4f}, in the first picture)")
     assert (round(np.sqrt(P[0, 0]), 2), round(lesson.sigma_after(30), 1)) == (0.23, 10.5)
-    says(
-        "the settled gain would go the share 0.546 of the way, take the jump for a speed of 213 m/s, and run past you."
-    )
-    assert round(K[0, 0], 3) == 0.546
-    assert round(1000 * K[1, 0]) == 213
-    says("takes the first measurement nearly as it is")
-    unknown = mpt.KalmanFilter(mpt.LinearModel(F=F, H=[[1, 0]], Q=lesson.AXIS.Q, R=[[0.1]], P0=np.diag([1e6, 4.0])))
-    assert unknown.covariances(1)[0, 0, 0] / 0.1 > 1 - 1e-6
     says("even a filter that knew everything at the last measurement would end at 9.5 m")
     known = np.zeros((2, 2))
     for _ in range(30):
@@ -102,13 +94,8 @@ def test_the_headline_numbers(settled):
     assert round(np.sqrt(0.1), 2) == 0.32
 
 
-def test_what_is_left_of_a_measurement_is_r_times_the_gain(settled):
-    says("The gain is $c / (p + r)$, and the measurement leaves the share $r / (p + r)$ of $c$.")
+def test_the_settled_gain_is_r_times_less_than_what_is_left(settled):
     P, K = settled
-    c = (F @ P @ F.T + lesson.AXIS.Q)[:, [0]]
-    p = c[0, 0]
-    np.testing.assert_allclose(K, c / (p + 0.1), rtol=1e-9)
-    np.testing.assert_allclose(P[:, [0]], c * 0.1 / (p + 0.1), rtol=1e-9)
     np.testing.assert_allclose(P[:, [0]] / 0.1, K, rtol=1e-9)
 
 
@@ -116,7 +103,8 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
     """By errors of simulated tracks too: 20,000 know a standard deviation to 0.5 %."""
     best, frozen = lesson.after_silence(30, steps=15)
     says(f"knows the height to {best[0]:.2f} m at once")
-    says(f"At the first measurement its true σ is {frozen[0]:.2f} m, and it takes ten seconds until it is nearly as")
+    says("It goes only about half of the way, takes the jump for a speed, and swings past: it needs ten seconds until")
+    assert frozen[0] / lesson.sigma_after(31) == pytest.approx(0.45, abs=0.05)
     ratio = frozen / best
     assert ratio[8] > 1.2
     assert ratio[9:].max() < 1.035
@@ -182,22 +170,15 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
     says("the bare line of a frozen filter 0.14 times, big or as columns")
     for name in ("constant gain: one filter of six states", "constant gain: axes as columns"):
         assert times[name] == "0.14"
-    says("in 207 operations a step instead of 1660;")
-    says("if the axes are alike, too: 101 operations;")
-    says("once it has settled: 30 operations.")
+    says("in 207 operations a step instead of 1660.")
+    says("they can share a matrix: 101 operations. And once the gain has settled, you can freeze it: 30.")
     assert burden.total(burden.kalman(6, 3)) == 1660
     assert burden.total(burden.kalman_columns(2, 1, axes=3)) == 101
 
 
-def test_how_many_seconds_are_frozen():
-    says("all three are frozen in two seconds of three; with 5 %, in one of seven.")
-    says(
-        "Freeze the gain again after twelve seconds without a miss, as many as P took to settle.".replace(
-            " P ", " $P$ "
-        )
-    )
+def test_the_gain_settles_in_twelve_seconds():
+    says("Freeze the gain again after twelve seconds without a miss, as many as $P$ took to settle.")
     assert "at rest after 12 seconds" in shown(CELLS["freeze"])
-    assert [round(share ** (3 * 13), 2) for share in (0.99, 0.95)] == [0.68, 0.14]  # thirteen in a row, three axes
 
 
 def test_axes_of_other_motions_are_stacked_too(taught):
