@@ -67,18 +67,6 @@ def test_the_road_is_that_of_the_picture(taught):
         np.testing.assert_allclose(taught["road"](t, brake, lasting), lesson.road(t, brake, lasting))
 
 
-def test_a_driver_who_does_both(taught):
-    """The share of brakes let go after three seconds from which the velocity filter has the smaller mean square."""
-    says("A driver who makes both brakes of the table must let go in three of four before the velocity filter wins.")
-    noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
-    stop, let_go = (
-        np.square([rms(taught["misses"](*each, 2, lasting, noise)) for each in (VELOCITY, ACCELERATION)])
-        for lasting in (np.inf, 3)
-    )
-    share = (stop[0] - stop[1]) / (stop[0] - stop[1] + let_go[1] - let_go[0])
-    assert 0.7 < share < 0.75
-
-
 def test_the_first_screen(taught):
     says("| velocity filter | 26 m | 10 m |")
     says("| acceleration filter | 16 m | 16 m |")
@@ -119,12 +107,12 @@ def test_why_the_velocity_is_late():
     assert [round(gains[q][1], 3) for q in gains] == [0.212, 0.905]
     assert [round(2 / gains[q][1], 1) for q in gains] == [9.4, 2.2]
     says("That is most of the 30 m by which the solid blue line is off from second 1 to 5. The other 5 m come from")
-    says("its speed, which is 1 m/s too high for five seconds.")
+    says("its speed, which is 1 m/s too high for five seconds: of the 2.2 m of each surprise 0.2 stay in the position")
     K_s, K_v = gains[1.0]
     position = (1 - K_s) * 2 / K_v  # what is left of the surprise
     speed = 2 / K_v - position - 1  # the surprise is position, speed, and half a brake of 2 m/s²
     assert round(position + 5 * speed + 25) == 30
-    assert round(speed, 1) == 1.0
+    assert (round(position, 1), round(speed, 1)) == (0.2, 1.0)
     made = lesson.misses(lesson.FILTERS["velocity, q = 1"], 2.0)
     assert (made.round()[1:6] - 30 <= 1).all()
     assert made[5] == pytest.approx(position + 5 * speed + 25, abs=0.1)
@@ -140,7 +128,7 @@ def test_which_filter_wins(off, taught):
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than five")
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["brakes"]).splitlines()[1:]]
-    says("If the driver lets go, the velocity filter wins for the first four to eight seconds.")
+    says("the velocity filter wins for the first five to eight seconds; at 4 m/s² the car stands before that changes.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -148,7 +136,7 @@ def test_which_filter_wins(off, taught):
             if off(*VELOCITY, brake, lasting) > off(*ACCELERATION, brake, lasting)
         ]
         assert wins == list(range(from_when, 20 // brake))
-        assert rows[brake - 1][-1] == f"up to {from_when - 1} s"
+        assert rows[brake - 1][-1] == ("always" if brake == 4 else f"up to {from_when - 1} s")
     gain = {each: off(*VELOCITY, each, np.inf) / off(*ACCELERATION, each, np.inf) for each in (1, 2, 3, 4, 6, 8)}
     assert min(gain.values()) > 1
     assert min(gain[1], gain[2], gain[3]) > 1.25  # twenty, ten and seven seconds
@@ -157,7 +145,7 @@ def test_which_filter_wins(off, taught):
 
 def test_a_driver_who_has_just_speeded_up(taught):
     """From 10 to 20 m/s in the five seconds before the touch."""
-    says("after five seconds at 2 m/s² it is 26 m off, the other 34.")
+    says("from 10 to 20 m/s, it is 26 m off in a stop by 2 m/s², the other 34.")
 
     def position(t):
         faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
@@ -236,7 +224,7 @@ def test_with_a_worse_sensor_the_acceleration_gains_less():
 
 
 def test_the_winners_are_those_until_ten_seconds_after_the_brake():
-    says("But counted until ten seconds after its end, the column is the same; nine seconds at 1 m/s² are then a tie.)")
+    says("It is the same if the errors count until ten seconds after the brake has ended.")
     functions, _, _ = source(CELLS["table"]).partition("\nbrakes = ")
     for brake, border in ((1, 8), (2, 7), (3, 5), (4, 4)):
         for lasting in range(1, 20 // brake):
@@ -255,7 +243,8 @@ def test_the_winners_are_those_until_ten_seconds_after_the_brake():
 
 
 def test_how_fast_the_acceleration_is_learnt(taught):
-    says("It corrects its acceleration by 0.16 of each surprise. After three seconds it has learnt 1.1 of the 2 m/s²,")
+    says("corrects its acceleration by 0.16 of each surprise. So it, too, needs some of them: after three seconds it has")
+    says("learnt 1.1 of the 2 m/s²,")
     says("and after five nearly all.")
     says("The acceleration filter has learnt half of the brake when it ends")
     F, Q = taught["motion"](3, 1.0, 0.01)
@@ -278,13 +267,13 @@ def test_a_recorded_drive_is_judged_by_later_measurements(taught):
 
 
 def test_a_q_is_found_for_an_error_on_the_calm_road(taught):
-    (code,) = re.findall(r"`(min\(np.logspace.*?)` finds the one nearest to 2 m", TEXT)
+    (code,) = re.findall(r"`(min\(np.logspace.*?)` is the one nearest to 2 m", TEXT)
     assert taught["calm"](3, eval(code, taught)) == pytest.approx(2, rel=0.05)
 
 
 def test_the_border_of_other_roads_and_horizons():
-    says("the border stays between five and nine seconds of braking, wherever the car does not stand before; at stops")
-    says("the acceleration filter wins, or loses by 2 % at most.")
+    says("the border stays between five and nine seconds of braking, wherever the car does not stand before.")
+    says("At stops after a steady drive the acceleration filter wins, or loses by 2 % at most.")
     names = made()
     for names["speed"], names["horizon"], aim in (
         *((speed, 5, aim) for speed in (10, 20, 30) for aim in (0.7, 1, 2)),
