@@ -243,8 +243,8 @@ def test_the_winners_are_those_until_ten_seconds_after_the_brake():
 
 
 def test_how_fast_the_acceleration_is_learnt(taught):
-    says("corrects its acceleration by 0.16 of each surprise. So it, too, needs some of them: after three seconds it has")
-    says("learnt 1.1 of the 2 m/s²,")
+    says("corrects its acceleration by 0.16 of each surprise.")
+    says("after three seconds it has learnt 1.1 of the 2 m/s²,")
     says("and after five nearly all.")
     says("The acceleration filter has learnt half of the brake when it ends")
     F, Q = taught["motion"](3, 1.0, 0.01)

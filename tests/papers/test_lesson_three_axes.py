@@ -116,22 +116,31 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
 
 
 def test_axes_that_are_linked():
-    says("With errors at one half and changes at −0.45 that is 14 %, with 0.9 and −0.45 30 %.")
-    says("If one differs from the others by a factor of ten, one half costs up to 7 %, and 0.9 a third.")
-    for link, opposite, unlike in ((0.9, 30, (33, 27)), (0.5, 14, (7, 7))):
-        assert round(lesson.losses_apart([1, 1, 1], errors=link, changes=-0.45)[0, 0]) == opposite
-        ten_times_poorer = lesson.losses_apart([1, 1, 10], errors=link)[:, 0]
-        ten_times_better = lesson.losses_apart([1, 1, 0.1], errors=link)[:, 0]
-        assert (round(ten_times_poorer.max()), round(ten_times_better.max())) == unlike
-    says("Read the line of 0.5: splitting costs 2 %.")
-    says("at one half its height is known to 8.7 m instead of 10.5.")
-    says("with errors linked by one half they state 0.23 m along the diagonal (1, 1, 1), where 0.32 m is true.)")
+    rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["linked"]).splitlines()[1:]]
+    assert [row[1:] for row in rows[:3]] == [["0 %", "0 %"], ["2 %", "7 %"], ["2 %", "10 %"]]
+    says("if errors and changes are linked alike, the one gain of equal axes suits every direction.")
+    for c in (0.5, 0.9):
+        alike, opposite = (lesson.losses_apart([1, 1, 1], errors=c, changes=each) for each in (c, -0.45))
+        np.testing.assert_allclose(alike, 0, atol=1e-6)
+        assert f"{opposite[:, 0].max():.0f} %" in rows[4]
+    says("(−0.5 is the limit for three axes)")
+    assert np.linalg.eigvalsh(lesson.correlated(3, -0.5)).min() == pytest.approx(0, abs=1e-12)
+    says("with errors linked by one half they state 0.23 m along the diagonal (1, 1, 1), where 0.32 m is true.")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says("with changes at 0.9 where 0.3 is true the big filter states 4.4 m after the silence, and 10.9 m is true.")
+    says("if you assume 0.9 for changes that are linked by 0.3, the big filter states 4.4 m after the silence,")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
     assert [round(each, 1) for each in weak] == [4.4, 10.9]
+
+
+def test_sigma_of_each_axis_stays_true_whatever_links_them():
+    says("Then the small filters still run, and σ of each axis stays true.")
+    H, F_3 = np.kron(np.eye(3), lesson.AXIS.H), np.kron(np.eye(3), F)
+    apart = mpt.SteadyStateFilter.from_kalman(mpt.stack(*[lesson.AXIS] * 3))
+    R, Q = lesson.AXIS.R[0, 0] * lesson.correlated(3, 0.9), np.kron(lesson.correlated(3, -0.45), lesson.AXIS.Q)
+    true = mpt.metrics.error_moments(apart, mpt.LinearModel(F=F_3, H=H, Q=Q, R=R), 500).covariance[-1]
+    np.testing.assert_allclose(true.diagonal(), apart.P.diagonal(), rtol=1e-9)
 
 
 def test_the_loss_of_axes_kept_apart_is_that_of_simulated_tracks():
@@ -177,7 +186,7 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
 
 
 def test_the_gain_settles_in_twelve_seconds():
-    says("Freeze the gain again after twelve seconds without a miss, as many as $P$ took to settle.")
+    says("Freeze the gain again after twelve seconds without a miss on any axis, as many as $P$ took to settle.")
     assert "at rest after 12 seconds" in shown(CELLS["freeze"])
 
 
@@ -210,9 +219,7 @@ def test_errors_that_last_are_not_stated():
 
 def test_a_corner_puts_the_filter_off(settled):
     """The mean error after a change of velocity that comes evenly over a second."""
-    says(
-        "a velocity that changes by 1.4 m/s in a second puts the filter 0.7 m off on that axis for two seconds, and it"
-    )
+    says("a velocity that changes by 1.4 m/s in a second puts the filter 0.7 m off on that axis, and it")
     _, K = settled
     off, found = np.zeros((2, 1)), []
     for change in (1.4, 0.0, 0.0, 0.0):
@@ -222,7 +229,7 @@ def test_a_corner_puts_the_filter_off(settled):
 
 
 def test_a_gain_that_has_not_moved_in_ten_times_as_many_steps_is_settled(taught):
-    says("let it run for ten times as many steps, and see whether the gain still moves.")
+    says("then run $P$ alone, which needs no $z$, for ten times as many steps, and see whether the gain still moves.")
     rng, frozen = np.random.default_rng(0), 0
     for _ in range(30):
         dt, q, r = 10 ** rng.uniform([-2, -4, -3], [1, 2, 3])
