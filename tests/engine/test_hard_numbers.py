@@ -623,7 +623,7 @@ def test_a_pause_of_weeks_is_right_or_refused_by_name(pause, q):
 @pytest.mark.parametrize(("S", "digits"), [(1e24, 3), (1e29, 1)])
 @pytest.mark.parametrize("pauses", [0, 1, 2])
 def test_the_vaguest_starts_keep_the_digits_that_are_stated(S, digits, pauses):
-    """The first fix, in row 1, is S times as uncertain as its noise, also after one or the first of two pauses of 1e6 s."""
+    """The first fix, in row 1, is S times as uncertain as its noise, be it after a pause of 1e6 s or not."""
     assert "At 1e24 three digits of P hold, and near 1e30 one" in TEXT
     dts = np.ones(12)
     dts[[1, 3][:pauses]] = 1e6
