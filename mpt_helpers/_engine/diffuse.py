@@ -13,13 +13,14 @@ from .columns import product
 from .pieces import compress_measurement, map_arrays, run_from_zero, run_rows
 
 # S is the variance of a predicted measurement due to P, in units of its noise. Above DIFFUSE_S, an update row by row
-# leaves about three digits in P. The root of S, by which a diffuse start is solved, has twice as many digits: above
-# LARGEST_S, its rounding causes an error of some percent of R in P. Below CLEAR_S, updates row by row keep nine digits.
+# leaves about three digits in P. The root of S, by which a diffuse start is solved, has twice as many digits: near
+# LARGEST_S, P is wrong by some percent, at 1e24 by a thousandth. Below CLEAR_S, updates row by row keep nine digits.
 DIFFUSE_S = 1e12
 CLEAR_S = 1e6
 LARGEST_S = 1e30
-# A track with diffuse pauses is filtered in parts of so many rows, since all rows after a pause are filtered again.
-ROWS_BETWEEN_PAUSES = 1_000
+# A track with diffuse pauses is filtered in parts, since all rows of a part after a pause are filtered again: in each
+# part as many rows as since the last pause, at least and at most so many.
+LEAST_ROWS, MOST_ROWS = 64, 1_000
 
 
 def observability_rows(F, Q, H, R):
@@ -82,13 +83,15 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
     same row do so together. Returns whether the covariances stayed within double precision.
     """
     N, diffuse = len(rows[0]), _is_diffuse(observability, P[k].diagonal())
-    at = np.full(len(diffuse), k)  # the next row of each column
+    at, paused = np.full(len(diffuse), k), np.full(len(diffuse), k)  # the next row of each column, and its last pause
     while (k := at.min()) < N:
         columns = np.flatnonzero(at == k)
         anew = diffuse[columns].any()
         if anew:
-            columns = columns[diffuse[columns]]
-        end = N if anew else k + ROWS_BETWEEN_PAUSES - k % ROWS_BETWEEN_PAUSES
+            columns, end = columns[diffuse[columns]], N
+        else:
+            end = k + min(max(k - paused[columns].max(), LEAST_ROWS), MOST_ROWS)
+            end -= end % LEAST_ROWS  # so that columns meet again
         here = map_arrays(rows, lambda array, part=slice(k, end), columns=columns: array[part][..., columns])
         x_k, P_k = x[k][..., columns], P[k][..., columns]
         if anew:
@@ -96,7 +99,7 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
                 return False
             name = "P0" if k == 0 else "z" if rows[2] is None else "t"
             x_here, P_here, done = _diffuse_initialization(advance, here, x_k, P_k, observability, name)
-            diffuse[columns] = False
+            diffuse[columns], paused[columns] = False, k
         else:
             x_here, P_here = (np.empty((len(here[0]), *each.shape)) for each in (x_k, P_k))
             largest = run_rows(advance, here, x_k, P_k, x_here, P_here)

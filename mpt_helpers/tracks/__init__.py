@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from .. import _checks as checks
 from .._checks import Array, Seconds
+from .._immutable import types_as_written
 from . import geodesy, report
 from .cleaning import clean
 from .fixes import FEWEST, grid_of
@@ -40,6 +41,7 @@ DECIMALS = tuple(10.0**-k for k in range(10))
 GRIDS = (*DECIMALS, *(each / 60 for each in DECIMALS), *(each / 3600 for each in DECIMALS), 180 / 2**31)
 
 
+@types_as_written
 class Track(NamedTuple):
     """A segment of a recorded track.
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .. import _checks as checks
 from .._checks import Array
+from .._immutable import types_as_written
 
 FEWEST = 10  # fixes
 LEAST_TOLD = 3  # fixes after the first two of their recordings
@@ -29,6 +30,7 @@ LAST_DIGIT, REPEATED, STEPS_OF_GRID, NEARLY_ALL = 1.5, 0.1, 3.0, 0.95
 ON_GRID, HUNDREDTH = 0.05, 0.01
 
 
+@types_as_written
 class Fixes(NamedTuple):
     """The fixes of a track.
 

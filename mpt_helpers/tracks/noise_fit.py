@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .. import _checks as checks
 from .. import fitting, metrics
 from .._checks import Array
+from .._immutable import types_as_written
 from ..kalman import KalmanFilter
 from ..model import constant_velocity, stack
 from ..search import AROUND, SIGNIFICANT, along_a_line
@@ -46,6 +47,7 @@ SMOOTHED, USUAL = 0.5, 3.0
 TENTH, OF_TENTH = 0.9, 2.7055
 
 
+@types_as_written
 class Noise(NamedTuple):
     """q (m²/s³) and r (m²), the same for all axes.
 
@@ -59,6 +61,7 @@ class Noise(NamedTuple):
     assumed: bool = False
 
 
+@types_as_written
 class Scale(NamedTuple):
     """Typical sizes of a track.
 
@@ -112,6 +115,7 @@ def _whole_fixes(z, begin):
     return rows, np.zeros(len(rows)) if begin is None else np.cumsum(begin)[rows]
 
 
+@types_as_written
 class Line(NamedTuple):
     """The K rows of all segments of a track in sequence, which a filter treats as one track.
 

@@ -172,9 +172,9 @@ def test_every_public_function_says_its_types():
 def test_a_signature_can_be_read():
     """As help and editors show it: no object without a name, no type spelt out, no argument of inner use."""
     classes = [value for value in vars(mpt).values() if inspect.isclass(value) and issubclass(value, mpt._base.Filter)]
-    modules = mpt._base, bands, metrics, mpt.fitting
+    modules = mpt._base, bands, metrics, mpt.fitting, mpt.tracks, mpt.tracks.fixes, mpt.tracks.noise_fit
     results = [value for module in modules for value in vars(module).values() if hasattr(value, "_fields")]
-    assert len(results) >= 7
+    assert len(results) >= 12
     for each in [*public_functions().values(), *classes, mpt.LinearModel, *results]:
         if getattr(each, "__name__", "") != "__init__":
             shown = str(inspect.signature(each))

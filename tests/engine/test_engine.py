@@ -17,6 +17,7 @@ from mpt_helpers._base import Estimates
 from mpt_helpers._engine import pieces as partition
 from mpt_helpers._engine import run as engine
 from mpt_helpers._engine import shared as steps
+from mpt_helpers._engine.columns import KalmanColumns
 from mpt_helpers._engine.shared import recursion
 from mpt_helpers.equations import square_root
 
@@ -196,6 +197,23 @@ def test_a_tracker_that_sleeps_again_and_again_is_the_track(monkeypatch, make, s
         states.append(x)
     off = np.abs(both.x - states) / np.sqrt(np.einsum("kii->ki", both.P))
     assert off.max() < allowed
+
+
+def test_many_diffuse_pauses_filter_no_row_many_times(monkeypatch):
+    """Fifty pauses of a day: all rows up to the next thousand were filtered again after each, 20,000 epochs in all."""
+    dts, advanced = np.ones(2_000), 0
+    dts[40::40] = 1e5
+    advance = KalmanColumns.advance
+
+    def counted(self, row, x, P):
+        nonlocal advanced
+        advanced += 1
+        return advance(self, row, x, P)
+
+    monkeypatch.setattr(KalmanColumns, "advance", counted)
+    kf = mpt.KalmanFilter(mpt.constant_acceleration(1.0, 0.01, 0.1, P0=np.eye(3)), t=np.cumsum(dts))
+    kf.estimates(np.random.default_rng(0).standard_normal((2_000, 1)))
+    assert advanced < 2 * len(dts)
 
 
 def test_pieces_fit_together_along_sums_of_states_too():

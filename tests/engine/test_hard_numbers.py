@@ -620,6 +620,22 @@ def test_a_pause_of_weeks_is_right_or_refused_by_name(pause, q):
         assert (np.abs(found.P[..., track] - P) < 1e-2 * s[:, :, None] * s[:, None]).all()
 
 
+@pytest.mark.parametrize(("S", "digits"), [(1e24, 3), (1e29, 1)])
+@pytest.mark.parametrize("pauses", [0, 1, 2])
+def test_the_vaguest_starts_keep_the_digits_that_are_stated(S, digits, pauses):
+    """The first fix, in row 1, is S times as uncertain as its noise, be it after a pause of 1e6 s or not."""
+    assert "At 1e24 three digits of P hold, and near 1e30 one" in TEXT
+    dts = np.ones(12)
+    dts[[1, 3][:pauses]] = 1e6
+    model = mpt.constant_velocity(1.0, 0.0, 0.1, P0=np.diag([1, 0.1 * S / dts[1] ** 2]))
+    z = drawn(model, dts, seed=0)
+    z[0] = np.nan
+    x, P = of_steps(model, dts, z)
+    found, s = mpt.KalmanFilter(model, t=np.cumsum(dts)).estimates(z), deviations(P)
+    assert (np.abs(found.x - x) < 0.1 * s).all()
+    assert (np.abs(found.P - P) < 10.0**-digits * s[:, :, None] * s[:, None]).all()
+
+
 @pytest.mark.parametrize("start", ["known", "vague"])
 @pytest.mark.parametrize("own", [False, True], ids=["times of all", "own times"])
 def test_pauses_of_days_on_many_tracks_are_right_on_each(start, own):
