@@ -98,8 +98,8 @@ def test_a_miss_before_three_measurements_starts_the_list_over(taught, at):
 
 def test_why_it_starts_over(taught):
     """A second pair that follows a missed second makes 30 m/s of 10; and no start anew is worse than the first."""
-    says("After the first measurement it takes the car for one of 10 m/s. If the second is missed, the third")
-    says("surprises it by 20 m, and the second pair would make the speed 30 m/s.")
+    says("After the first measurement it takes the car for one of 10 m/s. If the second is missed, it expects")
+    says("the third at 40 m, is surprised by 20 m, and the second pair would make the speed 30 m/s.")
     first, second = taught["listed"][:2]
     speed = 20 * first[1]
     surprise = 60 - (20 * first[0] + 2 * speed)
@@ -272,8 +272,6 @@ def test_the_full_filter_is_that_of_the_package(taught):
     found = taught["full"](z, 1.0, 0.01, 0.1)
     np.testing.assert_allclose(found[:, :2], expected.x, atol=1e-6)
     np.testing.assert_allclose(found[:, 2], expected.P[:, 0, 0], rtol=1e-6)
-    said = re.search(r"it is at ([\d.]+) m, `drive` at ([\d.]+) m", shown(CELLS["full"])).groups()
-    assert said[0] == said[1]
 
 
 def test_the_error_of_a_prediction_holds_once_the_list_has_ended(taught):
@@ -340,7 +338,7 @@ def test_a_gain_that_is_off_by_a_fiftieth_costs_hardly_anything(sigma, dt):
 
 def test_a_gap_while_a_long_list_runs_costs_more(taught):
     """The exact errors five seconds ahead after ten missed behind the third pair, against the best gain."""
-    says("and for gaps after the list has ended. Before that they cost more, if the list is long.")
+    says("(A gap while a long list still runs costs more than the table says.)")
     F, Q = taught["motion"](1.0, 0.01)
     listed, _ = taught["desk"](F, Q, 100.0, UNKNOWN)
     early = UNKNOWN
@@ -351,7 +349,7 @@ def test_a_gap_while_a_long_list_runs_costs_more(taught):
 
 
 def test_the_full_filter_takes_steps_of_each_length_as_it_is_said(taught):
-    says("If steps differ, move its first line into the loop, with the `dt` of each step.")
+    says("If the steps differ, move the first line of `full` into its loop, with the `dt` of each step.")
     code = source(CELLS["full"]).partition("\n\n\nwith_gap")[0]
     first = "    q_ss, q_sv, q_vv = q * dt**3 / 3, q * dt**2 / 2, q * dt\n"
     loop = "    for z_k in z:\n"
