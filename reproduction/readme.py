@@ -17,9 +17,8 @@ WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
 HOLDS = (
     "A computed number *holds* if its printed digits are ours, a simulated one if it lies within the spread (99 %) of "
     "our simulations, a claim if it meets the rule beside it; *in part*, under conditions that are named. Each failure "
-    "has its reason, proved where possible. Our copies have lost the pictures, and the papers print no data: figures "
-    "are drawn again on tracks of our own. On GitHub a link into a notebook opens it at the top: search there for the "
-    "heading, as “Table 4”. [nbviewer](https://nbviewer.org) and the site from `make site` open it at the heading."
+    "has its reason. We had the papers as text extracted from PDF, without pictures, and they print no data: figures "
+    "are drawn again on tracks of our own, and judged by what the text says of them."
 )
 BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re.DOTALL)
 
@@ -50,9 +49,10 @@ def on_what_is_lost(verdicts):
     of_copies = [each for each in unchecked if each.cause]
     lost = [each for each in of_copies if each.printed == "?" or each.kind == "figure"]
     return (
-        f"Of the {len(unchecked)} items that cannot be checked, {len(lost)} are lost in our copies, which are texts "
-        f"extracted from PDF files; {len(of_copies) - len(lost)} are legible except for one doubtful character; "
-        f"{len(unchecked) - len(of_copies)} depend on details that the paper leaves out."
+        f"Of the {len(unchecked)} items that cannot be checked, {len(lost)} are lost in this text, "
+        f"{len(of_copies) - len(lost)} have one doubtful character, and {len(unchecked) - len(of_copies)} need details "
+        "that the paper leaves out.\n\nGitHub opens a notebook at its top: search there for “Table 4”. "
+        "[nbviewer](https://nbviewer.org) and the site from `make site` open it at the heading."
     )
 
 

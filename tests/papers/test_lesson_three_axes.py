@@ -72,9 +72,7 @@ def test_sharing_needs_that_each_axis_is_measured_and_the_split_does_not(taught)
         X, P = taught["step_with_gaps"](X, P, [0.0, 0.0, np.nan])
         assert (P[2] > before[2])[[0, 1], [0, 1]].all()
     np.testing.assert_allclose(P[0], before[0], rtol=1e-9)
-    says(
-        "Never give `step` a NaN: it would stay. If all axes miss the same second, predict only. When one falls silent,"
-    )
+    says("Never give `step` or the frozen line a NaN: it would stay. If all axes miss the same second, predict only.")
     X, P = taught["step"](np.zeros((2, 3)), np.eye(2), np.array([1.0, np.nan, 1.0]))
     X, _ = taught["step"](X, P, np.ones(3))
     np.testing.assert_array_equal(np.isnan(X), [[False, True, False]] * 2)
@@ -123,6 +121,11 @@ def test_axes_that_are_linked():
         alike, opposite = (lesson.losses_apart([1, 1, 1], errors=c, changes=each) for each in (c, -0.45))
         np.testing.assert_allclose(alike, 0, atol=1e-6)
         assert f"{opposite[:, 0].max():.0f} %" in rows[4]
+    for c, worst in ((0.5, "7 %"), (0.9, "44 %")):
+        links = {"errors": c}, {"changes": c}, {"errors": c, "changes": c}
+        unlike = [lesson.losses_apart([1, 1, size], **each)[:, 0].max() for size in (0.1, 10) for each in links]
+        assert f"{max(unlike):.0f} %" == worst
+        assert worst in rows[3]
     says("(−0.5 is the limit for three axes)")
     assert np.linalg.eigvalsh(lesson.correlated(3, -0.5)).min() == pytest.approx(0, abs=1e-12)
     says("with errors linked by one half they state 0.23 m along the diagonal (1, 1, 1), where 0.32 m is true.")
@@ -185,8 +188,24 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
     assert burden.total(burden.kalman_columns(2, 1, axes=3)) == 101
 
 
+def test_the_frozen_line_goes_on_from_the_stacked_filter(taught):
+    """On the turned state it is the filter of three axes; on the stack itself numpy would mix them."""
+    names = dict(taught)
+    exec(source(CELLS["freeze"]), names)
+    X_own, P_own = names["X"].T[:, :, None], np.stack([names["P"]] * 3)
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        X_own, P_own = taught["step_with_gaps"](X_own, P_own, rng.normal(size=3))
+    X = X_own[:, :, 0].T
+    for z_k in rng.normal(size=(30, 3)):
+        X_own, P_own = taught["step_with_gaps"](X_own, P_own, z_k)
+        X = names["A"] @ X + names["K"] * z_k
+    np.testing.assert_allclose(X.T, X_own[:, :, 0], atol=2e-3)  # the gain is within a thousandth of its limit
+
+
 def test_the_gain_settles_in_twelve_seconds():
-    says("Freeze the gain again after twelve seconds without a miss on any axis, as many as $P$ took to settle.")
+    says("After twelve seconds without a miss on any axis, as many as $P$ took to settle, freeze the gain again:")
+    says("from `X = X_own[:, :, 0].T` on by the line of the frozen filter.")
     assert "at rest after 12 seconds" in shown(CELLS["freeze"])
 
 
