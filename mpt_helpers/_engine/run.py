@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _checks as checks
 from .columns import product
-from .diffuse import DIFFUSE_S, largest_S, run_rows_with_diffuse_starts
+from .diffuse import DIFFUSE_S, largest_S, observability_rows, run_rows_with_diffuse_starts
 from .pieces import FEW_TRACKS, run_rows
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
@@ -51,14 +51,22 @@ def estimates(estimator, epochs, x, covariances, observability):
 
 
 def observability_of(estimator, epochs):
-    """Return the `observability_rows` with the smallest of variances r of each sensor, or None if not optimal."""
+    """Return the `observability_rows` of an optimal filter, else None.
+
+    With time steps they are those of the median and of the largest; of variances r, the smallest of each sensor counts.
+    """
     if not estimator.optimal:
         return None
-    if epochs.r is None:
+    if epochs.dt is None and epochs.r is None:
         return estimator.observability
-    smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
-    R = np.where(np.isfinite(smallest), smallest, np.diag(estimator.model.R))
-    return estimator.observability_with(np.diag(R))
+    model, R = estimator.model, estimator.model.R
+    if epochs.r is not None:
+        smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
+        R = np.diag(np.where(np.isfinite(smallest), smallest, np.diag(R)))
+    F, Q = [model.F], [model.Q]
+    if epochs.dt is not None:
+        F, Q = epochs.over(np.array([np.median(epochs.dt), epochs.dt.max()]))
+    return np.concatenate([observability_rows(*each, model.H, R) for each in zip(F, Q, strict=True)])
 
 
 def _on_columns(estimator, epochs, x, covariances, observability):
