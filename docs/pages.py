@@ -433,8 +433,7 @@ CHAPTERS = {
 
 # By these, filters, metrics and bands call one another. They have one line, and the page of a class leaves them out.
 INNER = {"advance", "as_tracks", "epochs_of", "estimates_of", "innovations_of", "next_steps", "run", "times_of"}
-INNER |= {"elementary_filters", "measurement", "motion", "observability", "observability_with", "shared_steps"}
-INNER |= {"subfilters"}
+INNER |= {"elementary_filters", "measurement", "motion", "observability", "shared_steps", "subfilters"}
 
 
 def interface():

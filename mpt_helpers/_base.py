@@ -433,11 +433,7 @@ class RecursiveFilter(Filter):
     @cached_property
     def observability(self) -> Array:
         """The `observability_rows` of the model, cached: they take a third of a short track's time."""
-        return self.observability_with(self.model.R)
-
-    def observability_with(self, R: Array) -> Array:
-        """Return the `observability_rows` with measurement noise of covariance R."""
-        return observability_rows(self.model.F, self.model.Q, self.model.H, R)
+        return observability_rows(self.model.F, self.model.Q, self.model.H, self.model.R)
 
     def coefficients(self, N: int) -> Step:
         """Return the coefficients of steps 1 to N with nothing missing.

@@ -24,7 +24,7 @@ from ._checks import Array
 from ._immutable import same, types_as_written
 from .kalman import KalmanFilter
 from .model import LinearModel
-from .search import FLAT_CURVATURE, SIGNIFICANT, along_a_line, differences, lowest, newton
+from .search import FLAT_CURVATURE, SIGNIFICANT, coordinate_descent, finite_differences, line_search, newton
 
 # Rows for each state that the search along a ratio skips: after them the initial state hardly matters.
 START_ROWS_PER_STATE = 5
@@ -164,7 +164,7 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
             metrics.log_likelihood(estimator, z)  # raises, and says why
             checks.refuse("start", "parameters at which log L is finite", guess)
         near = _search_along_ratio(likelihood, origin, estimator.model.n)
-        best = lowest(likelihood, origin) if near is None else newton(likelihood, near)
+        best = coordinate_descent(likelihood, origin) if near is None else newton(likelihood, near)
         # If log L does not fall as a parameter goes towards zero, or cannot be computed, z gives only an upper limit.
         further = np.array([likelihood(best - math.log(1000) * unit) for unit in np.eye(len(best))])
         bounded = (further >= likelihood(best) + SIGNIFICANT) & np.isfinite(further)
@@ -257,7 +257,7 @@ def _search_along_ratio(likelihood, origin, n):
     if len(origin) != 2 or not _covariances_scale(likelihood, origin):
         return None
     first = min(START_ROWS_PER_STATE * n, len(likelihood.z) // 4)
-    point = along_a_line(partial(likelihood.with_best_scale, first=first), origin, np.array([0.5, -0.5]))
+    point = line_search(partial(likelihood.with_best_scale, first=first), origin, np.array([0.5, -0.5]))
     return point if math.isfinite(likelihood(point)) and _covariances_scale(likelihood, point) else None
 
 
@@ -322,7 +322,7 @@ def log_errors(likelihood: NegativeLogLikelihood, best: Array, known: Array, blo
 
     errors = np.full(len(best), math.inf)
     if len(known):
-        _, scores, H = differences(of_blocks, best[known])  # (d, B) and (d, d, B) of B blocks
+        _, scores, H = finite_differences(of_blocks, best[known])  # (d, B) and (d, d, B) of B blocks
         H = H.sum(axis=-1)
         J = H if blocks.count == 1 else covariance_of_scores(scores)
         errors[known] = np.sqrt(_sandwich_diagonal(H, J))

@@ -22,7 +22,6 @@ from . import _checks as checks
 from ._base import RecursiveFilter, require_digits
 from ._checks import Array
 from ._engine.columns import Epochs, KalmanColumns
-from ._engine.diffuse import observability_rows
 from .equations import masked, unit_measurements
 from .model import LinearModel, half_step_gap, require_transition
 
@@ -152,13 +151,6 @@ class KalmanFilter(RecursiveFilter):
                 of = f"over {dt:.3g} s the transition's F and Q are not those of two half steps"
                 checks.warn(f"t: {of}, by {missed:.1%}: its formula loses its digits there")
         return steps
-
-    def observability_with(self, R: Array) -> Array:
-        """Return the `observability_rows`; with times, those of steps of median and of largest length."""
-        if self._steps is None:
-            return super().observability_with(R)
-        steps = [self.model.over(dt) for dt in (np.median(self._steps), self._steps.max())]
-        return np.concatenate([observability_rows(F, Q, self.model.H, R) for F, Q in steps])
 
     def advance(self, row: tuple[Any, ...], x: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return x(k+1/k+1), P(k+1/k+1) and the innovations of one row of many tracks, as in RecursiveFilter."""

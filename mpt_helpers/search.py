@@ -21,18 +21,18 @@ COARSE = math.log(1e4) * np.arange(-6, 7)
 AROUND = math.log(10) * np.arange(-2, 3)
 
 
-def along_a_line(rated, origin, direction, reach=COARSE, close=LINE_TOLERANCE, nothing=SIGNIFICANT):
+def line_search(objective, origin, direction, reach=COARSE, close=LINE_TOLERANCE, nothing=SIGNIFICANT):
     """Return the lowest point origin + s direction (d,) that a search finds, coarse at first.
 
-    rated(point) returns a shift and the function's value after adding the shift to all components of the point. `reach`
-    are the values of s that are tried first; the s found is accurate to `close`. Values that differ by less than
-    `nothing` count as equal, and of these the one nearest to the start is taken.
+    objective(point) returns a shift and the function's value after adding the shift to all components of the point.
+    `reach` are the values of s that are tried first; the s found is accurate to `close`. Values that differ by less
+    than `nothing` count as equal, and of these the one nearest to the start is taken.
     """
     known = {}
 
     def value(s):
         if (key := round(float(s), 9)) not in known:
-            known[key] = rated(origin + s * direction)
+            known[key] = objective(origin + s * direction)
         return known[key][1]
 
     s = 0.0
@@ -47,11 +47,11 @@ def along_a_line(rated, origin, direction, reach=COARSE, close=LINE_TOLERANCE, n
     return origin + s * direction + known[round(s, 9)][0]
 
 
-# Rounds of `lowest`: each but the last finds a lower point. One or two are usual.
+# Rounds of `coordinate_descent`: each but the last finds a lower point. One or two are usual.
 MAX_ROUNDS = 10
 
 
-def lowest(function, point):
+def coordinate_descent(function, point):
     """Return the lowest point (d,) that is found along each parameter in turn, and then by Newton's method.
 
     It starts again while there is a lower point far along a parameter. If q is far too small, for example, a larger r
@@ -60,7 +60,7 @@ def lowest(function, point):
     units = np.eye(len(point))
     for _ in range(MAX_ROUNDS):
         for unit in units:
-            point = along_a_line(lambda each: (0.0, function(each)), point, unit)
+            point = line_search(lambda each: (0.0, function(each)), point, unit)
         point = newton(function, point)
         if min(function(point + s * unit) for unit in units for s in COARSE) > function(point) - SIGNIFICANT:
             break
@@ -86,7 +86,7 @@ def newton(function, point):
         key = at.tobytes()
         if key not in known:
             # Next to a point without a likelihood they are not finite: zeros end the search there.
-            _, gradient, H = (np.where(np.isfinite(each), each, 0.0) for each in differences(function, at))
+            _, gradient, H = (np.where(np.isfinite(each), each, 0.0) for each in finite_differences(function, at))
             known[key] = gradient, H + FLAT_CURVATURE * np.abs(H).max() * np.eye(len(H))
         return known[key]
 
@@ -101,7 +101,7 @@ def newton(function, point):
     return found.x
 
 
-def differences(function, point):
+def finite_differences(function, point):
     """Return function(point) (...), its gradient (d, ...) and second derivatives (d, d, ...), by central differences.
 
     The shape (...) is that of the function's value: () for -log L, (B,) for the shares of B blocks in it.

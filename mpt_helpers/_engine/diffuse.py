@@ -58,17 +58,17 @@ def run_rows_with_diffuse_starts(advance, rows, x0, P0, x, P, observability):
     rest = map_arrays(rows, lambda array: array[k:])
     largest = run_rows(advance, rest, first_x[k], first_P[k], x[k:], None if P is None else P[k:])
     # Perhaps only where nothing is measured: P of each row tells.
-    again = np.flatnonzero(_is_diffuse(observability, largest))
-    if not len(again):
+    columns = np.flatnonzero(_is_diffuse(observability, largest))
+    if not len(columns):
         return True
-    own = map_arrays(rows, lambda array: array[..., again])
-    own_x, own_P = (np.empty((len(x) + 1, *first.shape[1:-1], len(again))) for first in (first_x, first_P))
-    own_x[: k + 1], own_P[: k + 1] = first_x[..., again], first_P[..., again]
-    held = _run_rows_with_pauses(advance, own, k, own_x, own_P, observability)
-    x[..., again] = own_x[1:]
+    own = map_arrays(rows, lambda array: array[..., columns])
+    own_x, own_P = (np.empty((len(x) + 1, *first.shape[1:-1], len(columns))) for first in (first_x, first_P))
+    own_x[: k + 1], own_P[: k + 1] = first_x[..., columns], first_P[..., columns]
+    valid = _run_rows_with_pauses(advance, own, k, own_x, own_P, observability)
+    x[..., columns] = own_x[1:]
     if P is not None:
-        P[..., again] = own_P[1:]
-    return held
+        P[..., columns] = own_P[1:]
+    return valid
 
 
 def _is_diffuse(observability, variances):
@@ -83,18 +83,18 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
     same row do so together. Returns whether the covariances stayed within double precision.
     """
     N, diffuse = len(rows[0]), _is_diffuse(observability, P[k].diagonal())
-    at, paused = np.full(len(diffuse), k), np.full(len(diffuse), k)  # the next row of each column, and its last pause
-    while (k := at.min()) < N:
-        columns = np.flatnonzero(at == k)
-        anew = diffuse[columns].any()
-        if anew:
+    next_row, paused = np.full((2, len(diffuse)), k)  # of each column; paused is the row of its last pause
+    while (k := next_row.min()) < N:
+        columns = np.flatnonzero(next_row == k)
+        restart = diffuse[columns].any()
+        if restart:
             columns, end = columns[diffuse[columns]], N
         else:
             end = k + min(max(k - paused[columns].max(), LEAST_ROWS), MOST_ROWS)
             end -= end % LEAST_ROWS  # so that columns meet again
         here = map_arrays(rows, lambda array, part=slice(k, end), columns=columns: array[part][..., columns])
         x_k, P_k = x[k][..., columns], P[k][..., columns]
-        if anew:
+        if restart:
             if not np.isfinite(P_k).all():  # an overflow, not a pause
                 return False
             name = "P0" if k == 0 else "z" if rows[2] is None else "t"
@@ -110,7 +110,7 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
             done = np.where(diffuse[columns], left_diffuse.argmax(axis=0), len(x_here))
         after = slice(k + 1, k + 1 + len(x_here))
         x[after][..., columns], P[after][..., columns] = x_here, P_here
-        at[columns] += done
+        next_row[columns] += done
     return True
 
 
@@ -134,23 +134,24 @@ def _diffuse_initialization(advance, rows, x0, P0, observability, name):
         F[0], Q[0] = np.eye(len(x0))[..., None], 0.0  # row 0 follows on the prediction after no time
     n, c, W = x0.shape
     counts = np.cumsum(seen, axis=0)
-    last = (counts == counts[-1]).all(axis=1)
-    often = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=1)
+    nothing_follows = (counts == counts[-1]).all(axis=1)
+    measured_often = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=1)
     L, y, x, P = np.zeros((0, n, W)), np.zeros((0, c, W)), [], []
-    paused, enough, done = np.zeros(W, bool), np.zeros(W, bool), np.zeros(W, int)
-    for k, (x_piece, P_piece, e) in enumerate(run_from_zero(advance, (z, seen, F, Q, r), n)):
+    paused, settled, done = np.zeros(W, bool), np.zeros(W, bool), np.zeros(W, int)
+    for k, (x_piece, P_piece, innovations) in enumerate(run_from_zero(advance, (z, seen, F, Q, r), n)):
         if k > 0:
             paused |= _is_diffuse(observability, P_piece.diagonal())
-        if (paused | enough).all():
+        if (paused | settled).all():
             break
         if seen[k].any():
-            L, y = compress_measurement(np.concatenate([L, -e[:, c:]]), np.concatenate([y, e[:, :c]]))
+            e, minus_L = innovations[:, :c], innovations[:, c:]
+            L, y = compress_measurement(np.concatenate([L, -minus_L]), np.concatenate([y, e]))
         x_k, P_k = _end_of_piece(x_piece[:, :c], y, x_piece[:, c:], P_piece, L, x0, A, name)
         x.append(x_k)
         P.append(P_k)
         done += ~paused
         S = largest_S(observability, P_k.diagonal())
-        enough |= last[k] | (S < CLEAR_S) | (often[k] & (S < DIFFUSE_S))
+        settled |= nothing_follows[k] | (S < CLEAR_S) | (measured_often[k] & (S < DIFFUSE_S))
     return np.array(x), np.array(P), done
 
 

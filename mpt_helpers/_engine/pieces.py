@@ -66,8 +66,8 @@ def _in_sequence(advance, rows, x_k, P_k, x, P):
         least, largest = np.minimum(least, variances), np.maximum(largest, variances)
         if P is not None:
             P[k] = P_k
-    held = (least == 0).all(axis=1) & np.isfinite(P_k).all(axis=(0, 1))
-    return P_k, np.where(held[:, None], largest, np.nan)
+    valid = (least == 0).all(axis=1) & np.isfinite(P_k).all(axis=(0, 1))
+    return P_k, np.where(valid[:, None], largest, np.nan)
 
 
 def _in_pieces(advance, rows, K, x0, P0, x, P):

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _checks as checks
 from .columns import product
-from .diffuse import DIFFUSE_S, largest_S, run_rows_with_diffuse_starts
+from .diffuse import DIFFUSE_S, largest_S, observability_rows, run_rows_with_diffuse_starts
 from .pieces import FEW_TRACKS, run_rows
 from .shared import TILE, TILE_OF_COVARIANCES, epochs_at_a_time, run_shared, tiles
 
@@ -40,7 +40,7 @@ def estimates(estimator, epochs, x, covariances, observability):
     run_shared(products, estimator.model.x0[:, None], epochs.z, x)
     if covariances:
         P = np.array([step.P for step in steps])[..., None]
-        require_held(np.isfinite(P).all())
+        require_valid(np.isfinite(P).all())
         return P
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.any():
@@ -51,14 +51,22 @@ def estimates(estimator, epochs, x, covariances, observability):
 
 
 def observability_of(estimator, epochs):
-    """Return the `observability_rows` with the smallest of variances r of each sensor, or None if not optimal."""
+    """Return the `observability_rows` of an optimal filter, else None.
+
+    With time steps they are those of the median and of the largest; of variances r, the smallest of each sensor counts.
+    """
     if not estimator.optimal:
         return None
-    if epochs.r is None:
+    if epochs.dt is None and epochs.r is None:
         return estimator.observability
-    smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
-    R = np.where(np.isfinite(smallest), smallest, np.diag(estimator.model.R))
-    return estimator.observability_with(np.diag(R))
+    model, R = estimator.model, estimator.model.R
+    if epochs.r is not None:
+        smallest = np.where(epochs.missing, np.inf, epochs.r).min(axis=(0, 2))
+        R = np.diag(np.where(np.isfinite(smallest), smallest, np.diag(R)))
+    F, Q = [model.F], [model.Q]
+    if epochs.dt is not None:
+        F, Q = epochs.over(np.array([np.median(epochs.dt), epochs.dt.max()]))
+    return np.concatenate([observability_rows(*each, model.H, R) for each in zip(F, Q, strict=True)])
 
 
 def _on_columns(estimator, epochs, x, covariances, observability):
@@ -78,16 +86,16 @@ def _on_columns(estimator, epochs, x, covariances, observability):
         x_part = x[..., part].reshape(N, n, c, width)
         P_part = P[..., part] if covariances and W > 1 else P
         if estimator.optimal:
-            held = run_rows_with_diffuse_starts(estimator.advance, rows, x0, P0, x_part, P_part, observability)
+            valid = run_rows_with_diffuse_starts(estimator.advance, rows, x0, P0, x_part, P_part, observability)
         else:
-            held = np.isfinite(run_rows(estimator.advance, rows, x0, P0, x_part, P_part)).all()
-        require_held(held)
+            valid = np.isfinite(run_rows(estimator.advance, rows, x0, P0, x_part, P_part)).all()
+        require_valid(valid)
     return P
 
 
-def require_held(held):
+def require_valid(valid):
     """Raise a ValueError where the covariances exceeded double precision."""
-    if not held:
+    if not valid:
         need = "covariances within double precision (shorter gaps, a smaller P0, more similar variances)"
         checks.refuse("z", need, "an overflow or a negative variance")
 
@@ -104,7 +112,7 @@ def innovations(estimator, epochs):
     values, S, size = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3])), np.empty((N, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks.
-        before = np.moveaxis(_before(x, model.x0, part), 1, 0), np.moveaxis(_before(P, estimator.P0, part), 0, 2)
+        before = np.moveaxis(_previous(x, model.x0, part), 1, 0), np.moveaxis(_previous(P, estimator.P0, part), 0, 2)
         motion = epochs.motions(part)
         expected, S_part = estimator.measurement(*motion(*before))
         values[part] = epochs.z[part] - np.moveaxis(expected, 0, 1)
@@ -131,7 +139,7 @@ def require_digits_of(variances, size):
         checks.refuse("P0", f"{need} (filter and estimates take a larger one)", "one that leaves none")
 
 
-def _before(array, start, part):
+def _previous(array, start, part):
     """Return the rows of an array (N, ..., M) one before those of a slice; `start` (...) precedes row 0."""
     if part.start > 0:
         return array[part.start - 1 : part.stop - 1]

@@ -15,7 +15,7 @@ from .. import _checks as checks
 from .columns import product, transposed
 from .diffuse import largest_S
 from .pieces import run_rows
-from .run import estimates, observability_of, require_held
+from .run import estimates, observability_of, require_valid
 from .shared import epochs_at_a_time
 
 # A mode is damped if its eigenvalue is below DAMPED, and undriven if the variance that Q adds to it per step is below
@@ -40,32 +40,32 @@ def smoothed(estimator, epochs):
     d, C, D = np.empty_like(x[:-1]), np.empty_like(P[:-1]), np.empty_like(P[:-1])
     for part in epochs_at_a_time(N - 1, P[0].size):
         motion = epochs.motions(slice(part.start + 1, part.stop + 1))
-        d[part], C[part], D[part] = _steps_back(motion, x[part], P[part])
+        d[part], C[part], D[part] = _backward_coefficients(motion, x[part], P[part])
 
     def in_columns(states):
         return states.reshape(*states.shape[:-1], -1, P.shape[3])
 
     # The pass starts from x(N/N) and P(N/N), and writes to reversed views of x and P, epoch N - 1 first.
     rows = in_columns(d[::-1]), C[::-1], D[::-1]
-    largest = run_rows(_step_back, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
-    require_held(np.isfinite(largest).all())
+    largest = run_rows(_backward_step, rows, in_columns(x[-1]), P[-1], in_columns(x[-2::-1]), P[-2::-1])
+    require_valid(np.isfinite(largest).all())
     return x, P
 
 
-def _step_back(row, x, P):
+def _backward_step(row, x, P):
     """Return x and P one epoch earlier, and no innovations, as a backward step uses no measurement."""
     d, C, D = row
     return product(C, x) + d, product(product(C, P), transposed(C)) + D, x[:0]
 
 
-def _steps_back(motion, x, P):
+def _backward_coefficients(motion, x, P):
     """Return d = (I - C F) x (N, n, M), C and D = C Q Cᵀ + (I - C F) P (I - C F)ᵀ (N, n, n, M or 1) of N epochs.
 
     x (N, n, M) and P (N, n, n, M or 1) are the filter's at these epochs; motion leads from each to the next.
     """
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
     FP = motion.of_state(P)
-    C = transposed(_solved(motion.of_covariance(P), FP))
+    C = transposed(_solve_semidefinite(motion.of_covariance(P), FP))
     d = x - product(C, motion.of_state(x))
     kept = P - product(C, FP)  # (I - C F) P
     # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero except for the rounding error of `kept`, which it removes.
@@ -74,7 +74,7 @@ def _steps_back(motion, x, P):
     return np.moveaxis(d, 1, 0), np.moveaxis(C, 2, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
 
 
-def _solved(S, X):
+def _solve_semidefinite(S, X):
     """Return S⁻¹ X (n, c, ...) for covariances S (n, n, ...), which may be singular, and X (n, c, ...).
 
     A direction of zero variance is known exactly and gets zeros: its pivot is pure rounding.

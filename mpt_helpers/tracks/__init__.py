@@ -24,7 +24,7 @@ from .._immutable import types_as_written
 from . import geodesy, report
 from .cleaning import clean
 from .fixes import FEWEST, grid_of
-from .readers import MANY, Recording, moment_of, read, read_frame
+from .readers import MANY, Recording, read, read_frame, to_datetime
 from .result import Cleaned, Source
 
 __all__ = ["Cleaned", "Track", "clean", "degrees", "gpx", "local", "track"]
@@ -265,7 +265,7 @@ def _track(recording, rows, start, origin, up):
     z = local(lat, lon, origin)
     if up:
         z = np.column_stack([z, heights - origin[2]])
-    return Track((recording.time[rows] - start) / 1e6, z, origin, moment_of(start))
+    return Track((recording.time[rows] - start) / 1e6, z, origin, to_datetime(start))
 
 
 def track(

@@ -32,7 +32,7 @@ from .noise_fit import (
     concatenate_segments,
     filter_of,
     first_guess,
-    fitted,
+    fit_noise,
     log_errors,
     scale_of,
     vague_axis_filter,
@@ -140,7 +140,7 @@ def clean(
         if line.stands_still(scale):
             still = f"{(segments >= 0).sum()} of {len(own)} fixes standing still"
             checks.refuse("z", "a track that moves", f"{still}, all else being faults or jumps: are digits missing?")
-        noise = fitted(line, noise, scale, near=before is not None)
+        noise = fit_noise(line, noise, scale, near=before is not None)
     line = line_of(segments)
     noise = assume_r_if_unidentifiable(line, noise, scale)
     kf = filter_of(noise, scale, line.t, line.relative, z.shape[1])
@@ -217,7 +217,7 @@ def band_of(line: Line, noise: Noise, scale: Scale, seconds: float) -> Band | No
     before = line.part(slice(half))
     if before.stands_still(scale) or np.isfinite(before.z[~before.first]).sum() < FEWEST:
         return None
-    first = fitted(before, noise, scale)
+    first = fit_noise(before, noise, scale)
     kf = filter_of(first, scale, line.t, line.relative, line.z.shape[1])
     t = line.t[np.isfinite(line.z).any(axis=1)]
     due = np.append(t, np.inf)[np.searchsorted(t, t + seconds * (1 - bands.TIME_ROUNDING))] - t

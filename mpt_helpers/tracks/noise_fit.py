@@ -14,7 +14,7 @@ from .._checks import Array
 from .._immutable import types_as_written
 from ..kalman import KalmanFilter
 from ..model import constant_velocity, stack
-from ..search import AROUND, SIGNIFICANT, along_a_line
+from ..search import AROUND, SIGNIFICANT, line_search
 
 # Segments are put an hour or more apart, so that the filter learns nothing about one from another. In T seconds without
 # a fix the variance of the velocity grows by q T, which must reach the square of FORGOTTEN usual speeds. That of the
@@ -191,7 +191,7 @@ def _ends(z):
 def filter_of(noise: Noise, scale: Scale, t: Array, relative: Array | None, axes: int) -> KalmanFilter:
     """Return the filter of a track, with an initial sigma of ten steps in position and two usual speeds in velocity."""
     sigma = 10 * (math.sqrt(noise.r) + scale.speed * scale.step)
-    axis = _axis(noise.q, noise.r, scale, relative, sigma, 2 * scale.speed)
+    axis = _axis_model(noise.q, noise.r, scale, relative, sigma, 2 * scale.speed)
     return KalmanFilter(stack(*[axis] * axes), t=t, r=None if relative is None else noise.r * relative)
 
 
@@ -200,11 +200,11 @@ def vague_axis_filter(line: Line, q: float, r: float, scale: Scale) -> KalmanFil
 
     It filters each axis of z (K, 1, m) as a track.
     """
-    axis = _axis(q, r, scale, line.relative, 100 * scale.speed * scale.step, 10 * scale.speed)
+    axis = _axis_model(q, r, scale, line.relative, 100 * scale.speed * scale.step, 10 * scale.speed)
     return KalmanFilter(axis, t=line.t, r=None if line.relative is None else r * line.relative[:, None])
 
 
-def _axis(q, r, scale, relative, sigma, sigma_of_speed):
+def _axis_model(q, r, scale, relative, sigma, sigma_of_speed):
     """Return the model of one axis, with the initial sigmas of its position and speed."""
     of_fix = math.sqrt(r if relative is None else r * float(relative.min()))
     sigma_of_speed = min(sigma_of_speed, VAGUEST_SPEED * of_fix / scale.step)
@@ -217,7 +217,7 @@ def likelihood_of(line: Line, scale: Scale) -> fitting.NegativeLogLikelihood:
     return fitting.NegativeLogLikelihood(make, ["q", "r"], line.z[:, None], ~line.first)
 
 
-def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
+def fit_noise(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
     """Return maximum-likelihood q and r of the fixes of a line, by a local or a global search along r / q.
 
     The global search is for a guess that may lie near a local maximum: recordings with many short gaps have several. An
@@ -226,22 +226,22 @@ def fitted(line: Line, guess: Noise, scale: Scale, near: bool = True) -> Noise:
     likelihood = likelihood_of(line, scale)
     low, high = (each + math.log(scale.step**3) for each in RATIOS)
 
-    def rated(point):
+    def objective(point):
         within = low <= point[1] - point[0] <= high
         return likelihood.with_best_scale(point) if within else (0.0, math.inf)
 
     at, ratio = np.log([guess.q, guess.r]), np.array([-0.5, 0.5])
-    found = along_a_line(rated, at, ratio, AROUND, RATIO_FOUND, nothing=0.0) if near else at
+    found = line_search(objective, at, ratio, AROUND, RATIO_FOUND, nothing=0.0) if near else at
     if not near or abs(np.diff(found - at)[0]) > AROUND[-2]:  # the guess was not close
         middle = at[0] + np.array([0.0, (low + high) / 2])
-        found = along_a_line(rated, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
+        found = line_search(objective, middle, ratio, ALL_OVER, RATIO_FOUND, nothing=0.0)
     q, r = np.exp(found)
     if r > scale.rounding:
         return Noise(float(q), float(r), False)
-    return Noise(_q_given(likelihood, float(q), scale.rounding, math.exp(high)), scale.rounding, True)
+    return Noise(_fit_q(likelihood, float(q), scale.rounding, math.exp(high)), scale.rounding, True)
 
 
-def _q_given(likelihood, q, r, most):
+def _fit_q(likelihood, q, r, most):
     """Return the maximum-likelihood q given r, where r / q is at most `most`: fixes at rest do not determine q."""
     for _ in range(3):  # each best scale changes q, and so r / q
         q *= math.exp(likelihood.with_best_scale(np.log([q, r]))[0])
@@ -257,10 +257,10 @@ def assume_r_if_unidentifiable(line: Line, noise: Noise, scale: Scale) -> Noise:
     fixes.
     """
     likelihood = likelihood_of(line, scale)
-    r = max(min(upper_limit(line, scale), USUAL**2), scale.rounding)
+    r = max(min(upper_limit_of_r(line, scale), USUAL**2), scale.rounding)
     if (r < SMOOTHED**2 or r <= noise.r) if noise.rounding else _is_identifiable(line, noise, scale, likelihood):
         return noise
-    q = _q_given(likelihood, noise.q, r, math.exp(RATIOS[1]) * scale.step**3)
+    q = _fit_q(likelihood, noise.q, r, math.exp(RATIOS[1]) * scale.step**3)
     return Noise(q, r, rounding=False, assumed=True)
 
 
@@ -282,7 +282,7 @@ def _is_identifiable(line, noise, scale, likelihood):
     return bool(noise.r < USUAL**2 or negative < MOST_NEGATIVE[1] + BY_CHANCE[1] / unit.size)
 
 
-def upper_limit(line: Line, scale: Scale) -> float:
+def upper_limit_of_r(line: Line, scale: Scale) -> float:
     """Return an upper limit of r, whatever the motion is, from fixes without gaps between them."""
     fixes = np.isfinite(line.z).any(axis=1)
     t, differences = line.t[fixes], line.z[fixes]

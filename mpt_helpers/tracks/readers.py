@@ -59,7 +59,7 @@ class Recording:
     index: Any = None  # the labels of a frame's rows
 
 
-def moment_of(time: float) -> datetime:
+def to_datetime(time: float) -> datetime:
     """Return microseconds since 1970 as a datetime."""
     return EPOCH + timedelta(microseconds=int(time))
 

@@ -18,7 +18,7 @@ from ..fitting import UNKNOWN
 from .fixes import FAR_IN_TIME
 from .geodesy import earth_centred
 from .noise_fit import SMOOTHED
-from .readers import UNIX, moment_of
+from .readers import UNIX, to_datetime
 from .unsupported import take_turns
 from .writers import degrees_of, velocities_of
 
@@ -174,7 +174,7 @@ def _heading(c):
     parts = [f"{name}{_fixes(len(c.t))} in {_clock(np.ptp(c.t[_near_in_time(c)]))}, {every}"]
     if c.source is not None:  # a reader notices GPS seconds by their date, ten years off
         start = c.source.recording.time[c.source.rows[_near_in_time(c)]].min()
-        parts += [f"from {moment_of(start):%Y-%m-%d %H:%M:%S} UTC"] if start >= UNIX * 1e6 else []
+        parts += [f"from {to_datetime(start):%Y-%m-%d %H:%M:%S} UTC"] if start >= UNIX * 1e6 else []
     if len(c.recordings) > 1:
         parts.append(f"in {len(c.recordings)} parts (pauses, or segments of the file)")
     return "; ".join(parts)
@@ -187,15 +187,15 @@ def _faults(c):
     if len(c.refused):
         first_of_runs = c.refused[np.diff(c.refused, prepend=-2) > 1]
         share = f"{_fixes(len(c.refused))} ({_share_refused(c):.2%})"
-        lines.append(f"refused as faults: {share}, {_moments(c, first_of_runs)}")
+        lines.append(f"refused as faults: {share}, {_when(c, first_of_runs)}")
     else:
         lines.append("refused as faults: none")
     if len(c.starts):
-        lines.append(f"jumps that stay: {len(c.starts)}, {_moments(c, c.starts)}; the smoothed line begins anew there")
+        lines.append(f"jumps that stay: {len(c.starts)}, {_when(c, c.starts)}; the smoothed line begins anew there")
     return lines
 
 
-def _moments(c, rows):
+def _when(c, rows):
     """Return when the first few of some rows were recorded, in words."""
     near = _near_in_time(c)
     seconds = c.t[rows[near[rows]]] - c.t[near].min()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .geodesy import axes_at, earth_centred
-from .readers import moment_of
+from .readers import to_datetime
 
 if TYPE_CHECKING:
     from .result import Cleaned
@@ -103,7 +103,7 @@ def _new_gpx(c, lat, lon):
             fix = c.source.rows[row]
             height = recording.height[fix]
             ele = f"<ele>{height:.2f}</ele>" if math.isfinite(height) else ""
-            time = moment_of(recording.time[fix]).isoformat().replace("+00:00", "Z")
+            time = to_datetime(recording.time[fix]).isoformat().replace("+00:00", "Z")
             lines.append(f'<trkpt lat="{lat[row]:.8f}" lon="{lon[row]:.8f}">{ele}<time>{time}</time></trkpt>')
         lines.append("</trkseg>")
     lines.append("</trk></gpx>\n")

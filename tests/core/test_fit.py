@@ -198,7 +198,7 @@ def test_differences_are_the_derivatives_of_a_quadratic_function(seed):
     def function(x):
         return np.array([g @ x + x @ H @ x / 2, 1.0, -x.sum()])
 
-    here, gradient, second = search.differences(function, point)
+    here, gradient, second = search.finite_differences(function, point)
     np.testing.assert_array_equal(here, function(point))
     np.testing.assert_allclose(gradient, np.stack([g + H @ point, np.zeros(d), -np.ones(d)], axis=1), atol=1e-9)
     np.testing.assert_allclose(second[..., 0], H, atol=1e-7)

@@ -79,8 +79,8 @@ def starts_at_zero(advance, rows, x0, P0, boundary_states=pieces.boundary_states
     return np.zeros_like(x), P
 
 
-def steps_back_without_noise(motion, x, P, steps_back=smoother._steps_back):
-    return steps_back(type(motion)(motion.matrix, 0 * motion.Q), x, P)
+def backward_coefficients_without_noise(motion, x, P, backward_coefficients=smoother._backward_coefficients):
+    return backward_coefficients(type(motion)(motion.matrix, 0 * motion.Q), x, P)
 
 
 def step_from_zero(P, constants, lainiotis_step=equations.lainiotis_step):
@@ -100,8 +100,8 @@ MUTANTS = {
     "tracks of other gaps share a column": (columns.Epochs, "width", 1),
     "a piece starts as the one before it": (pieces, "advance_piece", lambda row, x, P: (x, P, x[:0])),
     "all pieces start at zero": (pieces, "boundary_states", starts_at_zero),
-    "the way back without process noise": (smoother, "_steps_back", steps_back_without_noise),
-    "innovations against the state after": (run, "_before", lambda array, start, part: array[part]),
+    "the way back without process noise": (smoother, "_backward_coefficients", backward_coefficients_without_noise),
+    "innovations against the state after": (run, "_previous", lambda array, start, part: array[part]),
     "Joseph's form without K R K'": (steady, "corrected_covariance", without_the_noise_of_z),
     "a Lainiotis step that forgets P": (lainiotis, "lainiotis_step", step_from_zero),
     "gains of measurements of twice the noise": (kalman, "unit_measurements", twice_the_noise),

@@ -589,7 +589,7 @@ def fitted_by_turns(seed):
     scale = cleaning.scale_of(t, z, 0.0)
     guess = cleaning.first_guess(t, z, scale)
     line = line_of(t, z, np.zeros(N, dtype=int), guess, scale)
-    found = cleaning.fitted(line, guess, scale)
+    found = cleaning.fit_noise(line, guess, scale)
     return found.q, cleaning.log_errors(line, found, scale)["q"]
 
 
