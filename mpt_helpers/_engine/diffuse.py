@@ -84,6 +84,7 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
     """
     N, diffuse = len(rows[0]), _is_diffuse(observability, P[k].diagonal())
     next_row, paused = np.full((2, len(diffuse)), k)  # of each column; paused is the row of its last pause
+    last_measured = (rows[1].any(axis=1) * np.arange(N)[:, None]).max(axis=0)
     while (k := next_row.min()) < N:
         columns = np.flatnonzero(next_row == k)
         restart = diffuse[columns].any()
@@ -99,7 +100,10 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
                 return False
             name = "P0" if k == 0 else "z" if rows[2] is None else "t"
             x_here, P_here, done = _diffuse_initialization(advance, here, x_k, P_k, observability, name)
-            diffuse[columns], paused[columns] = False, k
+            P_end = P_here[done - 1, ..., np.arange(len(done))]  # still diffuse if a pause came too soon
+            diffuse[columns] = _is_diffuse(observability, P_end.diagonal(axis1=1, axis2=2))
+            diffuse[columns] &= k + done <= last_measured[columns]
+            paused[columns] = k
         else:
             x_here, P_here = (np.empty((len(here[0]), *each.shape)) for each in (x_k, P_k))
             largest = run_rows(advance, here, x_k, P_k, x_here, P_here)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from conftest import NOTEBOOKS, ROOT, cells_of
 from oracles import plain_loop, van_loan
+from scipy.linalg import expm
 
 import mpt_helpers as mpt
 from reproduction.__main__ import main
@@ -289,6 +290,36 @@ def test_a_gate_is_one_file(added):
     z = np.arange(40.0)[:, None] ** 1.2
     z[20] += 30
     np.testing.assert_array_equal(np.flatnonzero(~added("gate").impatient(kf, z)), [20])
+
+
+def test_the_gate_of_the_page_comes_slowly_across_a_jump(added):
+    assert "After a jump this gate lets in one fix in six until the line has come across" in EXTENDING
+    kf = mpt.KalmanFilter(mpt.constant_velocity(1.0, 0.01, 0.1, P0=np.eye(2)))
+    z = np.zeros((100, 1))
+    z[50:] = 500
+    refused = np.flatnonzero(~added("gate").impatient(kf, z))
+    np.testing.assert_array_equal(refused[:10], [*range(50, 55), *range(56, 61)])
+    assert refused[-1] < 80
+
+
+@pytest.mark.parametrize(("dt", "exponential"), [(0.001, True), (10.0, True), (10.0, False), (1000.0, False)])
+def test_the_Q_of_the_page_for_long_steps_is_one_for_long_steps_only(dt, exponential):
+    """Van Loan's exponential, or the covariance that the state settles at: each is refused where the page says so."""
+    assert "use P∞ - F P∞ Fᵀ there. Over short steps that loses digits." in EXTENDING
+    rate, noise = np.sqrt(3) / 30, 4 * (np.sqrt(3) / 30) ** 3 * 100  # the Matérn 3/2 process of 30 s and 10 m
+    drift, settled = np.array([[0, 1], [-(rate**2), -2 * rate]]), np.diag([100, 100 * rate**2])
+
+    def model(dt, exponential):
+        def transition(dt):
+            F = expm(drift * dt)
+            return van_loan(drift, [0, noise], dt) if exponential else (F, settled - F @ settled @ F.T)
+
+        return mpt.LinearModel(transition=transition, dt=dt, H=[[1, 0]], R=[[0.5]])
+
+    model(dt, exponential)
+    if dt != 10:
+        with pytest.raises(ValueError, match="transition: needs"):
+            model(dt, not exponential)
 
 
 @pytest.mark.slow
