@@ -299,9 +299,9 @@ def test_the_filter_that_is_taught_is_that_of_the_package(kalman):
 
 def test_what_the_filters_state_and_make_is_read():
     (white, by_white), (_, by_aware) = re.findall(r"states ([\d.]+) m and makes ([\d.]+) m", printed("kalman"))
-    says("White is twice as far off as it states (0.49 m, not 0.25: it must find a velocity, too).")
+    says("since it is twice as far off as it states (0.49 m, not 0.25: it must find a velocity, too).")
     assert float(by_white) / float(white) == pytest.approx(2, abs=0.1)
-    says("Aware is no nearer, but it says so.")
+    says("Aware is no nearer, but it says so, and misses none.")
     says("(A shortcut for white: add σ² to the variance that it states. Here that is 1.30 m.)")
     assert f"{np.hypot(0.49, 1.2):.2f}" == "1.30"
     assert 1 < float(by_aware) / float(by_white) < 1.1
@@ -309,6 +309,23 @@ def test_what_the_filters_state_and_make_is_read():
     e, both = re.search(r"the lasting error to ([\d.]+) m, their sum to ([\d.]+)", printed("kalman")).groups()
     says(f"After fifty minutes it knows the sum to {both} m, and the error no better than at the start.")
     assert e == f"{PAIR[0]:.2f}"
+
+
+def test_the_figure_of_both_filters_shows_where_the_truth_is_missed(kalman, cases):
+    z = cases[WALL].errors[:2800, UP].reshape(28, 100)
+    r = np.mean(np.diff(cases[WALL].errors[:, UP]) ** 2) / 2
+    ends = {}
+    for name, constants in {"white": (np.var(cases[WALL].errors[:, UP]), 0.0), "aware": (r, 1.2)}.items():
+        last = [list(kalman(each, 30.0, constants[0], sigma=constants[1]))[-1] for each in z]
+        ends[name] = np.array([(x[0], np.sqrt(P[0, 0])) for x, P in last]).T
+    missed = {name: int(np.sum(np.abs(x) > 2 * sigma)) for name, (x, sigma) in ends.items()}
+    assert missed == {"white": 10, "aware": 0}
+    says("But white misses the truth in ten of 28 stretches")
+    for panel, (x, sigma) in zip(lesson.draw_kept(ends).axes, ends.values(), strict=True):
+        inside, outside, zero = panel.lines
+        assert sorted([*inside.get_ydata(), *outside.get_ydata()]) == sorted(x)
+        np.testing.assert_array_equal(np.sort(outside.get_ydata()), np.sort(x[np.abs(x) > 2 * sigma]))
+        assert set(zero.get_ydata()) == {0}
 
 
 def test_what_the_tables_say_is_said(cases, fits):
