@@ -671,6 +671,22 @@ def test_a_pause_soon_after_a_pause_of_days_loses_no_position():
     assert (np.abs(found.x - x) < 1e-2 * deviations(P)).all()
 
 
+@pytest.mark.parametrize(("pause", "soon"), [(1e5, 1e3), (1e5, 30.0), (1e6, 30.0)])
+def test_a_pause_two_fixes_after_a_pause_of_days_loses_no_position(pause, soon):
+    """Two fixes leave the acceleration vague: it was taken from both pauses at once, and x was up to 200 sigma off.
+
+    At 2e14 m, after 1e6 s, a double holds a tenth of a sigma.
+    """
+    model = mpt.constant_acceleration(1.0, 1.0, 0.1, P0=np.eye(3))
+    dts = np.ones(20)
+    dts[8], dts[10] = pause, soon
+    for seed in range(3):
+        z = drawn(model, dts, seed)
+        x, P = of_steps(model, dts, z)
+        found = mpt.KalmanFilter(model, t=np.cumsum(dts)).estimates(z)
+        assert (np.abs(found.x - x) < (0.4 if pause == 1e6 else 1e-2) * deviations(P)).all()
+
+
 @pytest.mark.parametrize("pause", [1e4, 3e5, 1e6])
 @pytest.mark.parametrize("name", ["ca", "cv", "cv in a plane"])
 def test_the_smoother_over_a_pause_is_right_or_refused_by_name(name, pause):
