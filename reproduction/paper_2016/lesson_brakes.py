@@ -69,3 +69,26 @@ def draw_braking():
     fig.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=1)
     fig.suptitle("Which filter misses less depends on the driver", x=0.02, ha="left", weight="bold")
     return fig
+
+
+def draw_border(errors):
+    """Draw the typical error of both filters over how long the driver brakes, a panel for each strength of the brake.
+
+    errors has for each strength (m/s²) the seconds (lengths,) of brakes that are let go, and of both filters, velocity
+    and acceleration, the errors of these (lengths,) and of a stop.
+    """
+    colours = {"velocity": plots.COLOUR_OF["kalman"], "acceleration": plots.COLOUR_OF["acceleration"]}
+    fig, axes = plots.panels([[f"{brake:g} m/s²" for brake in list(errors)[i : i + 2]] for i in (0, 2)], height=2.4)
+    fig.suptitle("The velocity filter wins if the driver lets go early", x=0.02, ha="left", fontsize=12)
+    for ax, (lengths, *both) in zip(axes.values(), errors.values(), strict=True):
+        stop = lengths[-1] + 1.5
+        for (name, colour), (let_go, of_stop) in zip(colours.items(), both, strict=True):
+            ax.plot(lengths, let_go, ".-", color=colour, label=name)
+            ax.plot([stop], [of_stop], "s", color=colour)
+        ticks = [each for each in lengths if each % 2 == 1]
+        ax.set_xticks([*ticks, stop], [*(f"{each:g}" for each in ticks), "stop"])
+        ax.set_ylim(bottom=0)
+    for name, ax in axes.items():
+        plots.finish(ax, "seconds of braking, then let go", f"error (m), brake of {name}")
+    plots.legend_below(next(reversed(axes.values())), 2)
+    return fig
