@@ -16,10 +16,9 @@ COUNTS = (
 WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
 HOLDS = (
     "A computed number *holds* if its printed digits are ours, a simulated one if it lies within the spread (99 %) of "
-    "our simulations, a claim if it meets the rule given with it; *in part*, under conditions that are named. Each "
-    "failure has its reason beside it. We had the papers as text extracted from PDF, without pictures, and they print "
-    "no data: figures "
-    "are drawn again on tracks of our own, and judged by what the text says of them."
+    "our simulations, a claim if it meets the rule in its entry of the ledger; *in part*, under conditions that are "
+    "named. Each failure has its reason beside it. We had the papers as text extracted from PDF, without pictures, "
+    "and they print no data: figures are drawn again on tracks of our own, and judged by what the text says of them."
 )
 BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re.DOTALL)
 
@@ -27,21 +26,23 @@ BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re
 def block(verdicts):
     """Return the README's table of the papers, in Markdown, and a sentence on what cannot be checked."""
     rows = [row(key, verdicts.of(key).checked()) for key in dict.fromkeys(each.paper for each in verdicts)]
-    head = ["paper", "tables", "figures", "what it asks", "the answer that we find", "hold / in part / fail"]
+    head = ["paper", "question, and answer", "hold / in part / fail", "tables", "figures"]
     return f"{Table(head, rows).markdown()}\n\n{HOLDS}\n\n{on_what_is_lost(verdicts)}"
 
 
 def row(key, count):
-    """Return the cells of a paper: its notebook, question, answer, counts, and a link to each table and figure."""
+    """Return the cells of a paper: its notebook, question and answer, counts, and a link to each table and figure."""
     about = published(key).about
     notebook = f"{NOTEBOOKS}/{key}.ipynb"
     tables = [f"[{n}]({notebook}#Table-{n})" for n in range(1, about.tables + 1)]
     figures = [f"[{n}]({FIGURES}/{key}_fig{n}.png)" for n in range(1, about.figures + 1)]
     counts = " / ".join(str(count[name]) for name in ("hold", "part", "fail"))
-    name = f"{about.authors}, [*{about.title}*]({notebook}), {about.year}"
+    name = f"{about.authors}, *{about.title}*, {about.year}"
     if about.doi:
         name += f", [doi](https://doi.org/{about.doi})"
-    return [name, " ".join(tables) or "none", " ".join(figures) or "none", about.question, about.answer, counts]
+    name += f": [our notebook]({notebook})"
+    found = f"{about.question} **{about.answer}**"
+    return [name, found, counts, " ".join(tables) or "none", " ".join(figures) or "none"]
 
 
 def on_what_is_lost(verdicts):

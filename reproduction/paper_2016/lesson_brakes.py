@@ -89,6 +89,6 @@ def draw_border(errors):
         ax.set_xticks([*ticks, stop], [*(f"{each:g}" for each in ticks), "stop"])
         ax.set_ylim(bottom=0)
     for name, ax in axes.items():
-        plots.finish(ax, "seconds of braking, then let go", f"error (m), brake of {name}")
+        plots.finish(ax, "seconds of braking", f"error (m), brake of {name}")
     plots.legend_below(next(reversed(axes.values())), 2)
     return fig

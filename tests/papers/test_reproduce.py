@@ -632,14 +632,14 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
     path.write_text("above\n<!-- papers: here -->\nold\n<!-- end of papers -->\nbelow\n")
     assert main(["readme"]) == 0
     tables = " ".join(f"[{n}](notebooks/small.ipynb#Table-{n})" for n in (1, 2))
-    figure = "[1](figures/small_fig1.png)"
+    figure, ours = "[1](figures/small_fig1.png)", "[our notebook](notebooks/small.ipynb)"
     assert path.read_text().splitlines() == [
         "above",
         "<!-- papers: here -->",
         "",
-        "| paper | tables | figures | what it asks | the answer that we find | hold / in part / fail |",
-        "|---|---|---|---|---|---|",
-        f"| A, [*T*](notebooks/small.ipynb), 1960 | {tables} | {figure} | Is it? | It is. | 3 / 0 / 1 |",
+        "| paper | question, and answer | hold / in part / fail | tables | figures |",
+        "|---|---|---|---|---|",
+        f"| A, *T*, 1960: {ours} | Is it? **It is.** | 3 / 0 / 1 | {tables} | {figure} |",
         "",
         HOLDS,
         "",
@@ -661,7 +661,7 @@ def test_the_counts_of_the_readme_add_up_to_what_could_be_checked():
         if ".ipynb)" in row and row.startswith("| ")
     ]
     assert len(rows) == len(keys())
-    assert sum(int(count) for row in rows for count in row[-1].split("/")) == shipped_verdicts().checked()["checked"]
+    assert sum(int(count) for row in rows for count in row[2].split("/")) == shipped_verdicts().checked()["checked"]
 
 
 def test_verdicts_into_a_file_are_utf_8_whatever_the_terminal_has():
