@@ -292,7 +292,7 @@ def test_what_is_said_of_the_time_step():
     one_step = f"{min(of_one_step.values()):.1f} to {max(of_one_step.values()):.1f}"
     assert f"One step ahead, which is then four times as far, it grows by {one_step}." in sentence
     front = text_of("front")
-    assert f"σ after the start {min(steps):.1f} to {max(steps):.1f} times as large" in front
+    assert f"raises σ after the start {min(steps):.1f} to {max(steps):.1f} times" in front
     assert f"four times the variance of the measurements does ({min(noises):.1f} to {max(noises):.1f})" in front
     assert f"σ of that prediction grows {one_step} times." in front
 
@@ -569,6 +569,15 @@ def test_the_odds_that_are_told(log_p):
     told = text_of("four-readings-seen")
     assert "If both columns share axis and length, percent is about 30 times as likely as fractions" in told
     assert odds(log_p) == pytest.approx(30, rel=0.3)
+    assert "distances in the plane fit as well as the mean of both axes, with twelve of twelve at 10,000 steps." in told
+    samples = readings.all_samples(COLUMNS, readings.PERCENT, 7, runs=1000)
+    at = np.flatnonzero(readings.LENGTHS["percent"] == STEPS)[0]
+    assert readings.passes(samples, COLUMNS, "plane")[at] == 12
+    best = {
+        axis: (log_p[readings.PERCENT][axis, "cv"] + log_p[readings.PERCENT][axis, "ca"]).max()
+        for axis in ("both", "plane")
+    }
+    assert abs(best["plane"] - best["both"]) < 1
     assert "neither column alone decides" in told
     assert 0.5 < odds(log_p, keys=["cv"]) < 1
     assert 3 < odds(log_p, keys=["ca"]) < 12

@@ -53,6 +53,8 @@ def test_the_front_says_what_the_verdicts_say(cells, record):
     assert "Four statements cannot be checked" in front
     assert len([each for each in unchecked if each.kind == "figure"]) == 6
     assert "It has lost all six pictures" in front
+    formulas = [each for each in found.values() if each.kind == "formula" and each.verdict == "reproduced"]
+    assert f"Of the 34 that hold, {len(formulas)} are formulas and matrices." in prose(cells)
     assert {id for id, each in found.items() if each.cause not in ("", "copy")} == {
         "line.sigma",
         "line.first",
@@ -333,7 +335,13 @@ def test_each_reading_of_the_third_row_leaves_less_than_half(cells):
     """Whatever its variance, which is not printed."""
     made = [checks.third_row(reading, r33)[0] for reading in runs.READINGS for r33 in (1.0, 2.0, 4.0, 25.0)]
     assert max(made) < 0.5
-    assert "Each reading keeps our limit of half of GPS's error of 1 m." in prose(cells)
+    assert "With every reading the error stays below our limit, half of GPS's 1 m." in prose(cells)
+    line = positioning.line_sigma(100, np.array([100]))[0]
+    ratios = {reading: checks.third_row(reading)[0] / line for reading in runs.READINGS}
+    near = [reading for reading, ratio in ratios.items() if abs(ratio - 1) < 0.035]
+    assert near == ["no third row", "GPS again", "GPS - Δt (INS - b)"]
+    assert [f"{ratio:.2f}" for reading, ratio in ratios.items() if reading not in near] == ["0.74", "1.41"]
+    assert "by two of our four readings of it; by the others it is 0.74 and 1.41 times as large" in prose(cells)
     assert verdicts()["kalman.precise"].computed.endswith(f"with it {max(made):.2f} at most")
 
 
