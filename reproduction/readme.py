@@ -16,8 +16,9 @@ COUNTS = (
 WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
 HOLDS = (
     "A computed number *holds* if its printed digits are ours, a simulated one if it lies within the spread (99 %) of "
-    "our simulations, a claim if it meets the rule beside it; *in part*, under conditions that are named. Each failure "
-    "has its reason. We had the papers as text extracted from PDF, without pictures, and they print no data: figures "
+    "our simulations, a claim if it meets the rule given with it; *in part*, under conditions that are named. Each "
+    "failure has its reason beside it. We had the papers as text extracted from PDF, without pictures, and they print "
+    "no data: figures "
     "are drawn again on tracks of our own, and judged by what the text says of them."
 )
 BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re.DOTALL)

@@ -83,11 +83,6 @@ def test_the_headline_numbers(settled):
     says("knows it to 10.5 m after thirty seconds of silence.")
     says(f"A phone that knew its height to 0.23 m (the root of {P[0, 0]:.4f}, in the first picture)")
     assert (round(np.sqrt(P[0, 0]), 2), round(lesson.sigma_after(30), 1)) == (0.23, 10.5)
-    says("even a filter that knew everything at the last measurement would end at 9.5 m")
-    known = np.zeros((2, 2))
-    for _ in range(30):
-        known = F @ known @ F.T + lesson.AXIS.Q
-    assert round(np.sqrt(known[0, 0]), 1) == 9.5
     assert "of a measurement 0.32 m" in source(CELLS["filter"])
     assert round(np.sqrt(0.1), 2) == 0.32
 
@@ -116,7 +111,7 @@ def test_after_a_silence_the_frozen_filter_needs_ten_seconds():
 def test_axes_that_are_linked():
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["linked"]).splitlines()[1:]]
     assert [row[1:] for row in rows[:3]] == [["0 %", "0 %"], ["2 %", "7 %"], ["2 %", "10 %"]]
-    says("if errors and changes are linked alike, the one gain of equal axes suits every direction.")
+    says("If errors and changes of equal axes are linked alike, that is nothing:")
     for c in (0.5, 0.9):
         alike, opposite = (lesson.losses_apart([1, 1, 1], errors=c, changes=each) for each in (c, -0.45))
         np.testing.assert_allclose(alike, 0, atol=1e-6)
@@ -126,11 +121,11 @@ def test_axes_that_are_linked():
         unlike = [lesson.losses_apart([1, 1, size], **each)[:, 0].max() for size in (0.1, 10) for each in links]
         assert f"{max(unlike):.0f} %" == worst
         assert worst in rows[3]
-    says("(−0.5 is the limit for three axes)")
+    says("(−0.5 is the lowest that three axes can have)")
     assert np.linalg.eigvalsh(lesson.correlated(3, -0.5)).min() == pytest.approx(0, abs=1e-12)
     says("with errors linked by one half they state 0.23 m along the diagonal (1, 1, 1), where 0.32 m is true.")
     assert [round(each, 2) for each in lesson.diagonal_apart(0.5)] == [0.23, 0.32]
-    says("if you assume 0.9 for changes that are linked by 0.3, the big filter states 4.4 m after the silence,")
+    says("Assume 0.9 for changes that are linked by 0.3, and the big filter states 4.4 m after the silence,")
     linked = lesson.correlated(3, 0.9)
     assert [round(each, 1) for each in lesson.silent_in_company(linked)] == [4.4, 4.4]
     weak = lesson.silent_in_company(linked, true_changes=lesson.correlated(3, 0.3))
@@ -138,7 +133,7 @@ def test_axes_that_are_linked():
 
 
 def test_sigma_of_each_axis_stays_true_whatever_links_them():
-    says("Then the small filters still run, and σ of each axis stays true.")
+    says("The small filters still run, and σ of each axis stays true.")
     H, F_3 = np.kron(np.eye(3), lesson.AXIS.H), np.kron(np.eye(3), F)
     apart = mpt.SteadyStateFilter.from_kalman(mpt.stack(*[lesson.AXIS] * 3))
     R, Q = lesson.AXIS.R[0, 0] * lesson.correlated(3, 0.9), np.kron(lesson.correlated(3, -0.45), lesson.AXIS.Q)
@@ -204,8 +199,8 @@ def test_the_frozen_line_goes_on_from_the_stacked_filter(taught):
 
 
 def test_the_gain_settles_in_twelve_seconds():
-    says("After twelve seconds without a miss on any axis, as many as $P$ took to settle, freeze the gain again:")
-    says("from `X = X_own[:, :, 0].T` on by the line of the frozen filter.")
+    says("After twelve seconds without a miss on any axis, as many as $P$ took to settle, freeze again:")
+    says("with `X = X_own[:, :, 0].T`, and the line of the frozen filter.")
     assert "at rest after 12 seconds" in shown(CELLS["freeze"])
 
 
@@ -245,25 +240,6 @@ def test_a_corner_puts_the_filter_off(settled):
         off = (np.eye(2) - K @ lesson.AXIS.H) @ (F @ off - G * change)
         found.append(-off[0, 0])
     assert [round(each, 1) for each in found] == [0.3, 0.7, 0.7, 0.6]
-
-
-def test_a_gain_that_has_not_moved_in_ten_times_as_many_steps_is_settled(taught):
-    says("then run $P$ alone, which needs no $z$, for ten times as many steps, and see whether the gain still moves.")
-    rng, frozen = np.random.default_rng(0), 0
-    for _ in range(30):
-        dt, q, r = 10 ** rng.uniform([-2, -4, -3], [1, 2, 3])
-        F, G = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt**2 / 2], [dt]])
-        model = mpt.LinearModel(F=F, H=[[1.0, 0.0]], Q=q * G @ G.T, R=[[r]], P0=np.diag([1e6, 4.0]))
-        P = np.concatenate([model.P0[None], mpt.KalmanFilter(model).covariances(20_000)])
-        rest = 1 + np.argmax(np.isclose(P[1:], P[:-1], rtol=1e-3, atol=0).all(axis=(1, 2)))
-        if 10 * rest >= len(P):
-            continue
-        at_rest, later = P[rest, :, 0], P[10 * rest, :, 0]
-        if np.abs(later / at_rest - 1).max() < 0.01:
-            frozen += 1
-            limit = mpt.SteadyStateFilter.from_kalman(model).B[:, 0]
-            np.testing.assert_allclose(later / r, limit, rtol=1e-4)
-    assert frozen > 15
 
 
 def test_single_precision_needs_a_start_at_the_first_measurement():
