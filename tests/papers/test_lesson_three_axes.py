@@ -158,7 +158,7 @@ def test_the_table_of_costs_has_the_operations_of_the_paper_and_the_times_of_the
     clock = {each["name"]: each for each in stored}
     rows = {
         "one big filter": ("one filter of six states", "constant gain: one filter of six states"),
-        "axes stacked, a $P$ for each: `step_with_gaps`, below": (
+        "axes stacked, a $P$ for each: `step_with_gaps`": (
             "axes stacked, a P for each",
             "constant gain: three filters of two states",
         ),
