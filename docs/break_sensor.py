@@ -73,7 +73,7 @@ SCENES = {
 SENTENCES = {
     "whole": "Every fix is there. After the start Kalman’s gain is the constant gain, and the three lines are one.",
     "gap": "After {missing} Kalman gives the next fix {jump} of the weight, not {rest}, and is {kalman} m off. "
-    "The constant gain stays at {rest}: {constant} m. Over many simulated walks: typically {sigma} and "
+    "The constant gain stays at {rest}: {constant} m. Root mean square over many simulated walks: {sigma} and "
     "{sigma_constant} m.",
     "open": "After the last fix all three filters can only predict: the band opens to ± {band} m.",
     "outlier": "Fix {fix} is {off} m off, and every filter follows it as far as its gain says: {share} of the way. "

@@ -50,6 +50,15 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 BUILD = DOCS / "_build"
 LESSONS = ROOT / "notebooks" / "lessons"
+# The order in which to read the lessons, as the README has it; others follow by name.
+READ_FIRST = (
+    "one_step_late",
+    "a_track_in_pieces",
+    "three_axes_one_small_filter",
+    "freeze_the_filter",
+    "when_the_driver_brakes",
+    "what_averaging_leaves",
+)
 SAVED = re.compile(r'save_figure\([^"]+, "(\w+)"\)')
 # More verdicts than this that share their table, outcome and cause become one row, or one chip, that opens.
 FOLD = 4
@@ -255,8 +264,9 @@ class Lesson(NamedTuple):
 
 
 def lessons():
-    """Return {name: the notebook} of all lessons."""
-    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(LESSONS.glob("*.ipynb"))}
+    """Return {name: the notebook} of all lessons, in the order in which to read them."""
+    found = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(LESSONS.glob("*.ipynb"))}
+    return {name: found[name] for name in sorted(found, key=lambda name: (*READ_FIRST, name).index(name))}
 
 
 def described_lesson(name, cells):

@@ -15,10 +15,11 @@ COUNTS = (
 )
 WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
 HOLDS = (
-    "A number *holds* if we compute the digits that are printed, or if it lies within the spread of our simulations; a "
-    "claim if it meets a rule that stands beside it. *In part* means under conditions that are named. Each failure has "
-    "its reason beside it, proved where possible. Figures are drawn again on tracks of our own, since our copies "
-    "have lost the pictures and the papers print no data."
+    "A computed number *holds* if its printed digits are ours, a simulated one if it lies within the spread (99 %) of "
+    "our simulations, a claim if it meets the rule given with it; *in part*, under conditions that are named. Each "
+    "failure has its reason beside it. We had the papers as text extracted from PDF, without pictures, and they print "
+    "no data: figures "
+    "are drawn again on tracks of our own, and judged by what the text says of them."
 )
 BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re.DOTALL)
 
@@ -37,10 +38,9 @@ def row(key, count):
     tables = [f"[{n}]({notebook}#Table-{n})" for n in range(1, about.tables + 1)]
     figures = [f"[{n}]({FIGURES}/{key}_fig{n}.png)" for n in range(1, about.figures + 1)]
     counts = " / ".join(str(count[name]) for name in ("hold", "part", "fail"))
-    source = f"{about.authors}, *{about.title}*, {about.year}"
+    name = f"{about.authors}, [*{about.title}*]({notebook}), {about.year}"
     if about.doi:
-        source += f", [doi](https://doi.org/{about.doi})"
-    name = f"[{about.name}]({notebook})<br>{source}"
+        name += f", [doi](https://doi.org/{about.doi})"
     return [name, " ".join(tables) or "none", " ".join(figures) or "none", about.question, about.answer, counts]
 
 
@@ -50,9 +50,10 @@ def on_what_is_lost(verdicts):
     of_copies = [each for each in unchecked if each.cause]
     lost = [each for each in of_copies if each.printed == "?" or each.kind == "figure"]
     return (
-        f"Of the {len(unchecked)} items that cannot be checked, {len(lost)} are lost in our copies, which are texts "
-        f"extracted from PDF files; {len(of_copies) - len(lost)} are legible except for one doubtful character; "
-        f"{len(unchecked) - len(of_copies)} depend on details that the paper leaves out."
+        f"Of the {len(unchecked)} items that cannot be checked, {len(lost)} are lost in this text, "
+        f"{len(of_copies) - len(lost)} have one doubtful character, and {len(unchecked) - len(of_copies)} need details "
+        "that the paper leaves out.\n\nGitHub opens a notebook at its top: search there for “Table 4”. "
+        "[nbviewer](https://nbviewer.org) and the site from `make site` open it at the heading."
     )
 
 

@@ -18,6 +18,10 @@ from .pieces import compress_measurement, map_arrays, run_from_zero, run_rows
 DIFFUSE_S = 1e12
 CLEAR_S = 1e6
 LARGEST_S = 1e30
+# A start is over where the process noise since then makes an S larger than this fraction of the last one: P, which
+# doubles round by 2e-16 of its S, keeps nine digits beside that noise. If the start went on, x would lose its digits:
+# in a pause of a day it moves by 1e12 sigmas.
+NOISE_OF_S = 1e-7
 # A track with diffuse pauses is filtered in parts, since all rows of a part after a pause are filtered again: in each
 # part as many rows as since the last pause, at least and at most so many.
 LEAST_ROWS, MOST_ROWS = 64, 1_000
@@ -84,6 +88,7 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
     """
     N, diffuse = len(rows[0]), _is_diffuse(observability, P[k].diagonal())
     next_row, paused = np.full((2, len(diffuse)), k)  # of each column; paused is the row of its last pause
+    last_measured = (rows[1].any(axis=1) * np.arange(N)[:, None]).max(axis=0)
     while (k := next_row.min()) < N:
         columns = np.flatnonzero(next_row == k)
         restart = diffuse[columns].any()
@@ -99,7 +104,10 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
                 return False
             name = "P0" if k == 0 else "z" if rows[2] is None else "t"
             x_here, P_here, done = _diffuse_initialization(advance, here, x_k, P_k, observability, name)
-            diffuse[columns], paused[columns] = False, k
+            P_end = P_here[done - 1, ..., np.arange(len(done))]  # still diffuse if a pause came too soon
+            diffuse[columns] = _is_diffuse(observability, P_end.diagonal(axis1=1, axis2=2))
+            diffuse[columns] &= k + done <= last_measured[columns]
+            paused[columns] = k
         else:
             x_here, P_here = (np.empty((len(here[0]), *each.shape)) for each in (x_k, P_k))
             largest = run_rows(advance, here, x_k, P_k, x_here, P_here)
@@ -120,7 +128,8 @@ def _diffuse_initialization(advance, rows, x0, P0, observability, name):
     Row by row, the first updates would lose as many digits as P0 / R has, and without process noise never regain them.
     So the rows 0 to k are treated as one piece, extended by one row at a time, and row k is its end. A column continues
     until S is clear of diffuse (CLEAR_S), or until it is not diffuse and each sensor has measured 2 n times, or until
-    nothing more is measured. It ends before a row that makes P diffuse again even from an exact start, as a pause does.
+    nothing more is measured. It ends before a row with so much process noise, as after a pause, that P is diffuse
+    even from an exact start, or that the start hardly matters any more.
 
     name is the argument that makes P0 diffuse, for errors. After a pause, name "t", row 0 is predicted first: its
     covariance F P Fᵀ + Q is A Aᵀ with A = [F P^½, Q^½], a root that keeps the digits of both terms.
@@ -136,11 +145,12 @@ def _diffuse_initialization(advance, rows, x0, P0, observability, name):
     counts = np.cumsum(seen, axis=0)
     nothing_follows = (counts == counts[-1]).all(axis=1)
     measured_often = ((counts >= 2 * n) | (counts == counts[-1])).all(axis=1)
-    L, y, x, P = np.zeros((0, n, W)), np.zeros((0, c, W)), [], []
+    L, y, x, P, S = np.zeros((0, n, W)), np.zeros((0, c, W)), [], [], np.inf
     paused, settled, done = np.zeros(W, bool), np.zeros(W, bool), np.zeros(W, int)
     for k, (x_piece, P_piece, innovations) in enumerate(run_from_zero(advance, (z, seen, F, Q, r), n)):
+        S_piece = largest_S(observability, P_piece.diagonal())
         if k > 0:
-            paused |= _is_diffuse(observability, P_piece.diagonal())
+            paused |= ~(S_piece < DIFFUSE_S) | (~settled & (S_piece > NOISE_OF_S * S))
         if (paused | settled).all():
             break
         if seen[k].any():

@@ -19,7 +19,7 @@ READINGS = {
     "second receiver": lambda dt, x, before, now: before[2],
     "GPS again": lambda dt, x, before, now: before[0],
     "own estimate": lambda dt, x, before, now: x[0],
-    "GPS - Δt INS": lambda dt, x, before, now: now[0] - dt * now[1],
+    "GPS - Δt (INS - b)": lambda dt, x, before, now: now[0] - dt * (now[1] - x[2]),
 }
 
 

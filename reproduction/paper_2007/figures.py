@@ -8,15 +8,15 @@ MEASURED = {"color": plots.COLOUR_OF["measured"], "lw": 1.0}
 
 
 def draw_fig1(one, skies):
-    """Draw Figure 1: the error of the rough position over the iteration, from two starts; below it that of many skies.
+    """Draw Figure 1: the error of the rough position over the iteration, by each start; below it that of many skies.
 
     one has for each start, by its name, the errors (steps + 1,), skies those under many skies (steps + 1, M).
     """
-    fig, ax = _panels([list(one), ["many", "many"]], "Figure 1, redrawn: a rough position by least squares", 2.4)
+    fig, ax = _panels([list(one), ["many"] * len(one)], "Figure 1, redrawn: a rough position by least squares", 2.4)
     colour = plots.COLOUR_OF["line"]
-    for (name, error), style in zip(one.items(), ("-", "--"), strict=True):
+    for (name, error), style in zip(one.items(), ("-", "--", ":"), strict=True):
         ax[name].plot(error / 1e3, f"o{style}", ms=4, color=colour)
-        plots.finish(ax[name], "step of the iteration", f"error of the position (km),\n{name}")
+        plots.finish(ax[name], "step", f"error (km),\n{name}")
         errors = skies[name]
         ax["many"].fill_between(
             range(len(errors)), errors.min(axis=1), errors.max(axis=1), color=colour, alpha=0.2, lw=0

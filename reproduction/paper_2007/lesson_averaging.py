@@ -59,6 +59,29 @@ def draw_wall(case, stretches=9):
     return fig
 
 
+def draw_kept(ends):
+    """Draw what filters state at the end of each stretch, estimate ± 2σ, beside the truth.
+
+    ends has for each filter, by its name, the estimates and sigmas (stretches,) of a height whose truth is 0.
+    """
+    fig, ax = plots.panels([list(ends)], height=3.2)
+    fig.suptitle("White is sure of what it does not know", x=0.02, ha="left", fontsize=12)
+    reach = max(np.max(np.abs(x) + 2 * sigma) for x, sigma in ends.values())
+    for name, (x, sigma) in ends.items():
+        panel, k = ax[name], np.arange(1, len(x) + 1)
+        holds = np.abs(x) <= 2 * sigma
+        for some, colour, label in (
+            (holds, plots.COLOUR_OF["line"], "0 inside"),
+            (~holds, plots.COLOUR_OF["wrong"], "0 outside"),
+        ):
+            panel.errorbar(k[some], x[some], 2 * sigma[some], fmt="o", ms=3, lw=1, color=colour, label=label)
+        panel.axhline(0, color="0.25", lw=1)
+        panel.set_ylim(-1.1 * reach, 1.1 * reach)
+        plots.finish(panel, "stretch of fifty minutes", f"{name}: height ± 2σ (m)")
+    plots.legend_below(ax[next(iter(ends))], 2)
+    return fig
+
+
 # The six recordings
 
 

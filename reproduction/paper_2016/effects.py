@@ -11,23 +11,29 @@ SECONDS = 10_000  # of a run, as Table 1 is read
 STEPS = 10_000  # for what is compared over as many steps
 VARIED = {"dt": (0.5, 1.0, 2.0), "r": (0.05, 0.1, 0.2), "size": (0.5, 1.0, 2.0)}  # Δt, R and times the stated motion
 WIDE = (0.001, 0.01, *VARIED["r"], 1.0, 10.0)  # variances of a measurement, m²
-NAMES = {"sigma": "σ after the start", "average": "the average of Table 1"}
 PARTS = ("estimation", "prediction")  # N = 0 and N = 1
+# What judges each part: the measures of `measures`, after the start where they are σ.
+NAMES = (
+    {"sigma": "σ after the start", "average": "the average of Table 1"},
+    {"sigma": "σ one second ahead", "step": "σ one step ahead", "average": "the average of Table 1"},
+)
+UNITS = {"sigma": ("m", 2), "step": ("m", 2), "average": ("%", 4)}  # and decimals
 
 
 @cache
 def measures(key, dt=table1.DT, r=table1.R, size=1.0):
-    """Return two errors of the estimate and of the prediction one step ahead, {measure: (2,)}.
+    """Return errors of the estimate and of the prediction one step ahead, {measure: (2,)}.
 
-    "sigma" is σ of the position after the start in metres, of the prediction one second ahead; "average" is that of
-    Table 1 in percent, the mean of both axes over as much time.
+    "sigma" is σ of the position after the start in metres, of the prediction one second ahead, and "step" is the same
+    of the prediction one step ahead; "average" is that of Table 1 in percent, the mean of both axes over as much time.
 
     >>> measures("cv")["sigma"].round(3), measures("cv")["average"].round(4)
     (array([0.214, 0.278]), array([0.0111, 0.0141]))
     """
     column = table1.columns(dt, table1.Q, r, size)[key]
     average = 100 * table1.of_both_axes(column, round(SECONDS / dt))[:2]
-    return {"sigma": table1.settled_sigma(column, [0, 1]), "average": average}
+    one_second, one_step = (table1.settled_sigma(column, [0, ahead]) for ahead in (1, dt))
+    return {"sigma": one_second, "step": one_step, "average": average}
 
 
 def varied(key, what, N, measure, values=None):
@@ -48,35 +54,36 @@ def table(key):
     """Return header and rows of the table of errors for three values of each quantity."""
     named = {"dt": "Δt = {:g}, {:g}, {:g} s", "r": "R = {:g}, {:g}, {:g} m²", "size": "motion × {:g}, {:g}, {:g}"}
     header = ["", *(name.format(*VARIED[what]) for what, name in named.items())]
-    digits = {"sigma": ("m", 2), "average": ("%", 4)}
     rows = []
-    for measure, (N, name) in product(NAMES, enumerate(("estimate", "prediction"))):
-        unit, decimals = digits[measure]
-        cells = [", ".join(f"{each:.{decimals}f}" for each in varied(key, what, N, measure)) for what in VARIED]
-        rows.append([f"{NAMES[measure]}, {name} ({unit})", *cells])
+    for N, part in enumerate(("estimate", "prediction")):
+        for measure, name in NAMES[N].items():
+            unit, decimals = UNITS[measure]
+            cells = [", ".join(f"{each:.{decimals}f}" for each in varied(key, what, N, measure)) for what in VARIED]
+            rows.append([f"{part}: {name} ({unit})", *cells])
     return header, rows
 
 
 def claims(key, part):
     """Return what we find of three claims on a part, "estimation" or "prediction", as `Paper.claims` takes it."""
     N = PARTS.index(part)
-    by = {(what, measure): varied(key, what, N, measure) for what, measure in product(VARIED, NAMES)}
+    names = NAMES[N]
+    by = {(what, measure): varied(key, what, N, measure) for what, measure in product(VARIED, names)}
     found = {}
 
-    step, noise = ({measure: factor(by[what, measure]) for measure in NAMES} for what in ("dt", "r"))
+    step, noise = ({measure: factor(by[what, measure]) for measure in names} for what in ("dt", "r"))
     holds = {"that it has no effect": bool(np.isclose(step["sigma"], 1))}
-    less = {name: bool(step[measure] < noise[measure]) for measure, name in NAMES.items()}
+    less = {name: bool(step[measure] < noise[measure]) for measure, name in names.items()}
     if all(less.values()):
-        holds["that the time step matters less than the noise"] = True
+        holds["that it changes the errors less than the noise does"] = True
     else:
-        holds |= {f"that in {name} the time step matters less than the noise": each for name, each in less.items()}
-    told = [f"{name} by a factor of {step[each]:.2f} ({noise[each]:.2f})" for each, name in NAMES.items()]
-    evidence = f"A, B and σ contain it; from 0.5 to 2 s (in brackets: for four times R) it changes {' and '.join(told)}"
+        holds |= {f"that it changes {name} less than the noise does": each for name, each in less.items()}
+    told = [f"{name} by a factor of {step[each]:.2f} ({noise[each]:.2f})" for each, name in names.items()]
+    evidence = f"A, B and σ contain it; from 0.5 to 2 s (in brackets: for four times R) it changes {', '.join(told)}"
     beyond = f"Over as many steps, not as much time, the average changes {over_as_many_steps(key, N):.1f}-fold."
     found[f"{key}.{part}.dt"] = holds, evidence, beyond
 
-    growing = [np.diff(varied(key, "r", N, measure, WIDE)) > 0 for measure in NAMES]
-    evidence = f"both errors grow from R = {WIDE[0]} to {WIDE[-1]:g} m²"
+    growing = [np.diff(varied(key, "r", N, measure, WIDE)) > 0 for measure in names]
+    evidence = f"all errors grow from R = {WIDE[0]} to {WIDE[-1]:g} m²"
     found[f"{key}.{part}.r"] = bool(np.all(growing)), evidence
 
     same = factor(by["size", "sigma"])

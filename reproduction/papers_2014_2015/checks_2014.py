@@ -84,7 +84,7 @@ def closeness(axis, p0=0.0, steps=60):
 
     The Kalman estimate is optimal, so the gap's covariance is the difference of the covariances of both errors. gap
     (N,) is the larger one of position and velocity, in σ of the settled filter; metres, kalman and constant (N,) are
-    of the position.
+    of the position. share (N, 2) are the variances that the Kalman filter states, over those of the settled filter.
     """
     start = replace(axis, P0=p0 * np.eye(2))
     steady = mpt.SteadyStateFilter.from_kalman(axis)
@@ -99,7 +99,16 @@ def closeness(axis, p0=0.0, steps=60):
         "metres": apart[:, 0],
         "kalman": np.sqrt(of_kalman[:, 0, 0]),
         "constant": np.sqrt(own[:, 0, 0]),
+        "share": np.diagonal(of_kalman, axis1=1, axis2=2) / np.diag(steady.P),
     }
+
+
+def stated(near):
+    """Return in words how soon the variances of `closeness` are the settled ones: P is an output, too."""
+    share = near["share"]
+    settled = below(np.abs(share - 1).max(axis=1))
+    first = f"Kalman's P of the position is {100 * share[0, 0]:.0f} % of P_e at step 1"
+    return f"{first}, within 10 % from step {settled} on"
 
 
 def below(values, limit=0.1):

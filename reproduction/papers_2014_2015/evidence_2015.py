@@ -6,7 +6,7 @@ import mpt_helpers as mpt
 from reproduction import burden
 from reproduction.ledger import gap_text
 
-from .checks_2014 import below, closeness, forgets_its_start, gap
+from .checks_2014 import below, closeness, forgets_its_start, gap, stated
 
 WALK = 1.5  # m/s
 FILTERS = ("KF", "LF", "JKLF", "SSKF", "SSLF", "JSSKLF")
@@ -149,10 +149,10 @@ def example(a, b, axis):
     shown = (
         f"rms gap {near['gap'][k]:.2f} σ at most, at step {k + 1}: {100 * near['metres'][k]:.0f} cm of position, "
         f"{near['metres'][k] / near['kalman'][k]:.1f} times Kalman's own σ there; below σ/10 from step "
-        f"{below(near['gap'])} on"
+        f"{below(near['gap'])} on; {stated(near)}"
     )
     beyond = (
-        f"from P0 = 100 I it is {unknown['metres'][0]:.1f} m at step 1, below σ from step "
+        f"from P0 = 100 I the rms gap is {unknown['metres'][0]:.1f} m at step 1, below σ from step "
         f"{below(unknown['gap'], 1)} on, and below σ/10 from step {below(unknown['gap'])} on"
     )
     return {
@@ -165,7 +165,7 @@ def example(a, b, axis):
 
 def operations(counts, *some):
     """Return the operations of some filters in words."""
-    return "A / B: " + ", ".join(f"{name} {counts[f'{name} A']} / {counts[f'{name} B']}" for name in some)
+    return "; ".join(f"{name} {counts[f'{name} A']} (A), {counts[f'{name} B']} (B)" for name in some)
 
 
 def shares(counts):

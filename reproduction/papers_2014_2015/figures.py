@@ -50,5 +50,5 @@ def _draw(number, solid, dashed, sigma, shown):
         low, high = ax[part].get_ylim()
         ax[part].set_ylim(low, high + 0.4 * (high - low))  # room for the legend
         ax[part].legend(loc="upper right", ncols=len(axes), handlelength=1.2, columnspacing=0.8, borderaxespad=0)
-    plots.head(fig, f"Figure {number}, redrawn: position and velocity estimation")
+    plots.head(fig, f"Figure {number}, redrawn: estimates on a track of our own")
     return fig

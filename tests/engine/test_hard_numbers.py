@@ -646,9 +646,10 @@ def test_pauses_of_days_on_many_tracks_are_right_on_each(start, own):
     dts = np.ones((40, M))
     dts[12], dts[25] = 7e5, 5e5
     if own:
-        dts[12, 1], dts[2, 2], dts[30, 3] = 1.0, 3e3, 3e5
+        dts[12, 1], dts[2, 2], dts[30, 3] = 1.0, 1e3, 3e5
     z = rng.standard_normal((40, 1, M))
     z[(rng.random(z.shape) < 0.2) & (np.arange(40) > 3)[:, None, None]] = np.nan
+    z[2, 0, 2] = np.nan  # the fix after the pause of 1e3 s, before the start is over
     kf = mpt.KalmanFilter(model, t=np.cumsum(dts, axis=0))
     found, states = kf.estimates(z), kf.filter(z)
     for track in range(M):
@@ -668,6 +669,22 @@ def test_a_pause_soon_after_a_pause_of_days_loses_no_position():
     x, P = of_steps(model, dts, z)
     found = mpt.KalmanFilter(model, t=np.cumsum(dts)).estimates(z)
     assert (np.abs(found.x - x) < 1e-2 * deviations(P)).all()
+
+
+@pytest.mark.parametrize(("pause", "soon"), [(1e5, 1e3), (1e5, 30.0), (1e6, 30.0)])
+def test_a_pause_two_fixes_after_a_pause_of_days_loses_no_position(pause, soon):
+    """Two fixes leave the acceleration vague: it was taken from both pauses at once, and x was up to 200 sigma off.
+
+    At 2e14 m, after 1e6 s, a double holds a tenth of a sigma.
+    """
+    model = mpt.constant_acceleration(1.0, 1.0, 0.1, P0=np.eye(3))
+    dts = np.ones(20)
+    dts[8], dts[10] = pause, soon
+    for seed in range(3):
+        z = drawn(model, dts, seed)
+        x, P = of_steps(model, dts, z)
+        found = mpt.KalmanFilter(model, t=np.cumsum(dts)).estimates(z)
+        assert (np.abs(found.x - x) < (0.4 if pause == 1e6 else 1e-2) * deviations(P)).all()
 
 
 @pytest.mark.parametrize("pause", [1e4, 3e5, 1e6])

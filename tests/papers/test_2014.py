@@ -263,7 +263,7 @@ def test_a_figure_has_the_line_styles_of_its_caption_and_below_it_the_difference
         np.testing.assert_allclose([low, high], [-10 * sigma[i], 10 * sigma[i]])
     assert (
         fig.get_suptitle()
-        == f"Figure {1 if draw is figures.draw_fig1 else 2}, redrawn: position and velocity estimation"
+        == f"Figure {1 if draw is figures.draw_fig1 else 2}, redrawn: estimates on a track of our own"
     )
 
 

@@ -105,7 +105,11 @@ def test_no_comparison_of_table_3_changes():
 
 def test_a_join_costs_more_than_both_filters_and_changes_nothing():
     assert "the mean of two equal estimates is the same estimate, at more than the price of both" in FRONT
-    assert "at more than the price of both" in source(CELLS["table3-read"])
+    counts = burden.twelve(axes=3)
+    once = burden.total(burden.join(6, 3)), burden.total(burden.join_steady_state(6, 3))
+    changing, constant = counts["KF B"] + counts["LF B"] + once[0], counts["SSKF B"] + counts["SSLF B"] + once[1]
+    said = f"Nor does it help to join after merging, once with n = 6: that gives {changing} and {constant}."
+    assert said in source(CELLS["table3-read"])
     counts = burden.twelve(axes=3)
     for model in "AB":
         assert counts[f"JKLF {model}"] > counts[f"KF {model}"] + counts[f"LF {model}"]
@@ -140,7 +144,7 @@ def test_what_z_leaves_out_of_the_next_position_is_the_push():
     assert (F @ x + G[:, 0] * w)[0] - (H @ x)[0] == pytest.approx(0.5 * w)
     found = VERDICTS["measured"]
     assert found.verdict == "holds in part"
-    assert f"the position at the end of step k, to within {100 * push:.0f} cm (σ)" in FRONT
+    assert f"it measures the position one step later, to within {100 * push:.0f} cm (σ)" in FRONT
     assert f"save a push of {100 * push:.0f} cm against {100 * noise:.0f} cm of noise." in found.reason
     assert "z(k) measures s(k+1), but for the push ½ Δt w(k)" in found.reason
 
@@ -202,13 +206,18 @@ def test_the_first_gap_of_the_groups_is_that_of_their_gains(p0, where):
     own = np.sqrt((P - K @ H @ P)[0, 0])
     said = getattr(VERDICTS["behaviour.3"], where)
     if p0:
-        assert f"it is {gap:.1f} m at step 1" in said
+        assert f"from P0 = 100 I the rms gap is {gap:.1f} m at step 1" in said
         assert f"{gap:.1f} m apart at step 1" in BEYOND
-        assert f"from P0 = 100 I it is {gap:.1f} m at step 1" in VERDICTS["abstract.behaviour"].computed
+        assert f"from P0 = 100 I the rms gap is {gap:.1f} m at step 1" in VERDICTS["abstract.behaviour"].computed
     else:
         share = gap / np.sqrt(steady.P[0, 0])
         assert f"{share:.2f} σ at most, at step 1: {100 * gap:.0f} cm of position" in said
         assert f"{gap / own:.1f} times Kalman's own σ there" in said
+        variance = own**2 / steady.P[0, 0]
+        assert f"Kalman's P of the position is {100 * variance:.0f} % of P_e at step 1, " in said
+        assert said.endswith("within 10 % from step 5 on")
+        after = np.diagonal(mpt.KalmanFilter(AXIS).covariances(60), axis1=1, axis2=2) / np.diag(steady.P)
+        assert np.abs(after[3] - 1).max() > 0.1 > np.abs(after[4:] - 1).max()
 
 
 def test_the_gap_of_the_groups_is_below_a_tenth_of_sigma_when_the_notebook_says():

@@ -110,7 +110,6 @@ def test_a_second_receiver_is_what_the_filter_assumes():
     ("reading", "third"),
     [
         ("GPS again", lambda z: z[:-1, 0]),
-        ("GPS - Δt INS", lambda z: z[1:, 0] - 0.5 * z[1:, 1]),
         ("second receiver", lambda z: z[:-1, 2]),
     ],
 )
@@ -121,14 +120,20 @@ def test_a_reading_is_the_packages_filter_fed_with_it(reading, third):
     assert runs.filter_of(MODEL, reading).model == MODEL
 
 
-def test_the_filters_own_estimate_has_no_innovation():
-    """Against the package's steps, each fed with the last estimate."""
+@pytest.mark.parametrize(
+    ("reading", "third"),
+    [
+        ("own estimate", lambda x, z_k: x[0]),
+        ("GPS - Δt (INS - b)", lambda x, z_k: z_k[0] - 0.5 * (z_k[1] - x[2])),
+    ],
+)
+def test_a_reading_that_takes_the_last_estimate_is_the_packages_steps(reading, third):
     _, z = measured(20, 1)
     kf, x, P, path = mpt.KalmanFilter(MODEL), MODEL.x0, MODEL.P0, []
     for z_k in z[1:, :, 0]:
-        x, P = kf.step(x, P, np.append(z_k, x[0]))
+        x, P = kf.step(x, P, np.append(z_k, third(x, z_k)))
         path.append(x)
-    np.testing.assert_allclose(runs.kalman(MODEL, z, "own estimate")[..., 0], path, rtol=1e-9)
+    np.testing.assert_allclose(runs.kalman(MODEL, z, reading)[..., 0], path, rtol=1e-9)
 
 
 def test_the_last_gps_position_again_carries_nothing_once_the_model_says_so():

@@ -124,9 +124,10 @@ def test_the_question_of_the_first_line_is_answered(cases):
     stated = lesson.stated_at_rest(r, *PAIR, 3000.0, 100)
     says(f"On your wall $r$ is {r:.1f} m², and this is $\\sqrt{{1.44/1.42 + {r / 100:.3f}}}$ = {stated:.1f} m.")
     says(f"The 28 means made {made:.2f} m.")
-    says(
-        f"state {np.hypot(stated, 1.2):.1f} m. Of that, {stated:.1f} m is the error that lasts, by a formula, and 1.2 m"
-    )
+    says(f"state {np.hypot(stated, 1.2):.1f} m: {stated:.1f} m for the error that lasts, by a formula, and 1.2 m for a")
+    noise = lesson.noise_of(cases[f"NYA1, {ONE}"].errors[:100, UP])
+    with_one = np.hypot(lesson.stated_at_rest(noise, 1.2, 3600.0, 99 * 30, 100), 3.3)
+    says(f"(With the one frequency of cheap modules it is {with_one:.1f} m.)")
     says(f"$\\sqrt{{{stated:.1f}^2 + 1.2^2}}$ = {np.hypot(stated, 1.2):.1f} m")
     from_file = mpt.metrics.rms(means + cases[WALL].offset[UP])
     says(f"Against the height in NYA1's file the 28 means had an rms error of {from_file:.1f} m")
@@ -299,9 +300,9 @@ def test_the_filter_that_is_taught_is_that_of_the_package(kalman):
 
 def test_what_the_filters_state_and_make_is_read():
     (white, by_white), (_, by_aware) = re.findall(r"states ([\d.]+) m and makes ([\d.]+) m", printed("kalman"))
-    says("White is twice as far off as it states (0.49 m, not 0.25: it must find a velocity, too).")
+    says("since it states 0.49 m and is twice as far off. (A mean of a hundred would state 0.25 m;")
     assert float(by_white) / float(white) == pytest.approx(2, abs=0.1)
-    says("Aware is no nearer, but it says so.")
+    says("Aware is no nearer, but it says so, and misses none.")
     says("(A shortcut for white: add σ² to the variance that it states. Here that is 1.30 m.)")
     assert f"{np.hypot(0.49, 1.2):.2f}" == "1.30"
     assert 1 < float(by_aware) / float(by_white) < 1.1
@@ -309,6 +310,23 @@ def test_what_the_filters_state_and_make_is_read():
     e, both = re.search(r"the lasting error to ([\d.]+) m, their sum to ([\d.]+)", printed("kalman")).groups()
     says(f"After fifty minutes it knows the sum to {both} m, and the error no better than at the start.")
     assert e == f"{PAIR[0]:.2f}"
+
+
+def test_the_figure_of_both_filters_shows_where_the_truth_is_missed(kalman, cases):
+    z = cases[WALL].errors[:2800, UP].reshape(28, 100)
+    r = np.mean(np.diff(cases[WALL].errors[:, UP]) ** 2) / 2
+    ends = {}
+    for name, constants in {"white": (np.var(cases[WALL].errors[:, UP]), 0.0), "aware": (r, 1.2)}.items():
+        last = [list(kalman(each, 30.0, constants[0], sigma=constants[1]))[-1] for each in z]
+        ends[name] = np.array([(x[0], np.sqrt(P[0, 0])) for x, P in last]).T
+    missed = {name: int(np.sum(np.abs(x) > 2 * sigma)) for name, (x, sigma) in ends.items()}
+    assert missed == {"white": 10, "aware": 0}
+    says("But white misses the truth in ten of 28 stretches")
+    for panel, (x, sigma) in zip(lesson.draw_kept(ends).axes, ends.values(), strict=True):
+        inside, outside, zero = panel.lines
+        assert sorted([*inside.get_ydata(), *outside.get_ydata()]) == sorted(x)
+        np.testing.assert_array_equal(np.sort(outside.get_ydata()), np.sort(x[np.abs(x) > 2 * sigma]))
+        assert set(zero.get_ydata()) == {0}
 
 
 def test_what_the_tables_say_is_said(cases, fits):
@@ -330,10 +348,7 @@ def test_what_the_tables_say_is_said(cases, fits):
         for low, high in (half[first:last], other[first:last]):
             assert 0.3 <= low < 0.5
             assert 2 < high < 3.3
-    says(
-        "With constants from elsewhere the formula and aware were wrong by up to a factor of 3.5, either way (the lower"
-    )
-    says("0.3 is 1/3.5). But $\\sqrt n$")
+    says("With constants from elsewhere the formula and aware were wrong by up to a factor of 3.5, either way. But")
     says("For means of four hours the worst factor of the formula was five.")
     pairs = [lesson.pair_of_others(name, fits) for name in HEIGHTS]
     low, high = np.min(pairs, axis=0), np.max(pairs, axis=0)
@@ -433,6 +448,7 @@ def test_the_mean_of_the_day_is_not_that_of_the_header(cases):
     one = max(abs(cases[f"{name}, {ONE}"].offset[UP]) for name in recorded.TABLES)
     says(f"the mean of a day was {esbc} m off at NYA1 and at ESBC in Denmark, and {belem} m at Belem")
     says(f"with one it was up to {one:.1f} m off (at Belem).")
+    says(f"(By the formula {1.2 / np.sqrt(1 + 24 / 2):.1f} m of each is still the lasting error.)")
     says(f"In height `unseen` is {belem} m with two frequencies, and {one:.1f} m with one;")
     sideways = [
         max(np.abs(cases[f"{name}, {kind}"].offset[:UP]).max() for name in recorded.TABLES) for kind in (TWO, ONE)

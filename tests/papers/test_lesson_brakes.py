@@ -67,26 +67,14 @@ def test_the_road_is_that_of_the_picture(taught):
         np.testing.assert_allclose(taught["road"](t, brake, lasting), lesson.road(t, brake, lasting))
 
 
-def test_a_driver_who_does_both(taught):
-    """The share of brakes let go after three seconds from which the velocity filter has the smaller mean square."""
-    says("the velocity filter is better only if he lets go in three of four, or more.")
-    noise = np.random.default_rng(1).normal(0, np.sqrt(lesson.R), (71, 200))  # the lesson's drives
-    stop, let_go = (
-        np.square([rms(taught["misses"](*each, 2, lasting, noise)) for each in (VELOCITY, ACCELERATION)])
-        for lasting in (np.inf, 3)
-    )
-    share = (stop[0] - stop[1]) / (stop[0] - stop[1] + let_go[1] - let_go[0])
-    assert 0.7 < share < 0.75
-
-
 def test_the_first_screen(taught):
     says("| velocity filter | 26 m | 10 m |")
     says("| acceleration filter | 16 m | 16 m |")
-    says("on a calm road, where nothing pushes the car, the predictions of both are off by 2 m.")
+    says("Both are equally calm: where nothing pushes the car, their predictions are off by 2 m.")
     rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["table"]).splitlines()]
     assert rows[2] == ["velocity, q = 1", "26 m", "33 m", "10 m", "2.1 m"]
     assert rows[3] == ["acceleration, q = 0.01", "16 m", "29 m", "16 m", "2.0 m"]
-    says("The last row is best at both stops, and its error on a calm road is 4 m.")
+    says("in the last row, is better at both stops. Its price is twice the error on a calm road.")
     assert rows[4] == ["acceleration, q = 0.1", "13 m", "23 m", "15 m", "3.9 m"]
     says("in five seconds 25 m at 2 m/s², and 50 m at 4.")
     for brake, taken in ((2.0, 25), (4.0, 50)):
@@ -114,33 +102,33 @@ def test_why_the_velocity_is_late():
     for q in (0.01, 1.0):
         gains[q] = mpt.SteadyStateFilter.from_kalman(mpt.constant_velocity(1.0, q, 0.1)).B[:, 0]
     says("the gain of the velocity is 0.212 per second")
-    says("the filter needs a surprise of 2/0.212 = 9.4 m each time")
-    says("in a steady brake, its prediction for the next second is 9.4 m too far")
+    says("the filter needs a surprise of 2/0.212 = 9.4 m in every second")
     says("With q = 1 the gain is 0.905, and 2/0.905 = 2.2 m suffice.")
     assert [round(gains[q][1], 3) for q in gains] == [0.212, 0.905]
     assert [round(2 / gains[q][1], 1) for q in gains] == [9.4, 2.2]
-    says("Of the 30 m by which the solid blue line is off from second 1 to 5, 25 are of this kind, and 5 m come from")
-    says("a speed that is about half a second old, and so for five seconds 1 m/s too high.")
+    says("That is most of the 30 m by which the solid blue line is off from second 1 to 5. The other 5 m come from")
+    says("its speed, which is 1 m/s too high for five seconds: of the 2.2 m of each surprise 0.2 stay in the position")
     K_s, K_v = gains[1.0]
     position = (1 - K_s) * 2 / K_v  # what is left of the surprise
     speed = 2 / K_v - position - 1  # the surprise is position, speed, and half a brake of 2 m/s²
     assert round(position + 5 * speed + 25) == 30
-    assert round(speed, 1) == 1.0
+    assert (round(position, 1), round(speed, 1)) == (0.2, 1.0)
     made = lesson.misses(lesson.FILTERS["velocity, q = 1"], 2.0)
     assert (made.round()[1:6] - 30 <= 1).all()
     assert made[5] == pytest.approx(position + 5 * speed + 25, abs=0.1)
 
 
 def test_which_filter_wins(off, taught):
-    says("At 2 m/s² the border lies between seven and eight seconds of braking.")
-    says("The errors are typical ones, and scatter by less than a metre from one set of 200 drives to the next.")
+    says("The border lies between seven and eight seconds of braking.")
+    says("The errors scatter by less than a metre from one set of 200 drives to the next.")
     noise = np.random.default_rng(7).normal(0, np.sqrt(lesson.R), (71, 200))  # other drives than the lesson's
     table = {(2, 0.01): [42, 50, 15], VELOCITY: [26, 33, 10], ACCELERATION: [16, 29, 16], (3, 0.1): [13, 23, 15]}
     for each, expected in table.items():
         found = [rms(taught["misses"](*each, *brake, noise)) for brake in ((2, np.inf), (4, np.inf), (2, 3))]
         np.testing.assert_allclose(found, expected, atol=1)
     says("The acceleration filter wins at all four stops, but clearly only if the stop takes longer than five")
-    says("that the car is slow by then. The other is a gentle brake that has lasted nine seconds.")
+    rows = [re.split(r"  +", line.strip()) for line in shown(CELLS["brakes"]).splitlines()[1:]]
+    says("the velocity filter wins for the first five to eight seconds; at 4 m/s² the car stands before that changes.")
     for brake, from_when in ((1, 9), (2, 8), (3, 6), (4, 5)):
         wins = [
             lasting
@@ -148,7 +136,7 @@ def test_which_filter_wins(off, taught):
             if off(*VELOCITY, brake, lasting) > off(*ACCELERATION, brake, lasting)
         ]
         assert wins == list(range(from_when, 20 // brake))
-        assert from_when == 9 or 20 - brake * from_when <= 4  # m/s
+        assert rows[brake - 1][-1] == ("always" if brake == 4 else f"up to {from_when - 1} s")
     gain = {each: off(*VELOCITY, each, np.inf) / off(*ACCELERATION, each, np.inf) for each in (1, 2, 3, 4, 6, 8)}
     assert min(gain.values()) > 1
     assert min(gain[1], gain[2], gain[3]) > 1.25  # twenty, ten and seven seconds
@@ -157,7 +145,7 @@ def test_which_filter_wins(off, taught):
 
 def test_a_driver_who_has_just_speeded_up(taught):
     """From 10 to 20 m/s in the five seconds before the touch."""
-    says("for five seconds, the acceleration filter loses the stop, too: 34 m against 26.")
+    says("from 10 to 20 m/s, it is 26 m off in a stop by 2 m/s², the other 34.")
 
     def position(t):
         faster, braked = np.clip(t + 5, 0, 5), np.clip(t, 0, 10)
@@ -170,7 +158,7 @@ def test_a_driver_who_has_just_speeded_up(taught):
         predicted = np.array([taught["ahead"](each[:, 0], 5) for each in x[60:]])
         errors[n] = predicted - (position(np.arange(5.0, 16)) - z[0])
     assert [round(rms(each)) for each in errors.values()] == [26, 34]
-    says("To win, it needs three to four seconds of steady drive before the touch.")
+    says("After three to four seconds of steady drive the acceleration filter wins again.")
     t = np.arange(-60.0, 11) + 4
     earlier = np.clip(-t, 0, 5) ** 2 + 10 * np.maximum(-t - 5, 0)  # metres further back, four seconds before
     for brake in (1, 2, 3, 4):
@@ -204,7 +192,7 @@ def test_the_rule_makes_no_braking_to_a_standstill_worse(brake):
 
 def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
     """Both filters tuned to 2 m on the calm road."""
-    says("With ten measurements a second, and both filters tuned to 2 m again, the border falls to six seconds,")
+    says("With ten measurements a second the border of our example falls to six seconds.")
     names = made()
     exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", "dt, R = 0.1, 0.1"), names)
     exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
@@ -213,9 +201,6 @@ def test_with_ten_measurements_a_second_the_border_is_at_six(taught):
     quiet = np.zeros((len(names["t"]), 1))
     for lasting, wins in ((5, 0), (6, 0), (7, 1), (8, 1)):
         assert np.argmin([rms(names["misses"](*each, 2, lasting, quiet)) for each in both]) == wins
-    says("and the stop by 4 m/s² becomes a clear win.")
-    velocity, acceleration = (rms(names["misses"](*each, 4, np.inf, quiet)) for each in both)
-    assert velocity > 1.3 * acceleration
 
 
 def test_with_a_worse_sensor_the_acceleration_gains_less():
@@ -239,15 +224,11 @@ def test_with_a_worse_sensor_the_acceleration_gains_less():
 
 
 def test_the_winners_are_those_until_ten_seconds_after_the_brake():
-    says("Counted until ten seconds after the end of the brake, that case is a tie, and no other winner changes.)")
-    rows = [re.split(r"  +", line.strip())[1:] for line in shown(CELLS["brakes"]).splitlines()[1:]]
+    says("It is the same if the errors count until ten seconds after the brake has ended.")
     functions, _, _ = source(CELLS["table"]).partition("\nbrakes = ")
-    for brake, cells in zip((1, 2, 3, 4), rows, strict=True):
-        for lasting, cell in zip((3, 5, 6, 7, 8, 9, np.inf), cells, strict=True):
-            if cell == "–":
-                assert 20 / brake <= lasting
-                continue
-            last = int(np.ceil(min(lasting, 20 / brake))) + 10
+    for brake, border in ((1, 8), (2, 7), (3, 5), (4, 4)):
+        for lasting in range(1, 20 // brake):
+            last = lasting + 10
             names = made()
             exec(functions, names)
             names["t"] = np.arange(-60.0, last + 1)
@@ -255,13 +236,15 @@ def test_the_winners_are_those_until_ten_seconds_after_the_brake():
                 rms(names["misses"](*each, brake, lasting, np.zeros((61 + last, 1))))
                 for each in (VELOCITY, ACCELERATION)
             )
-            assert cell.startswith("v " if velocity < acceleration else "a "), (brake, lasting)
             if (brake, lasting) == (1, 9):
                 assert acceleration / velocity == pytest.approx(1, abs=0.02)
+            else:
+                assert (velocity < acceleration) == (lasting <= border), (brake, lasting)
 
 
 def test_how_fast_the_acceleration_is_learnt(taught):
-    says("It corrects its acceleration by 0.16 of each surprise. After three seconds it has learnt 1.1 of the 2 m/s²,")
+    says("corrects its acceleration by 0.16 of each surprise.")
+    says("after three seconds it has learnt 1.1 of the 2 m/s²,")
     says("and after five nearly all.")
     says("The acceleration filter has learnt half of the brake when it ends")
     F, Q = taught["motion"](3, 1.0, 0.01)
@@ -274,38 +257,55 @@ def test_how_fast_the_acceleration_is_learnt(taught):
 def test_a_recorded_drive_is_judged_by_later_measurements(taught):
     """As by the true positions, within the sensor's error."""
     names = {**taught}
-    exec(source(CELLS["recorded"]).partition("\n\n\nt_recorded")[0], names)
+    exec(source(CELLS["recorded"]).partition("\n\n\npedal")[0], names)
     t = np.arange(-60.0, 16)
     noise = np.random.default_rng(3).normal(0, np.sqrt(lesson.R), len(t))
     for each in (VELOCITY, ACCELERATION):
         found = names["misses_of"](taught["road"](t, 2.0) + noise, *each)[60:]
         true = taught["misses"](*each, 2.0, np.inf, noise[:71, None])[:, 0]
         assert np.abs(found - true).max() < 4 * np.sqrt(2 * lesson.R)  # less its first measurement's error
-    said = [float(each) for each in re.findall(r": ([\d.]+) m", shown(CELLS["recorded"]))]
-    assert said == pytest.approx([26, 16], abs=1)  # as the first table has it of 200 drives
 
 
 def test_a_q_is_found_for_an_error_on_the_calm_road(taught):
-    (code,) = re.findall(r"`(min\(np.logspace.*?)` finds the one nearest to 2 m", TEXT)
+    (code,) = re.findall(r"`(min\(np.logspace.*?)` is the one nearest to 2 m", TEXT)
     assert taught["calm"](3, eval(code, taught)) == pytest.approx(2, rel=0.05)
 
 
-def test_at_four_a_stop_is_nearly_a_tie(taught):
-    says("The harder the brake and the worse the sensor, the less they differ")
-    says("A stop by 4 m/s² gives 29 m in place of 33.")
-    table = [re.split(r"  +", line.strip()) for line in shown(CELLS["brakes"]).splitlines()]
-    assert [row[-1] for row in table[1:]] == ["a 1.79", "a 1.59", "a 1.26", "a 1.13"]
-    stops = shown(CELLS["table"]).splitlines()
-    assert [re.split(r"  +", row.strip())[2] for row in stops[2:4]] == ["33 m", "29 m"]
+def test_the_border_of_other_roads_and_horizons():
+    says("the border stays between five and nine seconds of braking, wherever the car does not stand before.")
+    says("At stops after a steady drive the acceleration filter wins, or loses by 2 % at most.")
+    names = made()
+    for names["speed"], names["horizon"], aim in (
+        *((speed, 5, aim) for speed in (10, 20, 30) for aim in (0.7, 1, 2)),
+        *((20, 2, aim) for aim in (0.7, 1)),
+        *((20, 10, aim) for aim in (0.7, 1, 2, 4)),
+    ):
+        both = [
+            (n, 10 ** brentq(lambda power, n=n, aim=aim: names["calm"](n, 10**power) - aim, -6, 4, xtol=0.01))
+            for n in (2, 3)
+        ]
+        for brake in (1, 2, 3, 4):
+
+            def error(each, lasting, brake=brake):
+                return rms(names["misses"](*each, brake, lasting, QUIET))
+
+            standing = int(np.ceil(names["speed"] / brake))
+            wins = [lasting for lasting in range(1, standing) if error(both[0], lasting) < error(both[1], lasting)]
+            assert wins == list(range(1, wins[-1] + 1))
+            assert 5 <= wins[-1] <= 9 or standing - 2 <= wins[-1]
+            assert error(both[1], np.inf) < 1.02 * error(both[0], np.inf)
 
 
 def test_a_recording_with_other_steps_is_judged_at_its_own_seconds():
-    """The cell of the page with two measurements a second, against the errors from true positions."""
-    names = made()
-    exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", "dt, R = 0.5, 0.1"), names)
-    exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
-    exec(source(CELLS["recorded"]), names)
-    for each in (VELOCITY, ACCELERATION):
-        found = rms(names["misses_of"](names["recorded"], *each)[names["predicted_at"] > -0.25])
-        noise = np.zeros((len(names["t"]), 1))
-        assert found == pytest.approx(rms(names["misses"](*each, 2, np.inf, noise)), abs=1.5)
+    """With two measurements a second the drive has the same road, and predictions are compared as far ahead."""
+    drives = []
+    for dt in (1.0, 0.5):
+        names = made()
+        exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", f"dt, R = {dt}, 1e-12"), names)
+        exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
+        exec(source(CELLS["brakes"]).partition("\n\n\ndef")[0], names)
+        exec(source(CELLS["recorded"]), names)
+        drives.append(names)
+    np.testing.assert_allclose(drives[1]["recorded"][1::2], drives[0]["recorded"], atol=1e-4)
+    still = drives[1]["recorded"][:60]  # at constant speed both see nothing but the start
+    assert np.abs(drives[1]["misses_of"](still, 2, 1)[20:]).max() < 1e-3
