@@ -337,8 +337,7 @@ class RecursiveFilter(Filter):
     """A filter with coefficients and a covariance. A subclass defines `next_step`; all else follows from it.
 
     A subclass may add faster versions, `next_steps` and `advance`. They are inherited only together with `next_step`:
-    a subclass that overrides `next_step` alone falls back to the general ones, which call it. Those take no times and
-    no variances: a KalmanFilter with t or r and a `next_step` of its own needs an `advance` of its own, too.
+    a subclass that overrides `next_step` alone falls back to the general ones, which call it.
     """
 
     model: LinearModel

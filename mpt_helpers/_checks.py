@@ -207,10 +207,10 @@ def measurements(z: Any, m: int, name: str = "z") -> Array:
         return values.astype(float, copy=False)
 
 
-def no_infinity(z: np.ndarray, name: str = "z") -> None:
+def no_infinity(z: np.ndarray) -> None:
     """Refuse infinite measurements."""
     if np.isinf(z).any():
-        refuse(name, "finite numbers, or NaN where a measurement is missing", "an infinite value")
+        refuse("z", "finite numbers, or NaN where a measurement is missing", "an infinite value")
 
 
 def one_measurement(value: Any, m: int, name: str = "z_k") -> tuple[Array, np.ndarray]:

@@ -221,8 +221,8 @@ def _margins(model):
     """Yield the margin and the words of both conditions of the PBH rank test, for each mode that is not stable."""
     unit = _units(model)
     F = model.F * unit / unit[:, None]
-    H = np.array([_at_the_size_of(F, row) for row in model.H * unit])  # the unit of a measurement changes nothing
-    G = _at_the_size_of(F, square_root(model.Q) / unit[:, None])
+    H = np.array([_scaled_to(F, row) for row in model.H * unit])  # the unit of a measurement changes nothing
+    G = _scaled_to(F, square_root(model.Q) / unit[:, None])
     modes = np.linalg.eigvals(F)
     means = [modes[np.abs(modes - mode) <= SAME_EIGENVALUE * abs(mode)].mean() for mode in modes]
     for mode in [*means, *modes]:  # close eigenvalues may be one or several: both cases are tested
@@ -239,7 +239,7 @@ def _distance_from_rank_loss(pencil):
     return singular[-1] / singular[0] if singular[0] else 0.0
 
 
-def _at_the_size_of(F, matrix):
+def _scaled_to(F, matrix):
     """Return the matrix scaled to the largest entry of F, so that the rank test does not depend on units."""
     size = np.abs(matrix).max()
     return matrix * (np.abs(F).max() / size) if size else matrix

@@ -58,7 +58,7 @@ class Epochs:
         shared = not own and (self.missing == self.missing[..., :1]).all()
         return 1 if shared else self.z.shape[2]
 
-    def of(self, tracks: slice | np.ndarray) -> Epochs:
+    def select(self, tracks: slice | np.ndarray) -> Epochs:
         """Return the Epochs of some tracks, a slice or a mask of them."""
         dt, r = (a if a is None or a.shape[-1] == 1 else a[..., tracks] for a in (self.dt, self.r))
         return Epochs(self.z[..., tracks], self.motion, dt, r, self.over)
@@ -210,13 +210,13 @@ class LinearMap:
 
     def __call__(self, x: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return T x and T P Tᵀ."""
-        return self.of_state(x), self.of_covariance(P)
+        return self.map_state(x), self.map_covariance(P)
 
-    def of_state(self, x: np.ndarray) -> np.ndarray:
+    def map_state(self, x: np.ndarray) -> np.ndarray:
         """Return T x for states x (n, ...), or T P for matrices P (n, n, ...)."""
         return (self.matrix @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
 
-    def of_covariance(self, P: np.ndarray) -> np.ndarray:
+    def map_covariance(self, P: np.ndarray) -> np.ndarray:
         """Return T P Tᵀ for symmetric P (n, n, ...)."""
         m = len(self.matrix)
         return (self._of_vec @ P.reshape(len(P) ** 2, -1)).reshape(m, m, *P.shape[2:])
@@ -229,13 +229,13 @@ class Motion(LinearMap):
         super().__init__(F)
         self.Q = Q
 
-    def of_covariance(self, P: np.ndarray) -> np.ndarray:
+    def map_covariance(self, P: np.ndarray) -> np.ndarray:
         """Return F P Fᵀ + Q."""
-        predicted = super().of_covariance(P)
-        predicted += self.noise_of(P)
+        predicted = super().map_covariance(P)
+        predicted += self.noise_like(P)
         return predicted
 
-    def noise_of(self, P: np.ndarray) -> np.ndarray:
+    def noise_like(self, P: np.ndarray) -> np.ndarray:
         """Return Q, with as many axes as P."""
         return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - 2))
 
@@ -246,16 +246,16 @@ class Motions(Motion):
     def __init__(self, F: np.ndarray, Q: np.ndarray):
         self.matrix, self.Q = F, Q
 
-    def of_state(self, x: np.ndarray) -> np.ndarray:
+    def map_state(self, x: np.ndarray) -> np.ndarray:
         """Return F x for states x (n, ...), or F P for matrices P (n, n, ...)."""
         return product(self.matrix, x)
 
-    def of_covariance(self, P: np.ndarray) -> np.ndarray:
+    def map_covariance(self, P: np.ndarray) -> np.ndarray:
         """Return F P Fᵀ + Q for symmetric P (n, n, ...)."""
         P = product(self.matrix, transposed(product(self.matrix, P)))
-        return (P + transposed(P)) / 2 + self.noise_of(P)
+        return (P + transposed(P)) / 2 + self.noise_like(P)
 
-    def noise_of(self, P: np.ndarray) -> np.ndarray:
+    def noise_like(self, P: np.ndarray) -> np.ndarray:
         """Return Q."""
         return self.Q
 

@@ -24,7 +24,7 @@ LARGEST_S = 1e30
 NOISE_OF_S = 1e-7
 # A track with diffuse pauses is filtered in parts, since all rows of a part after a pause are filtered again: in each
 # part as many rows as since the last pause, at least and at most so many.
-LEAST_ROWS, MOST_ROWS = 64, 1_000
+SHORTEST_PART, LONGEST_PART = 64, 1_000
 
 
 def observability_rows(F, Q, H, R):
@@ -95,8 +95,8 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
         if restart:
             columns, end = columns[diffuse[columns]], N
         else:
-            end = k + min(max(k - paused[columns].max(), LEAST_ROWS), MOST_ROWS)
-            end -= end % LEAST_ROWS  # so that columns meet again
+            end = k + min(max(k - paused[columns].max(), SHORTEST_PART), LONGEST_PART)
+            end -= end % SHORTEST_PART  # so that columns meet again
         here = map_arrays(rows, lambda array, part=slice(k, end), columns=columns: array[part][..., columns])
         x_k, P_k = x[k][..., columns], P[k][..., columns]
         if restart:

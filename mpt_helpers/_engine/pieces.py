@@ -27,13 +27,13 @@ LEAST_ROWS = 30
 # The starts lose digits where a piece has several long gaps. So each piece must start where the preceding one ends, to
 # this fraction of a sigma (tracks with pauses of an hour reach 1e-7), or to the rounding of the largest state: a
 # simulated constant acceleration is 1e11 sigmas from its origin after 100,000 rows.
-AGREED = 1e-6
+MATCH_TOLERANCE = 1e-6
 STATE_ROUNDING = 16 * np.finfo(float).eps
 # The most runs of step 3. Where the pieces do not match, each runs again from the end of the preceding one; if they do
 # not match after the last run, the track is filtered uncut.
 MOST_PASSES = 3
 # Eigenvalues of a correlation matrix are taken to be at least this: below its square, 1e-14, differences are rounding.
-NARROWEST = 1e-7
+LEAST_EIGENVALUE = 1e-7
 
 
 def run_rows(advance, rows, x0, P0, x, P):
@@ -234,9 +234,9 @@ def boundaries_match(x, P, x_next, P_next):
     unit = np.where(sigma > 0, sigma, 1)
     units = unit * unit[:, None]
     variances, axes = np.linalg.eigh(np.moveaxis(P_next / units, 2, 0))
-    axes = axes / np.sqrt(np.maximum(variances, NARROWEST))[:, None]
+    axes = axes / np.sqrt(np.maximum(variances, LEAST_EIGENVALUE))[:, None]
     of_x = np.abs(axes.swapaxes(1, 2) @ np.moveaxis((x - x_next) / unit[:, None], 2, 0))
     of_P = np.abs(axes.swapaxes(1, 2) @ np.moveaxis((P - P_next) / units, 2, 0) @ axes)
     largest = np.moveaxis(np.abs(x_next / unit[:, None]).max(axis=0, keepdims=True), 2, 0)  # (W, 1, c), in sigmas
     rounding = STATE_ROUNDING * np.abs(axes).sum(axis=1)[..., None] * largest
-    return bool((of_x <= AGREED + rounding).all() and (of_P <= AGREED).all())
+    return bool((of_x <= MATCH_TOLERANCE + rounding).all() and (of_P <= MATCH_TOLERANCE).all())

@@ -45,7 +45,7 @@ def estimates(estimator, epochs, x, covariances, observability):
     gaps = np.isnan(x[-1]).any(axis=0)
     if gaps.any():
         of_gaps = np.empty((*x.shape[:2], gaps.sum()))
-        _on_columns(estimator, epochs.of(gaps), of_gaps, False, observability)
+        _on_columns(estimator, epochs.select(gaps), of_gaps, False, observability)
         x[..., gaps] = of_gaps
     return None
 
@@ -77,7 +77,7 @@ def _on_columns(estimator, epochs, x, covariances, observability):
     if W > 1 and epochs.dt is not None:  # each row of each track has an F and a Q
         most = min(most, max(FEW_TRACKS, MOST_NUMBERS // (N * n * n)))
     for part in tiles(M, most):
-        tile = epochs.of(part)
+        tile = epochs.select(part)
         rows = tile.rows()
         _, _, c, width = rows[0].shape
         x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, width))
@@ -158,5 +158,5 @@ def in_tiles(function, estimator, epochs, d):
         return function(estimator, epochs)
     values, covariances = np.empty((N, d, M)), np.empty((N, d, d, M))
     for part in parts:
-        values[..., part], covariances[..., part] = function(estimator, epochs.of(part))
+        values[..., part], covariances[..., part] = function(estimator, epochs.select(part))
     return values, covariances

@@ -64,12 +64,12 @@ def _backward_coefficients(motion, x, P):
     x (N, n, M) and P (N, n, n, M or 1) are the filter's at these epochs; motion leads from each to the next.
     """
     x, P = np.moveaxis(x, 1, 0), np.moveaxis(P, 0, 2)  # now states, epochs, tracks
-    FP = motion.of_state(P)
-    C = transposed(_solve_semidefinite(motion.of_covariance(P), FP))
-    d = x - product(C, motion.of_state(x))
+    FP = motion.map_state(P)
+    C = transposed(_solve_semidefinite(motion.map_covariance(P), FP))
+    d = x - product(C, motion.map_state(x))
     kept = P - product(C, FP)  # (I - C F) P
     # D = kept - (kept Fᵀ - C Q) Cᵀ: the bracket is zero except for the rounding error of `kept`, which it removes.
-    left = transposed(motion.of_state(transposed(kept))) - product(C, motion.noise_of(P))
+    left = transposed(motion.map_state(transposed(kept))) - product(C, motion.noise_like(P))
     D = kept - product(left, transposed(C))
     return np.moveaxis(d, 1, 0), np.moveaxis(C, 2, 0), np.moveaxis((D + transposed(D)) / 2, 2, 0)
 

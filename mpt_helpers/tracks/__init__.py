@@ -114,7 +114,7 @@ def gpx(
     origin = None if origin is None else _origin(origin)
     recording = read(Path(path))
     time, segment = recording.time, recording.segment
-    rows, left_out = usable(path, recording)
+    rows, left_out = usable_rows(path, recording)
     why = report.counted(left_out)
     if recording.lat is None or not len(rows):
         checks.refuse(path, "a recorded track in degrees", f"{len(time)} fixes{why and ', '}{why}")
@@ -325,7 +325,7 @@ def track(
     if back > UNSORTED * len(known):
         got = f"{back} of {len(known)} earlier than the one before: frame.sort_values('time') sorts them"
         checks.refuse(path, "times in order", got)
-    rows, left_out = usable(path, recording)
+    rows, left_out = usable_rows(path, recording)
     if len(rows) < FEWEST:
         got = ", ".join(filter(None, [f"{len(rows)} of {len(recording.time)}", report.counted(left_out)]))
         checks.refuse(path, f"at least {FEWEST} fixes with a time and a position", got)
@@ -341,14 +341,14 @@ def track(
     else:
         charts, plane, z = [], np.zeros(len(rows), dtype=np.intp), recording.metres[rows]
         grids = [grid_of(column, DECIMALS) for column in z.T]
-    relative, weighted = _precision(recording, rows)
+    relative, weighted = _relative_variances(recording, rows)
     said += weighted
     how = {"seconds": seconds, "limit": limit, "pause": pause}
     c = clean(t, z, relative, segment=segment, rounding=max(grids) ** 2 / 12, **how)
     return replace(c, source=Source(path, recording, rows, left_out, charts, plane, said))
 
 
-def usable(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
+def usable_rows(path: Path | str, recording: Recording) -> tuple[Array, dict[str, int]]:
     """Return the rows of a recording that can be used, and how many others there are by reason."""
     time = recording.time
     if recording.metres is None:
@@ -382,7 +382,7 @@ def _notes_on_order(t, segment):
     return [] if (np.diff(order) > 0).all() else ["segments are not in order of time"]
 
 
-def _precision(recording, rows):
+def _relative_variances(recording, rows):
     """Return the relative variances (N,) of fixes, or None, and a note on the column that they are from.
 
     A fix without an entry counts as the median one, if most fixes have one.

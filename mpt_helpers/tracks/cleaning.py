@@ -22,7 +22,7 @@ from .. import _checks as checks
 from .. import bands
 from .._checks import Seconds
 from . import gate
-from .fixes import FEWEST, checked_track, fixes_of, grid_of
+from .fixes import FEWEST, checked_track, find_fixes, grid_of
 from .noise_fit import (
     HOUR_BETWEEN,
     Line,
@@ -114,11 +114,11 @@ def clean(
 
     """
     seconds = checks.duration("seconds", seconds)
-    limit = checks.number("limit", limit, "a squared distance in variances, above 1, as 100", lambda value: value > 1)
+    limit = gate.checked_limit(limit)
     pause = None if pause is None else checks.duration("pause", pause)
     t, z, relative, begins_segment = checked_track(t, z, r, segment)
     rounding = max(map(grid_of, z.T)) ** 2 / 12 if rounding is None else checks.not_negative("rounding", rounding)
-    fixes = fixes_of(t, z, begins_segment, rounding, pause)
+    fixes = find_fixes(t, z, begins_segment, rounding, pause)
     # The gate restarts with each recording, so an hour stands for any pause, and for any step back in time.
     clock = np.cumsum(np.append(0.0, np.where(fixes.begin[1:], HOUR_BETWEEN, np.diff(t[fixes.rows]))))
     own = z[fixes.rows]

@@ -35,7 +35,7 @@ def write_together(contents: dict[Path, bytes], overwrite: bool = True, source: 
             part.unlink(missing_ok=True)
 
 
-def require_free(paths: list[Path], overwrite: bool, source: Path | str | None = None) -> None:
+def require_free(paths: list[Path], overwrite: bool, source: Path | str | None) -> None:
     """Raise FileExistsError for the source, a pipe or device, an existing file unless `overwrite`; refuse folders."""
     for path in paths:
         if path.is_dir():

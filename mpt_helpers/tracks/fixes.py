@@ -82,12 +82,12 @@ def _relative(r, z):
     return np.where(there, r / np.median(r[there]), 1.0)
 
 
-def fixes_of(t: Array, z: Array, begins_segment: NDArray[np.bool_], rounding: float, pause: float | None) -> Fixes:
+def find_fixes(t: Array, z: Array, begins_segment: NDArray[np.bool_], rounding: float, pause: float | None) -> Fixes:
     """Return the Fixes of a track; `begins_segment` (N,) marks where a segment begins, `rounding` is a variance."""
     seen = np.isfinite(z).any(axis=1)
-    early = _at_one_time(t, z, begins_segment, np.flatnonzero(seen))
+    early = _superseded(t, z, begins_segment, np.flatnonzero(seen))
     rows = np.flatnonzero(seen & ~early)
-    again = _repeated(t, z, rows, _begins(t[rows], begins_segment[rows], pause), rounding)
+    again = _repeated(t, z, rows, _recording_begins(t[rows], begins_segment[rows], pause), rounding)
     fix = seen & ~early & ~again
     row = np.arange(len(t))
     before = np.maximum.accumulate(np.where(fix, row, 0))
@@ -99,8 +99,8 @@ def fixes_of(t: Array, z: Array, begins_segment: NDArray[np.bool_], rounding: fl
     if again.any():
         said.append(f"{again.sum()} rows repeat a position while the mobile moves on: they are no fixes")
     rows = np.flatnonzero(fix)
-    begin = _begins(t[rows], begins_segment[rows], pause)
-    stray = _strays(t[rows], begin)
+    begin = _recording_begins(t[rows], begins_segment[rows], pause)
+    stray = _stray_times(t[rows], begin)
     if stray.any():
         said.append(f"refused: {stray.sum()} fixes whose time is months or years from all others")
         rows, begin = rows[~stray], begin[~stray]
@@ -117,7 +117,7 @@ def fixes_of(t: Array, z: Array, begins_segment: NDArray[np.bool_], rounding: fl
     return Fixes(rows, begin, same_as, said)
 
 
-def _at_one_time(t, z, begins_segment, rows):
+def _superseded(t, z, begins_segment, rows):
     """Return the mask (N,) of those `rows` that have the time of the next one, which has all their axes.
 
     A receiver that catches up gives several fixes the time of the newest, so the last of them counts.
@@ -158,7 +158,7 @@ def _repeated(t, z, rows, begin, rounding):
     return again
 
 
-def _begins(t, begins_segment, pause):
+def _recording_begins(t, begins_segment, pause):
     """Return the mask of the fixes, at times t, that begin a recording: at the start, after a pause, with a segment."""
     steps = np.diff(t)
     if pause is None:
@@ -167,7 +167,7 @@ def _begins(t, begins_segment, pause):
     return np.append(True, (steps > pause) | (steps < 0) | begins_segment[1:])
 
 
-def _strays(t, begin):
+def _stray_times(t, begin):
     """Return the mask of the fixes with a wrong time: a few that are months from all others."""
     number = np.cumsum(begin) - 1
     few = (np.bincount(number) < min(STRAY, STRAY_SHARE * len(t)))[number]

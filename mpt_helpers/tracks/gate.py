@@ -113,10 +113,12 @@ def gated(kf: KalmanFilter, z: ArrayLike, limit: float = 100.0, patience: int = 
     if z.ndim == 3:
         checks.refuse("z", "one track, (N, m): each track has a gate of its own", f"shape {z.shape}")
     checks.no_infinity(z)
-    need = "a squared distance in variances, above 1, as 100"
-    limit = checks.number("limit", limit, need, lambda value: value > 1)
-    patience = checks.count("patience", patience)
-    return segments_of(kf, z, [], limit, patience)
+    return segments_of(kf, z, [], checked_limit(limit), checks.count("patience", patience))
+
+
+def checked_limit(limit):
+    """Return the NIS above which a fix is refused."""
+    return checks.number("limit", limit, "a squared distance in variances, above 1, as 100", lambda value: value > 1)
 
 
 def segments_of(kf, z, begins, limit, patience):
@@ -126,7 +128,7 @@ def segments_of(kf, z, begins, limit, patience):
     to it is no jump. The filter starts row 0 from x0 and P0 unless a recording begins there.
     """
     try:
-        found = _in_sequence(_RowFilter(kf, z), begins, limit, patience)
+        found = _segments_in_sequence(_RowFilter(kf, z), begins, limit, patience)
     except np.linalg.LinAlgError:
         checks.refuse("kf", "covariances that doubles can hold over these epochs", "one that is not positive")
     if len(begins) == 0 and np.isfinite(z).any() and not found[0]:
@@ -139,7 +141,7 @@ def segments_of(kf, z, begins, limit, patience):
     if found:
         recording = np.searchsorted(begins, np.arange(len(z)), side="right")
         moves = _Moves(found, z / np.sqrt(np.diag(kf.model.R)), kf.times_of(len(z)).ravel(), recording)
-        found = _without_stuck_ones(_without_excursions(found, moves), moves)
+        found = _without_stuck_fixes(_without_excursions(found, moves), moves)
         for k, rows in enumerate(_cheapest_chain(found, moves)):
             number[rows] = k
     return number
@@ -238,24 +240,24 @@ class _Start(NamedTuple):
     state: Array  # of a `_RowFilter`, (n + 1, n + 1)
 
 
-def _in_sequence(row_filter, begins, limit, patience):
+def _segments_in_sequence(row_filter, begins, limit, patience):
     """Return the rows of each segment by rules 1 and 2, ordered by first row."""
     found, seen = [], row_filter.seen
     for begin, stop in pairwise(sorted({0, *begins, len(seen)})):
         if begin not in begins:
             start, begin = row_filter.before_a_fault(stop, limit)
-            found += _of_recording(row_filter, start, begin, stop, limit, patience)
+            found += _segments_of_recording(row_filter, start, begin, stop, limit, patience)
             continue
         # Only a fix with all axes says where each of them begins.
         whole = begin + np.flatnonzero(seen[begin:stop].all(axis=1))
         if len(whole):
             first = int(whole[0])
             start = _Start([first], row_filter.start(first))
-            found += _of_recording(row_filter, start, first + 1, stop, limit, patience)
+            found += _segments_of_recording(row_filter, start, first + 1, stop, limit, patience)
     return found
 
 
-def _of_recording(row_filter, start, begin, stop, limit, patience):
+def _segments_of_recording(row_filter, start, begin, stop, limit, patience):
     """Return the rows of each segment from row `begin` to `stop`; the first segment begins with the rows of a start."""
     (rows, state), found, starts = start, [], []
     for k in range(begin, stop):
@@ -345,7 +347,7 @@ def _is_excursion(own, steps, rows, moves):
     return stays and here < there
 
 
-def _without_stuck_ones(found, moves):
+def _without_stuck_fixes(found, moves):
     """Return the rows of the segments without those where a receiver without signal was stuck at one position.
 
     Fixes are stuck if the step after them is too fast, the straight line from the fix before them is not, and the
@@ -397,7 +399,7 @@ def _cheapest_chain(found, moves):
     """
     parts, segment = [], []
     for number, rows in enumerate(found):
-        own = _parts(rows, moves)
+        own = _droppable_parts(rows, moves)
         parts += own
         segment += [number] * len(own)
     rows, part = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(each) for each in parts])
@@ -433,7 +435,7 @@ def _cheapest_chain(found, moves):
     return joined
 
 
-def _parts(rows, moves):
+def _droppable_parts(rows, moves):
     """Return the parts of a segment: the rows between two refused fixes, its ends, and a few fixes beyond a gap."""
     before = np.arange(1, len(rows))  # the number of fixes before each step
     near_an_end = np.minimum(before, len(rows) - before) < JUMP

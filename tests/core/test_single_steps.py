@@ -35,6 +35,12 @@ def test_a_step_refuses_a_P_that_is_no_covariance(each, P):
         each.step(np.zeros(n), whole.tolist(), np.zeros(each.model.m))
 
 
+def test_coefficients_from_a_P_that_is_no_covariance_are_refused():
+    """`next_step` itself does not look at P, but a measurement of negative variance would have a gain."""
+    with pytest.raises(ValueError, match="P: needs a covariance, got one that gives a measurement a variance"):
+        mpt.KalmanFilter(CV).next_step(-9 * np.eye(2), np.ones(1, bool))
+
+
 @dataclass(frozen=True, eq=False)
 class Fading(mpt.KalmanFilter):
     """A filter of one's own that forgets: its gain is not that of the best estimate."""

@@ -55,8 +55,8 @@ def with_gain_where_missing(x, P, z, seen, variance, i, scalar_update=columns.sc
     return scalar_update(x, P, z, np.ones_like(seen), variance, i)
 
 
-def turned(self, x, of_state=columns.LinearMap.of_state):
-    return of_state(columns.LinearMap(self.matrix.swapaxes(0, 1)), x)
+def turned(self, x, map_state=columns.LinearMap.map_state):
+    return map_state(columns.LinearMap(self.matrix.swapaxes(0, 1)), x)
 
 
 def without_the_noise_of_z(P, K, H, R):
@@ -93,8 +93,8 @@ def twice_the_noise(H, R, unit_measurements=equations.unit_measurements):
 
 MUTANTS = {
     "a missing measurement has a gain": (columns, "scalar_update", with_gain_where_missing),
-    "columns without process noise": (columns.Motion, "noise_of", lambda self, P: 0.0),
-    "F transposed on columns": (columns.Motion, "of_state", turned),
+    "columns without process noise": (columns.Motion, "noise_like", lambda self, P: 0.0),
+    "F transposed on columns": (columns.Motion, "map_state", turned),
     "several steps in one product, with A halved": (shared, "product_of_steps", half_a_step),
     "a filter has converged at once": (shared, "_has_not_moved", lambda before, after: True),
     "tracks of other gaps share a column": (columns.Epochs, "width", 1),

@@ -73,7 +73,7 @@ def test_the_example_of_a_receiver_that_stood_still():
     z, times = np.arange(80.0)[:, None], np.arange(80.0)
     z[30:34] = 30.0
     moves = gate._Moves([list(range(80))], z, times, np.zeros(80, dtype=int))
-    (left,) = gate._without_stuck_ones([list(range(80))], moves)
+    (left,) = gate._without_stuck_fixes([list(range(80))], moves)
     assert left == [*range(30), *range(34, 80)]
 
 
