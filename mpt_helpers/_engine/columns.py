@@ -237,7 +237,7 @@ class Motion(LinearMap):
 
     def noise_like(self, P: np.ndarray) -> np.ndarray:
         """Return Q, with as many axes as P."""
-        return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - 2))
+        return self.Q.reshape(*self.Q.shape, *[1] * (P.ndim - self.Q.ndim))
 
 
 class Motions(Motion):
@@ -253,11 +253,7 @@ class Motions(Motion):
     def map_covariance(self, P: np.ndarray) -> np.ndarray:
         """Return F P Fᵀ + Q for symmetric P (n, n, ...)."""
         P = product(self.matrix, transposed(product(self.matrix, P)))
-        return (P + transposed(P)) / 2 + self.noise_like(P)
-
-    def noise_like(self, P: np.ndarray) -> np.ndarray:
-        """Return Q."""
-        return self.Q
+        return (P + transposed(P)) / 2 + self.Q
 
 
 def product(A, B):
