@@ -190,6 +190,9 @@ def test_the_layout_names_every_part():
     (layout,) = re.findall(r"### Layout\n\n((?:    .*\n)+)", contributing)
     for name in ("mpt_helpers/", "reproduction/", "ledger/", "notebooks/", "docs/", "benchmarks/", "tests/"):
         assert name in layout.split(), name
+    for path in (ROOT / "mpt_helpers").glob("*.py"):
+        if path.stem not in ("__init__", "__main__", "_checks", "_immutable"):
+            assert path.stem in layout.replace(",", " ").split(), path.stem
 
 
 def text_of(kind):
