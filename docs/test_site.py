@@ -304,7 +304,7 @@ def test_a_lesson_is_linked_from_home_and_leads_to_its_paper(visit, place):
     assert top.count() == 1
 
 
-DOORS = {"Your own track": "guide.html", "The filters": "api.html", "Run it all": "index.html#run"}
+DOORS = {"Your own track": "guide.html", "The filters": "api.html", "Six lessons": "lessons.html"}
 
 
 @pytest.mark.parametrize("door", DOORS)
