@@ -166,14 +166,14 @@ def fit(make: Callable[..., LinearModel | Filter], z: ArrayLike, **start: float)
         near = _search_along_ratio(likelihood, origin, estimator.model.n)
         best = coordinate_descent(likelihood, origin) if near is None else newton(likelihood, near)
         # If log L does not fall as a parameter goes towards zero, or cannot be computed, z gives only an upper limit.
-        further = np.array([likelihood(best - math.log(1000) * unit) for unit in np.eye(len(best))])
+        further = np.array([_towards_zero(likelihood, best, unit) for unit in np.eye(len(best))])
         bounded = (further >= likelihood(best) + SIGNIFICANT) & np.isfinite(further)
         blocks = blocks_of(estimator, z)
         errors = log_errors(likelihood, best, np.flatnonzero(bounded), blocks)
     log_errors_by_name = dict(zip(guess, errors.tolist(), strict=True))
     values, found = likelihood.values_at(best), likelihood.filter_at(best)
     result = Fit(values, log_errors_by_name, found, -likelihood(best), blocks.name)
-    for text in _warnings(result, z, guess, bounded):
+    for text in _warnings(result, z, guess, bounded, further):
         checks.warn(f"fit: {text}")
     return result
 
@@ -348,11 +348,21 @@ def _sandwich_diagonal(H, J):
     return np.where(moved > MAX_FLAT_COMPONENT, math.inf, np.diag(inverse @ J @ inverse))
 
 
-def _warnings(found, z, guess, bounded):
+def _towards_zero(likelihood, best, unit):
+    """Return -log L where one parameter is a thousandth, or the smallest of a hundredth and a tenth that has one.
+
+    A model may be refused far from its best value, as where the exponential of a matrix overflows. Infinite if all are.
+    """
+    tried = (likelihood(best - math.log(factor) * unit) for factor in (1000, 100, 10))
+    return next((value for value in tried if math.isfinite(value)), math.inf)
+
+
+def _warnings(found, z, guess, bounded, further):
     """Yield a warning for each undetermined parameter, and for whatever else looks wrong."""
-    for (name, error), has_a_limit in zip(found.log_errors.items(), bounded, strict=True):
+    for (name, error), has_a_limit, there in zip(found.log_errors.items(), bounded, further, strict=True):
         if not has_a_limit:
-            yield f"{name}: the likelihood does not fall as it goes to zero, so only an upper limit is known"
+            why = "does not fall" if math.isfinite(there) else "cannot be computed"
+            yield f"{name}: the likelihood {why} as it goes to zero, so only an upper limit is known"
         elif error > UNKNOWN:
             yield f"{name}: the likelihood is flat, so z does not determine it, or only together with other parameters"
     if (distance := _distance_of_x0(found.filter, z)) > DOUBTFUL_START_DISTANCE:

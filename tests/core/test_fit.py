@@ -10,6 +10,7 @@ import pytest
 from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 import mpt_helpers as mpt
 from mpt_helpers import fitting, metrics, search, tracks
@@ -494,3 +495,25 @@ def test_times_that_were_forgotten_look_like_a_wild_motion_and_nothing_tells():
     assert f.values["q"] > 30
     assert mpt.metrics.suspicious(f.filter, z[rows]) == {}
     assert mpt.fit(lambda q, r: mpt.KalmanFilter(make(q, r), t=rows), z[rows], q=0.1, r=1.0).values["q"] < 0.6
+
+
+def test_a_limit_is_sought_where_the_model_can_be_computed():
+    """Far below its best value the exponential of this matrix overflows; a hundredth of tau does not yet."""
+
+    def singer(tau, q):
+        def transition(dt):
+            A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / tau]])
+            both = expm(dt * np.block([[-A, np.diag([0.0, 0.0, q])], [np.zeros((3, 3)), A.T]]))
+            F = both[3:, 3:].T
+            return F, F @ both[:3, 3:]
+
+        return mpt.LinearModel(transition=transition, dt=1.0, H=[[1, 0, 0]], R=[[1.0]], P0=np.diag([1.0, 100.0, 10.0]))
+
+    _, z = mpt.simulate(singer(10.0, 0.2), 1000, rng=1)
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        warnings.filterwarnings("error", message="fit: tau")
+        found = mpt.fit(singer, z, tau=5.0, q=0.1)
+        with pytest.raises(ValueError, match="transition"):
+            singer(found.values["tau"] / 1000, 0.2)
+    assert 0 < found.log_errors["tau"] < 0.5
