@@ -15,10 +15,14 @@ COUNTS = (
 )
 WRITTEN_COUNTS = re.compile(re.sub(r"\{\w+\}", r"\\d+", COUNTS))
 HOLDS = (
-    "A computed number *holds* if its printed digits are ours, a simulated one if it lies within the spread (99 %) of "
+    "A computed number *holds* if we get the printed digits, a simulated one if it lies within the spread (99 %) of "
     "our simulations, a claim if it meets the rule in its entry of the ledger; *in part*, under conditions that are "
     "named. Each failure has its reason beside it. We had the papers as text extracted from PDF, without pictures, "
     "and they print no data: figures are drawn again on tracks of our own, and judged by what the text says of them."
+)
+ON_GITHUB = (
+    "GitHub opens a notebook at its top: search there for “Table 4”. [nbviewer](https://nbviewer.org) and the site "
+    "from `make site` open it at the heading."
 )
 BLOCK = re.compile(r"(<!-- papers: [^\n]* -->\n).*?(<!-- end of papers -->)", re.DOTALL)
 
@@ -27,7 +31,7 @@ def block(verdicts):
     """Return the README's table of the papers, in Markdown, and a sentence on what cannot be checked."""
     rows = [row(key, verdicts.of(key).checked()) for key in dict.fromkeys(each.paper for each in verdicts)]
     head = ["paper", "question, and answer", "hold / in part / fail", "tables", "figures"]
-    return f"{Table(head, rows).markdown()}\n\n{HOLDS}\n\n{on_what_is_lost(verdicts)}"
+    return f"{ON_GITHUB}\n\n{Table(head, rows).markdown()}\n\n{HOLDS}\n\n{on_what_is_lost(verdicts)}"
 
 
 def row(key, count):
@@ -53,8 +57,7 @@ def on_what_is_lost(verdicts):
     return (
         f"Of the {len(unchecked)} items that cannot be checked, {len(lost)} are lost in this text, "
         f"{len(of_copies) - len(lost)} have one doubtful character, and {len(unchecked) - len(of_copies)} need details "
-        "that the paper leaves out.\n\nGitHub opens a notebook at its top: search there for “Table 4”. "
-        "[nbviewer](https://nbviewer.org) and the site from `make site` open it at the heading."
+        "that the paper leaves out."
     )
 
 

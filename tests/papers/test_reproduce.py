@@ -27,7 +27,7 @@ from reproduction.__main__ import as_text, main
 from reproduction.execute import through_files
 from reproduction.ledger import keys, shipped_verdicts, stored_verdicts
 from reproduction.ledger.verdicts import FIELDS, MIME
-from reproduction.readme import HOLDS, block
+from reproduction.readme import HOLDS, ON_GITHUB, block
 
 PLOTS = """\
 from reproduction import plots
@@ -637,6 +637,8 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         "above",
         "<!-- papers: here -->",
         "",
+        ON_GITHUB,
+        "",
         "| paper | question, and answer | hold / in part / fail | tables | figures |",
         "|---|---|---|---|---|",
         f"| A, *T*, 1960: {ours} | Is it? **It is.** | 3 / 0 / 1 | {tables} | {figure} |",
@@ -645,9 +647,6 @@ def test_the_readme_gets_the_counts(shipped, project, capsys):
         "",
         "Of the 1 items that cannot be checked, 1 are lost in this text, 0 have one doubtful character, and 0 need "
         "details that the paper leaves out.",
-        "",
-        "GitHub opens a notebook at its top: search there for “Table 4”. [nbviewer](https://nbviewer.org) and the site "
-        "from `make site` open it at the heading.",
         "",
         "<!-- end of papers -->",
         "below",
