@@ -6,8 +6,7 @@ Users call `filter`, `estimates`, `covariances`, `smooth` and `step`. Metrics, b
 - `run(z, x, covariances)`: writes the estimates to x, and returns the covariances if they are wanted;
 - `innovations_of(z)`: the innovations and their covariances;
 - `epochs_of(z)`: z with the time steps and variances of its epochs; `times_of(N)`: the times of the epochs in s;
-- `subfilters`: the filters that a filter combines; `elementary_filters`: those among them, and among theirs, that
-  combine no others.
+- `subfilters`: the filters that a filter combines; `elementary_filters`: the leaves of that tree.
 
 Their covariances are (N, n, n, M), or (N, n, n, 1) where all tracks share them.
 

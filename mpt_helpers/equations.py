@@ -86,8 +86,8 @@ def corrected_covariance(P, K, H, R):
 class LainiotisMatrices(NamedTuple):
     """The constant matrices of the Lainiotis filter (2014 Eq. 7, 2015 Eq. 3).
 
-    C (n×p) and U (p×m) are factors of two of them: O_n = C Cᵀ and K_m = C U. For U z = Cᵀ x + unit noise is what z says
-    of the state x before the step.
+    C (n×p) and U (p×m) are factors of two of them: O_n = C Cᵀ and K_m = C U. U z = Cᵀ x + unit noise carries all that z
+    says of the state x before the step.
     """
 
     Fn: np.ndarray

@@ -21,7 +21,7 @@ from ._engine.shared import TILE, tiles
 from .equations import corrected_covariance, gain, lainiotis_matrices, lainiotis_step, predicted_covariance
 from .model import LinearModel
 
-# The most taps of a FIR filter; a longer one would be slower than the steady-state filter.
+# The most taps of a FIR filter, which bounds the search for its order. Long before, the steady-state filter is faster.
 MOST_TAPS = 1_000_000
 
 

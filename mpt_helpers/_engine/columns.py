@@ -7,7 +7,7 @@ Tracks that share all three share one covariance and one column. The axes:
     M      tracks                                  W      columns: 1 where all tracks share P, else M
     c      tracks in one column, M / W             K, C   rows of a piece, number of pieces (`pieces`)
 
-    as given     z (N, m, M)       t (N, M or 1)             r (N, m, M or 1)
+    as given     z (N, m, M)       dt (N, M or 1)            r (N, m, M or 1)
     results      x (N, n, M)       P (N, n, n, W)
     on columns   x (n, c, W)       P (n, n, W)               of one epoch
     rows         z (N, m, c, W)    seen, r (N, m, W)         F, Q (N, n, n, W)

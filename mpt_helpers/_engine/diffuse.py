@@ -18,8 +18,8 @@ from .pieces import compress_measurement, map_arrays, run_from_zero, run_rows
 DIFFUSE_S = 1e12
 CLEAR_S = 1e6
 LARGEST_S = 1e30
-# A start is over where the process noise since then makes an S larger than this fraction of the last one: P, which
-# doubles round by 2e-16 of its S, keeps nine digits beside that noise. If the start went on, x would lose its digits:
+# A start is over where the process noise since then makes an S larger than this fraction of the last one: P, rounded
+# by 2e-16 of its S, keeps nine digits beside that noise. If the start went on, x would lose its digits:
 # in a pause of a day it moves by 1e12 sigmas.
 NOISE_OF_S = 1e-7
 # A track with diffuse pauses is filtered in parts, since all rows of a part after a pause are filtered again: in each

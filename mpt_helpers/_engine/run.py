@@ -82,14 +82,18 @@ def _on_columns(estimator, epochs, x, covariances, observability):
         _, _, c, width = rows[0].shape
         x0 = np.broadcast_to(estimator.model.x0[:, None, None], (n, c, width))
         P0 = np.repeat(estimator.P0[..., None], width, axis=2)
-        # `run_rows` writes to these views. A P that only the tracks of this tile share is broadcast to each of them.
-        x_part = x[..., part].reshape(N, n, c, width)
+        x_part = x[..., part].reshape(N, n, c, width)  # a view, as P_part is where the columns are those of P
         P_part = P[..., part] if covariances and W > 1 else P
+        only_of_this_tile = covariances and width < P_part.shape[3]  # its tracks share a P, and those of others do not
+        if only_of_this_tile:
+            P_part = np.empty((N, n, n, width))
         if estimator.optimal:
             valid = run_rows_with_diffuse_starts(estimator.advance, rows, x0, P0, x_part, P_part, observability)
         else:
             valid = np.isfinite(run_rows(estimator.advance, rows, x0, P0, x_part, P_part)).all()
         require_valid(valid)
+        if only_of_this_tile:
+            P[..., part] = P_part
     return P
 
 

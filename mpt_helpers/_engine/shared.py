@@ -92,7 +92,7 @@ def steps_without_gaps(next_step, P0, m, N):
     P, converged, seen = P0, False, np.ones(m, bool)
     for _ in range(N):
         if not converged:
-            step = Step(*next_step(P, seen))
+            step = Step(*map(np.array, next_step(P, seen)))  # copies: those of a user's own stay writeable
             for array in step:
                 array.flags.writeable = False
             converged = _has_not_moved(P, step.P)

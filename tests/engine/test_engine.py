@@ -199,6 +199,21 @@ def test_a_tracker_that_sleeps_again_and_again_is_the_track(monkeypatch, make, s
     assert off.max() < allowed
 
 
+def test_a_tile_whose_tracks_share_a_covariance_gives_it_to_each(monkeypatch):
+    """After a diffuse pause: one track of another tile misses a row, so that not all tracks share it."""
+    few = partition.FEW_TRACKS
+    monkeypatch.setattr(engine, "MOST_NUMBERS", 1)  # tiles of so few tracks
+    axis = mpt.constant_acceleration(1.0, 0.1, 1.0, P0=np.diag([100.0, 100.0, 10.0]))
+    t = np.arange(60.0) + np.where(np.arange(60) < 30, 0.0, 1e6)
+    kf = mpt.KalmanFilter(mpt.stack(axis, axis), t=t)
+    z = np.random.default_rng(1).normal(size=(60, 2, 2 * few + 2))
+    z[10, 0, 0] = np.nan
+    found, own = kf.estimates(z), kf.estimates(z[..., few + 20])
+    for track in (1, few + 10, -1):
+        variances, expected = (P.diagonal(axis1=1, axis2=2) for P in (found.P[..., track], own.P))
+        np.testing.assert_allclose(variances, expected, rtol=1e-9)
+
+
 def test_many_diffuse_pauses_filter_no_row_many_times(monkeypatch):
     """Fifty pauses of a day: all rows up to the next thousand were filtered again after each, 20,000 epochs in all."""
     dts, advanced = np.ones(2_000), 0
