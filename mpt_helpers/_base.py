@@ -28,12 +28,17 @@ from numpy.typing import ArrayLike
 
 from . import _checks as checks
 from ._checks import Array, Seconds
-from ._engine import run as engine
-from ._engine import shared as steps
 from ._engine.columns import Epochs, LinearMap, Motion, whitened
 from ._engine.diffuse import DIFFUSE_S, LARGEST_S, observability_rows
-from ._engine.run import MOST_ROUNDING_OF_S, is_rounded_away
-from ._engine.shared import Step
+from ._engine.run import (
+    MOST_ROUNDING_OF_S,
+    in_tiles,
+    is_rounded_away,
+    observability_of,
+    run_estimates,
+    run_innovations,
+)
+from ._engine.shared import Step, make_shared_steps, steps_without_gaps
 from ._engine.smoother import smoothed
 from ._immutable import Immutable, types_as_written
 from .equations import corrected_covariance, predicted_covariance
@@ -459,7 +464,7 @@ class RecursiveFilter(Filter):
         if self.t is not None or self.r is not None:
             name, got = ("r", "variances") if self.t is None else ("t", "times")
             checks.refuse(name, "to be left out, as coefficients are those of equal steps and of the model's R", got)
-        each = steps.steps_without_gaps(self.next_step, self.P0, self.model.m, checks.count("N", N))
+        each = steps_without_gaps(self.next_step, self.P0, self.model.m, checks.count("N", N))
         return Step(*map(np.array, zip(*each, strict=True)))
 
     def step(
@@ -491,18 +496,18 @@ class RecursiveFilter(Filter):
     def smooth(self, z: ArrayLike) -> Estimates:
         if not self.optimal:
             raise TypeError(f"smooth: needs a filter of optimal gain, got a {type(self).__name__}")
-        return self._as_given(z, lambda z: engine.in_tiles(smoothed, self, self.epochs_of(z), self.model.n))
+        return self._as_given(z, lambda z: in_tiles(smoothed, self, self.epochs_of(z), self.model.n))
 
     def run(self, z: Array, x: Array, covariances: bool) -> Array | None:
         """Write the estimates to x and return the covariances if wanted, as in Filter."""
         epochs = self.epochs_of(z)
-        return engine.estimates(self, epochs, x, covariances, engine.observability_of(self, epochs))
+        return run_estimates(self, epochs, x, covariances, observability_of(self, epochs))
 
     def innovations_of(self, z: Array) -> tuple[Array, Array]:
         """Return the innovations and their covariances, as in Filter; refused where P is not predicted by the model."""
         if not self.optimal:
             self._require_prediction_by_model()
-        return engine.in_tiles(engine.innovations, self, self.epochs_of(z), self.model.m)
+        return in_tiles(run_innovations, self, self.epochs_of(z), self.model.m)
 
     def _require_prediction_by_model(self):
         """Raise a ValueError where P does not follow from the gain and F P Fᵀ + Q: S would be another filter's."""
@@ -519,7 +524,7 @@ class RecursiveFilter(Filter):
     @cached_property
     def shared_steps(self) -> Callable[[int, int], Any]:
         """`make_shared_steps` of this filter, as a function of N and M that caches its last result."""
-        return lru_cache(maxsize=1)(partial(steps.make_shared_steps, self.next_step, self.P0, self.model.m))
+        return lru_cache(maxsize=1)(partial(make_shared_steps, self.next_step, self.P0, self.model.m))
 
 
 def _owner(cls, name):

@@ -86,9 +86,10 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
     x (N + 1, n, c, W) and P (N + 1, n, n, W) are those before each row, known up to row k. Columns that go on from the
     same row do so together. Returns whether the covariances stayed within double precision.
     """
-    N, diffuse = len(rows[0]), _is_diffuse(observability, P[k].diagonal())
+    z, seen, F, *_ = rows
+    N, diffuse = len(z), _is_diffuse(observability, P[k].diagonal())
     next_row, paused = np.full((2, len(diffuse)), k)  # of each column; paused is the row of its last pause
-    last_measured = (rows[1].any(axis=1) * np.arange(N)[:, None]).max(axis=0)
+    last_measured = (seen.any(axis=1) * np.arange(N)[:, None]).max(axis=0)
     while (k := next_row.min()) < N:
         columns = np.flatnonzero(next_row == k)
         restart = diffuse[columns].any()
@@ -102,7 +103,7 @@ def _run_rows_with_pauses(advance, rows, k, x, P, observability):
         if restart:
             if not np.isfinite(P_k).all():  # an overflow, not a pause
                 return False
-            name = "P0" if k == 0 else "z" if rows[2] is None else "t"
+            name = "P0" if k == 0 else "z" if F is None else "t"
             x_here, P_here, done = _diffuse_initialization(advance, here, x_k, P_k, observability, name)
             P_end = P_here[done - 1, ..., np.arange(len(done))]  # still diffuse if a pause came too soon
             diffuse[columns] = _is_diffuse(observability, P_end.diagonal(axis1=1, axis2=2))

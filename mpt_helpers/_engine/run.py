@@ -21,7 +21,7 @@ MOST_ROUNDING_OF_S = 0.01
 MOST_NUMBERS = 4_000_000
 
 
-def estimates(estimator, epochs, x, covariances, observability):
+def run_estimates(estimator, epochs, x, covariances, observability):
     """Write x(k/k) of all epochs to x (N, n, M), and return P(k/k) (N, n, n, M), or None if it is not wanted.
 
     P is (N, n, n, 1) where all tracks share it. `observability_of` the filter is needed only if it is optimal.
@@ -70,7 +70,7 @@ def observability_of(estimator, epochs):
 
 
 def _on_columns(estimator, epochs, x, covariances, observability):
-    """Compute the `estimates` of tracks as columns, tile by tile."""
+    """Do `run_estimates` for tracks as columns, tile by tile."""
     (N, n, M), W = x.shape, epochs.width
     P = np.empty((N, n, n, W)) if covariances else None
     most = TILE if W == 1 else TILE_OF_COVARIANCES
@@ -104,7 +104,7 @@ def require_valid(valid):
         checks.refuse("z", need, "an overflow or a negative variance")
 
 
-def innovations(estimator, epochs):
+def run_innovations(estimator, epochs):
     """Return the innovations z(k) - H x(k/k-1) (N, m, M), NaN where z is NaN, and their covariances S (N, m, m, M).
 
     S is (N, m, m, 1) where all tracks share it. These innovations are in the units of z; those of `advance` are
@@ -112,7 +112,7 @@ def innovations(estimator, epochs):
     """
     model, (N, m, M), n = estimator.model, epochs.z.shape, estimator.model.n
     x = np.empty((N, n, M))
-    P = estimates(estimator, epochs, x, True, observability_of(estimator, epochs))
+    P = run_estimates(estimator, epochs, x, True, observability_of(estimator, epochs))
     values, S, size = np.empty((N, m, M)), np.empty((N, m, m, P.shape[3])), np.empty((N, m, P.shape[3]))
     for part in epochs_at_a_time(N, n * max(n * P.shape[3], M)):
         # Axes: states, epochs, tracks.

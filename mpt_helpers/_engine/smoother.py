@@ -15,7 +15,7 @@ from .. import _checks as checks
 from .columns import product, transposed
 from .diffuse import largest_S
 from .pieces import run_rows
-from .run import estimates, observability_of, require_valid
+from .run import observability_of, require_valid, run_estimates
 from .shared import epochs_at_a_time
 
 # A mode is damped if its eigenvalue is below DAMPED, and undriven if the variance that Q adds to it per step is below
@@ -32,7 +32,7 @@ def smoothed(estimator, epochs):
     N, _, M = epochs.z.shape
     x = np.empty((N, estimator.model.n, M))
     observability = observability_of(estimator, epochs)
-    P = estimates(estimator, epochs, x, True, observability)
+    P = run_estimates(estimator, epochs, x, True, observability)
     if N == 1:
         return x, P
     _warn_of_undriven_modes(epochs.motion, P[0])
