@@ -425,7 +425,7 @@ def picture(figure, root="", folder="figures"):
 # The headings of the page on the filters, with the modules in which what stands below them is defined.
 CHAPTERS = {
     "Models": ("model", "motion"),
-    "Filters": ("kalman", "lainiotis", "steady", "combined", "predictor"),
+    "Filters": ("kalman", "lainiotis", "steady", "combined", "predictor", "_base"),
     "What a filter is worth": ("metrics", "fit", "fitting", "bands", "forecasts", "study", "monte_carlo", "riccati"),
     "A recorded track": ("tracks",),
 }

@@ -29,6 +29,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from . import bands, metrics, riccati
+from ._base import RecursiveFilter
 from .combined import JoinFilter, Separate, six_filters
 from .fitting import fit
 from .kalman import KalmanFilter
@@ -62,6 +63,7 @@ __all__ = [
     "LainiotisFilter",
     "LinearModel",
     "Predictor",
+    "RecursiveFilter",
     "Separate",
     "SteadyStateFilter",
     "SteadyStatePredictor",

@@ -342,6 +342,24 @@ class RecursiveFilter(Filter):
 
     A subclass may add faster versions, `next_steps` and `advance`. They are inherited only together with `next_step`:
     a subclass that overrides `next_step` alone falls back to the general ones, which call it.
+
+    Parameters
+    ----------
+    model : LinearModel
+        The model of motion and measurements.
+
+    Examples
+    --------
+    >>> import mpt_helpers as mpt
+    >>> class Doubting(mpt.RecursiveFilter):
+    ...     def next_step(self, P, seen):
+    ...         A, B, P = mpt.KalmanFilter(self.model).next_step(P, seen)
+    ...         return A, B, 1.2 * P  # less sure than the Kalman filter, so that old measurements count less
+    >>> Doubting(mpt.constant_velocity(dt=1.0, q=0.01, r=0.1, P0=np.eye(2))).filter([[1.0], [2.0], [4.0]]).round(2)
+    array([[0.95, 0.48],
+           [1.94, 0.89],
+           [3.79, 1.44]])
+
     """
 
     model: LinearModel

@@ -19,8 +19,7 @@ from oracles import plain_band, plain_loop, plain_smoother, van_loan
 from scipy.linalg import block_diag
 
 import mpt_helpers as mpt
-from mpt_helpers import metrics
-from mpt_helpers._base import RecursiveFilter
+from mpt_helpers import RecursiveFilter, metrics
 from mpt_helpers._engine import pieces as partition
 from mpt_helpers._engine import run as engine
 from mpt_helpers._engine import shared as steps
