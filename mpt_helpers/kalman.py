@@ -147,7 +147,7 @@ class KalmanFilter(RecursiveFilter):
         lengths = steps[steps > 0]
         for dt in {lengths.min(), lengths.max()} if lengths.size else ():
             missed = half_step_gap(self.model.transition, dt)
-            if not np.isfinite(self.model.over(dt)).all():
+            if missed == np.inf and not np.isfinite(self.model.over(dt)).all():
                 checks.refuse("t", "steps over which the transition gives finite F and Q", f"one of {dt:.6g} s")
             if MOST_HALF_STEP_GAP < missed < np.inf:
                 of = f"over {dt:.3g} s the transition's F and Q are not those of two half steps"

@@ -32,8 +32,8 @@ def measures(key, dt=table1.DT, r=table1.R, size=1.0):
     """
     column = table1.columns(dt, table1.Q, r, size)[key]
     average = 100 * table1.of_both_axes(column, round(SECONDS / dt))[:2]
-    one_second, one_step = (table1.settled_sigma(column, [0, ahead]) for ahead in (1, dt))
-    return {"sigma": one_second, "step": one_step, "average": average}
+    now, one_second, one_step = table1.settled_sigma(column, [0, 1, dt])
+    return {"sigma": np.array([now, one_second]), "step": np.array([now, one_step]), "average": average}
 
 
 def varied(key, what, N, measure, values=None):

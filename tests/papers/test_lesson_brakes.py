@@ -323,7 +323,7 @@ def test_a_recording_with_other_steps_is_judged_at_its_own_seconds():
         names = made()
         exec(source(CELLS["filter"]).replace("dt, R = 1.0, 0.1", f"dt, R = {dt}, 1e-12"), names)
         exec(source(CELLS["table"]).partition("\nbrakes = ")[0], names)
-        exec(source(CELLS["brakes"]).partition("\n\n\ndef")[0], names)
+        exec(source(CELLS["brakes"]).partition("\nerrors")[0], names)
         exec(source(CELLS["recorded"]), names)
         drives.append(names)
     letting_go = drives[0]["letting_go"]
